@@ -1,0 +1,57 @@
+# `make demo` and `make test` need only Python 3.11+, python3-venv and make; they build .venv
+# themselves from requirements.lock.  `make help` lists the targets.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+SEED   ?= 1
+MINUTES ?= 30
+
+.DEFAULT_GOAL := help
+.PHONY: help env demo test check bench baseline lock wheel clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
+
+env: $(STAMP)  ## the virtual environment, from the lock file
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "found $$($(PYTHON) --version 2>&1 || echo no $(PYTHON)); expected Python 3.11 or newer;" \
+	       "run: apt install python3, or: make PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "found $(PYTHON) without ensurepip; expected the Debian package python3-venv;" \
+	       "run: apt install python3-venv"; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: env  ## service and simulator as two processes, a drift, a report in out/demo
+	$(BIN)/python -m adaptive_contact demo --out out/demo
+
+test: env  ## unit, property and end-to-end tests
+	$(BIN)/python -m pytest
+
+check: env  ## ruff, types, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+bench: env  ## the design's figures and speeds, in out/bench (about ten minutes)
+	$(BIN)/python -m adaptive_contact bench --out out/bench
+
+baseline: env  ## learn the shipped baseline anew
+	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod
+
+wheel: env  ## the wheel, in dist
+	$(BIN)/python -m build --wheel --no-isolation
+
+lock: env  ## resolve requirements.lock anew (needs uv)
+	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
+	  --generate-hashes --no-emit-index-url --no-header --quiet -o requirements.lock
+
+clean:  ## what make made
+	rm -rf $(VENV) out dist build

@@ -1,0 +1,126 @@
+"""Is this sample the next one of its leg's stream?  Bad samples are counted, never raised.
+
+One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the next
+one, the next one after a gap, the first one of a restart, and the rejected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final, NamedTuple
+
+from adaptive_contact.wire import Reject, ServoSample
+
+__all__ = ["Accepted", "StreamGuard"]
+
+# A joint reads within a few turns of zero; what is further out is not an angle of a leg.
+MAX_ANGLE_RAD: Final = 8 * math.pi
+MAX_TIME_NS: Final = 2**63 - 1
+# So many samples in a row that are late against the last one accepted, but in order among
+# themselves, mean that the source's clock was set back (or one wild time stamp was taken for true).
+CLOCK_RESET_SAMPLES: Final = 10
+# So many samples in a row from a superseded publisher, with none from the newer one between
+# them, mean that the newer one is gone (half a second at 50 Hz).
+TAKE_BACK_SAMPLES: Final = 25
+# Publishers remembered as superseded; a bound on memory, not a tuning knob.
+MAX_OLD_RUNS: Final = 32
+
+
+class Accepted(NamedTuple):
+    """A sample that is in order.
+
+    Attributes:
+        missed: samples lost between the last accepted one and this one.
+        restart: the source started anew; what came before does not connect.
+    """
+
+    missed: int
+    restart: bool
+
+
+class StreamGuard:
+    """Follows one leg's stream.
+
+    Attributes:
+        joints: J, what a sample must bring.
+        run: of the publisher in force.
+        missed: samples lost so far.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.joints = joints
+        self.run: int | None = None
+        self.missed = 0
+        self._last: tuple[int, int] | None = None  # (t_ns, seq)
+        self._late: tuple[int, int] | None = None
+        self._late_count = 0
+        self._old_runs: deque[int | None] = deque(maxlen=MAX_OLD_RUNS)
+        self._other_count = 0
+
+    def admit(self, sample: ServoSample) -> Accepted | Reject:
+        """Check a sample against its form and against the stream so far.
+
+        Returns:
+            How it connects to the stream, or why it is refused; a refusal changes nothing that
+            later samples are judged by, but for the detection of a clock that was set back.
+        """
+        fault = self._form(sample)
+        if fault is not None:
+            return fault
+        now = (sample.t_ns, sample.seq)
+        if self._last is None:
+            return self._restart(sample, now)
+        if sample.run != self.run:
+            # The run that was seen first is the older publisher; the newer start wins.
+            if sample.run in self._old_runs:
+                self._other_count += 1
+                if self._other_count < TAKE_BACK_SAMPLES:
+                    return Reject.OTHER_PUBLISHER
+                self._old_runs.remove(sample.run)
+            self._old_runs.append(self.run)
+            return self._restart(sample, now)
+        self._other_count = 0
+        if sample.t_ns <= self._last[0]:
+            return self._refuse_late(sample, now)
+        if sample.seq <= self._last[1]:
+            return Reject.DUPLICATE_SEQ
+        missed = sample.seq - self._last[1] - 1
+        self.missed += missed
+        self._last, self._late, self._late_count = now, None, 0
+        return Accepted(missed=missed, restart=False)
+
+    def _restart(self, sample: ServoSample, now: tuple[int, int]) -> Accepted:
+        self.run, self._last = sample.run, now
+        self._late, self._late_count, self._other_count = None, 0, 0
+        return Accepted(missed=0, restart=True)
+
+    def _refuse_late(self, sample: ServoSample, now: tuple[int, int]) -> Accepted | Reject:
+        in_order = self._late is None or (now[0] > self._late[0] and now[1] > self._late[1])
+        self._late_count = self._late_count + 1 if in_order else 1
+        self._late = now
+        if self._late_count >= CLOCK_RESET_SAMPLES:
+            return self._restart(sample, now)
+        assert self._last is not None
+        if sample.seq == self._last[1]:
+            return Reject.DUPLICATE_SEQ
+        return Reject.TIME_BACKWARDS
+
+    def _form(self, sample: ServoSample) -> Reject | None:
+        j = self.joints
+        if len(sample.measured) != j or len(sample.desired) != j:
+            return Reject.WRONG_JOINTS
+        if sample.valid is not None and len(sample.valid) != j:
+            return Reject.WRONG_JOINTS
+        values = sample.measured + sample.desired
+        if sample.preview is not None:
+            for row in sample.preview:
+                if len(row) != j:
+                    return Reject.WRONG_JOINTS
+                values = values + row
+        for value in values:
+            if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
+                return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
+        if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
+            return Reject.OUT_OF_RANGE
+        return None

@@ -1,0 +1,74 @@
+"""The one exception tree of the project.
+
+::
+
+    AdaptiveContactError            anything this package raises on purpose
+    ├── ConfigurationError          a robot.toml, a setting or a command line that cannot be used
+    │   └── MissingExtraError       an optional dependency is not installed
+    ├── RecordingError              a recording that cannot be read or written
+    ├── BaselineError               a model file that is corrupt, or of another robot
+    ├── IdentificationError         a fit that cannot be made (too few rows, empty library)
+    ├── LinkError                   Zenoh cannot be reached, or refuses
+    ├── BusError                    a Dynamixel bus that cannot be used
+    └── SimulationDiverged          the simulated robot left the range of the possible
+
+Every message is one line: what was found, what was expected, what to do.
+Bad *samples* never raise; they are counted by :class:`adaptive_contact.wire.Reject`.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AdaptiveContactError",
+    "BaselineError",
+    "BusError",
+    "ConfigurationError",
+    "IdentificationError",
+    "LinkError",
+    "MissingExtraError",
+    "RecordingError",
+    "SimulationDiverged",
+]
+
+
+class AdaptiveContactError(Exception):
+    """Base of everything this package raises on purpose."""
+
+
+class ConfigurationError(AdaptiveContactError):
+    """A robot description, a setting or a command line cannot be used."""
+
+
+class MissingExtraError(ConfigurationError):
+    """A command needs an optional dependency that is not installed."""
+
+    def __init__(self, what: str, extra: str) -> None:
+        super().__init__(
+            f"{what} needs the extra '{extra}', which is not installed; "
+            f"run: pip install 'adaptive-contact[{extra}]'"
+        )
+        self.extra = extra
+
+
+class RecordingError(AdaptiveContactError):
+    """A recording cannot be read or written."""
+
+
+class BaselineError(AdaptiveContactError):
+    """A model file is corrupt, implausible, or of another robot."""
+
+
+class IdentificationError(AdaptiveContactError):
+    """A fit cannot be made from the rows it was given."""
+
+
+class LinkError(AdaptiveContactError):
+    """Zenoh cannot be reached, or refuses the connection."""
+
+
+class BusError(AdaptiveContactError):
+    """A Dynamixel bus cannot be used."""
+
+
+class SimulationDiverged(AdaptiveContactError):
+    """The simulated robot left the range of the physically possible."""

@@ -1,0 +1,212 @@
+r"""Candidate libraries: the terms a leg model may be made of.
+
+``servo``
+    what the physics of a position servo says.  With :math:`e = \theta^{des} - \theta`, velocities
+    in rad per tick and :math:`\mathrm{sat}(x) = \min(1, \max(-1, x))`: a constant, positions,
+    position and command differences, the saturating control law
+    :math:`\mathrm{sat}(e/s)` at the present and past commands, Coulomb friction
+    :math:`\tanh(v/v_0)`, back-EMF and viscous friction (the differences), gravity
+    :math:`\cos\phi, \sin\phi` of the absolute link angles.
+``paper``
+    the paper's Eq. 8: sine, cosine and all polynomials up to degree 2 of every position and
+    command in the window.
+``linear``
+    a constant, the positions and the commands.
+
+Every library predicts the increment :math:`\theta[k+1] - \theta[k]`: a ridge term then pulls towards
+"no motion" rather than towards the zero position.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from itertools import combinations_with_replacement
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.identify.window import Window
+from adaptive_contact.robot import Leg, Robot
+
+__all__ = ["Library", "LibraryName", "leg_library"]
+
+Array = NDArray[np.float64]
+LibraryName = Literal["servo", "paper", "linear"]
+
+# Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at
+# 0.1 to 0.3 rad/s (Rhoban/bam identifications); the readings do not resolve less.
+FRICTION_KNEE_RAD_S: Final = 0.5
+# The library offers the control law at the described slope and at its neighbours, so that wear
+# or a wrong register value stays inside its span.
+SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Library:
+    """A named set of terms over a window.
+
+    Attributes:
+        name: which of the libraries above.
+        joints: (J,) names, from the body outwards.
+        axes: (J,) ``yaw`` or ``pitch``.
+        window: past and future it looks at.
+        slope_rad: s of the servo's control law.
+        period_s: control tick, for the friction knee.
+    """
+
+    name: LibraryName
+    joints: tuple[str, ...]
+    axes: tuple[str, ...]
+    window: Window = Window()
+    slope_rad: float = 0.164
+    period_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.name not in get_args(LibraryName):
+            raise ConfigurationError(
+                f"library is '{self.name}'; expected one of {', '.join(get_args(LibraryName))}"
+            )
+        if len(self.axes) != len(self.joints):
+            raise ConfigurationError(
+                f"library: {len(self.axes)} axes for {len(self.joints)} joints"
+            )
+
+    @property
+    def size(self) -> int:
+        """p, the number of terms."""
+        return len(self.names)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of every term, in the order of :meth:`evaluate`'s columns."""
+        if self.name == "servo":
+            return tuple(self._servo_names())
+        columns = self._variable_names()
+        if self.name == "linear":
+            return ("1", *columns)
+        pairs = combinations_with_replacement(range(len(columns)), 2)
+        return (
+            "1",
+            *columns,
+            *(f"sin({c})" for c in columns),
+            *(f"cos({c})" for c in columns),
+            *(f"{columns[i]} {columns[j]}" for i, j in pairs),
+        )
+
+    def evaluate(self, measured: Array, desired: Array, preview: Array) -> Array:
+        """Compute Θ.
+
+        Args:
+            measured: (..., N + 1, J) rad, lag 0 first.
+            desired: (..., N' + 1, J) rad, lag 0 first.
+            preview: (..., M, J) rad, next command first.
+
+        Returns:
+            (..., p).
+        """
+        if self.name == "servo":
+            return self._servo(measured, desired, preview)
+        lead = measured.shape[:-2]
+        columns = np.concatenate(
+            [part.reshape(*lead, -1) for part in (measured, desired, preview)], axis=-1
+        )
+        one = np.ones((*lead, 1))
+        if self.name == "linear":
+            return np.concatenate([one, columns], axis=-1)
+        first, second = self._pairs
+        return np.concatenate(
+            [one, columns, np.sin(columns), np.cos(columns), columns[..., first] * columns[..., second]],
+            axis=-1,
+        )
+
+    @cached_property
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        pairs = combinations_with_replacement(range(len(self._variable_names())), 2)
+        first, second = np.array(list(pairs), dtype=np.int64).T
+        return first, second
+
+    @cached_property
+    def _pitch(self) -> Array:
+        return np.array([1.0 if axis == "pitch" else 0.0 for axis in self.axes])
+
+    def _variable_names(self) -> list[str]:
+        w = self.window
+        spans = [
+            ("θ", [-lag for lag in range(w.past_measured + 1)]),
+            ("u", [-lag for lag in range(w.past_desired + 1)]),
+            ("u", list(range(1, w.preview + 1))),
+        ]
+        return [
+            f"{symbol}_{joint}{_at(offset)}"
+            for symbol, offsets in spans
+            for offset in offsets
+            for joint in self.joints
+        ]
+
+    def _servo(self, measured: Array, desired: Array, preview: Array) -> Array:
+        lead = measured.shape[:-2]
+        position = measured[..., 0, :]
+        velocity = measured[..., :-1, :] - measured[..., 1:, :]
+        slew = desired[..., :-1, :] - desired[..., 1:, :]
+        depth = min(measured.shape[-2], desired.shape[-2])
+        error = (desired[..., :depth, :] - measured[..., :depth, :]) / self.slope_rad
+        # The command of the tick before against the position it led to: what the servo still
+        # pushed with just before the new command came.
+        left = (desired[..., 1:depth, :] - measured[..., : depth - 1, :]) / self.slope_rad
+        knee = FRICTION_KNEE_RAD_S * self.period_s
+        parts = [
+            np.ones((*lead, 1)),
+            position,
+            velocity.reshape(*lead, -1),
+            error[..., 0, :],
+            slew.reshape(*lead, -1),
+            np.clip(error, -1.0, 1.0).reshape(*lead, -1),
+            np.clip(left, -1.0, 1.0).reshape(*lead, -1),
+        ]
+        parts += [np.clip(error[..., 0, :] / f, -1.0, 1.0) for f in SLOPE_FACTORS[1:]]
+        if velocity.shape[-2]:
+            parts.append(np.tanh(velocity[..., 0, :] / knee))
+        angles = np.cumsum(position * self._pitch, axis=-1)[..., self._pitch > 0]
+        parts += [np.cos(angles), np.sin(angles)]
+        if preview.shape[-2]:
+            parts.append((preview - desired[..., :1, :]).reshape(*lead, -1))
+        return np.concatenate(parts, axis=-1)
+
+    def _servo_names(self) -> list[str]:
+        w, joints = self.window, self.joints
+        depth = min(w.past_measured, w.past_desired) + 1
+        names = ["1", *(f"θ_{j}" for j in joints)]
+        names += [f"v_{j}{_at(-lag)}" for lag in range(w.past_measured) for j in joints]
+        names += [f"e_{j}/s" for j in joints]
+        names += [f"Δu_{j}{_at(-lag)}" for lag in range(w.past_desired) for j in joints]
+        names += [f"sat(e_{j}{_at(-lag)}/s)" for lag in range(depth) for j in joints]
+        names += [f"sat(e⁻_{j}{_at(-lag)}/s)" for lag in range(depth - 1) for j in joints]
+        names += [f"sat(e_{j}/{f:g}s)" for f in SLOPE_FACTORS[1:] for j in joints]
+        if w.past_measured:
+            names += [f"tanh(v_{j}/v₀)" for j in joints]
+        pitched = [j for j, axis in zip(joints, self.axes, strict=True) if axis == "pitch"]
+        names += [f"cos φ_{j}" for j in pitched] + [f"sin φ_{j}" for j in pitched]
+        names += [f"u_{j}{_at(lead)}-u_{j}" for lead in range(1, w.preview + 1) for j in joints]
+        return names
+
+
+def leg_library(
+    robot: Robot, leg: Leg, name: LibraryName = "servo", window: Window | None = None
+) -> Library:
+    """The library of a leg, from the robot's description."""
+    return Library(
+        name=name,
+        joints=leg.joints,
+        axes=leg.joint_axes,
+        window=window or Window(),
+        slope_rad=robot.servo.slope_rad,
+        period_s=robot.period_s,
+    )
+
+
+def _at(offset: int) -> str:
+    """``[k]`` is left out; ``[k-1]``, ``[k+2]``."""
+    return "" if offset == 0 else f"[k{offset:+d}]"

@@ -1,0 +1,37 @@
+"""What is known of the robot: its description, and the geometry of its legs."""
+
+from __future__ import annotations
+
+from adaptive_contact.robot.description import (
+    ROBOT_HOUR_TICKS,
+    DetectorSettings,
+    Leg,
+    Limits,
+    Mount,
+    Port,
+    Robot,
+    ServoBus,
+    ServoLaw,
+    load_robot,
+    parse_robot,
+    shipped_robot,
+)
+from adaptive_contact.robot.geometry import foot, inverse, link_angles
+
+__all__ = [
+    "ROBOT_HOUR_TICKS",
+    "DetectorSettings",
+    "Leg",
+    "Limits",
+    "Mount",
+    "Port",
+    "Robot",
+    "ServoBus",
+    "ServoLaw",
+    "foot",
+    "inverse",
+    "link_angles",
+    "load_robot",
+    "parse_robot",
+    "shipped_robot",
+]

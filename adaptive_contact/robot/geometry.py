@@ -1,0 +1,98 @@
+r"""Geometry of a serial leg: a chain of yaw and pitch joints.
+
+Angles :math:`q` (J,) rad; the leg's frame has x along its zero direction, z up.  A pitch
+raises the links beyond it, angles of pitch joints add along the chain (:math:`\phi_i`, the absolute
+link angle over the horizon), a yaw turns what lies beyond it about z:
+
+.. math:: r = \sum_i l_i \cos\phi_i, \quad z = \sum_i l_i \sin\phi_i
+
+For the three-joint leg (yaw, pitch, pitch) this is the usual coxa-femur-tibia chain, and
+:func:`inverse` solves it in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptive_contact.errors import ConfigurationError
+
+__all__ = ["foot", "inverse", "link_angles"]
+
+Array = NDArray[np.float64]
+
+
+def link_angles(q: ArrayLike, axes: Sequence[str]) -> Array:
+    """Absolute pitch of every link over the horizon of the leg's frame.
+
+    Args:
+        q: (..., J) rad joint angles.
+        axes: (J,) ``yaw`` or ``pitch`` per joint.
+
+    Returns:
+        (..., J) rad; a yaw joint's own link keeps the pitch of the link before it.
+    """
+    angles = np.asarray(q, dtype=np.float64)
+    pitch = np.array([1.0 if axis == "pitch" else 0.0 for axis in axes])
+    return np.cumsum(angles * pitch, axis=-1)
+
+
+def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str]) -> Array:
+    """Foot position in the leg's frame.
+
+    Args:
+        q: (..., J) rad joint angles.
+        lengths_m: (J,) m link lengths from the body outwards.
+        axes: (J,) ``yaw`` or ``pitch`` per joint.
+
+    Returns:
+        (..., 3) m.
+    """
+    angles = np.asarray(q, dtype=np.float64)
+    lengths = np.asarray(lengths_m, dtype=np.float64)
+    yaw_mask = np.array([1.0 if axis == "yaw" else 0.0 for axis in axes])
+    phi = link_angles(angles, axes)
+    heading = np.cumsum(angles * yaw_mask, axis=-1)
+    reach = lengths * np.cos(phi)
+    return np.stack(
+        [
+            np.sum(reach * np.cos(heading), axis=-1),
+            np.sum(reach * np.sin(heading), axis=-1),
+            np.sum(lengths * np.sin(phi), axis=-1),
+        ],
+        axis=-1,
+    )
+
+
+def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:
+    """Joint angles that put the foot of a yaw-pitch-pitch leg at a point, knee up.
+
+    Args:
+        point_m: (..., 3) m in the leg's frame.
+        lengths_m: (3,) m.
+
+    Returns:
+        (..., 3) rad; NaN rows where the point is out of reach.
+
+    Raises:
+        ConfigurationError: the leg has not three links.
+
+    Reference:
+        Law of cosines on the femur-tibia triangle, e.g. Siciliano et al., *Robotics*, 2.12.
+    """
+    if len(lengths_m) != 3:
+        raise ConfigurationError(
+            f"closed-form inverse kinematics needs 3 links, found {len(lengths_m)}"
+        )
+    l0, l1, l2 = lengths_m
+    point = np.asarray(point_m, dtype=np.float64)
+    x, y, z = point[..., 0], point[..., 1], point[..., 2]
+    radial = np.hypot(x, y) - l0
+    distance2 = radial**2 + z**2
+    cos_tibia = (distance2 - l1**2 - l2**2) / (2 * l1 * l2)
+    with np.errstate(invalid="ignore"):
+        tibia = -np.arccos(np.where(np.abs(cos_tibia) <= 1.0, cos_tibia, np.nan))
+    femur = np.arctan2(z, radial) - np.arctan2(l2 * np.sin(tibia), l1 + l2 * np.cos(tibia))
+    return np.stack([np.where(np.isnan(tibia), np.nan, np.arctan2(y, x)), femur, tibia], axis=-1)

@@ -1,0 +1,143 @@
+"""Payload bytes to messages and back, msgpack or JSON.
+
+Decoding is two steps: ``msgpack`` (with limits on every length, so that a hostile payload
+cannot make it allocate) or JSON parse the bytes, then ``msgspec`` converts and checks types.
+A payload that does not fit gives a :class:`Rejected` with the reason and the field, never an
+exception.
+"""
+
+from __future__ import annotations
+
+import enum
+import re
+from typing import Final, NamedTuple, TypeVar
+
+import msgpack
+import msgspec
+
+from adaptive_contact.wire.messages import Message
+
+__all__ = [
+    "JSON",
+    "MAX_PAYLOAD_BYTES",
+    "MSGPACK",
+    "Reject",
+    "Rejected",
+    "decode",
+    "encode",
+]
+
+MSGPACK: Final = "application/msgpack"
+JSON: Final = "application/json"
+
+# The largest honest payload is a ModelReport of a 3-joint leg, about 30 kB.
+MAX_PAYLOAD_BYTES: Final = 256 * 1024
+_MAX_ITEMS: Final = 4096
+
+M = TypeVar("M", bound=Message)
+
+
+class Reject(enum.StrEnum):
+    """Why a payload or a sample was not used; the values are the keys of ``rejects``."""
+
+    MALFORMED = "malformed"
+    TOO_LARGE = "too_large"
+    MISSING_FIELD = "missing_field"
+    WRONG_TYPE = "wrong_type"
+    VERSION = "version"
+    NOT_FINITE = "not_finite"
+    WRONG_JOINTS = "wrong_joints"
+    OUT_OF_RANGE = "out_of_range"
+    UNKNOWN_LEG = "unknown_leg"
+    TIME_BACKWARDS = "time_backwards"
+    DUPLICATE_SEQ = "duplicate_seq"
+    OTHER_PUBLISHER = "other_publisher"
+    OVERFLOW = "overflow"
+
+
+class Rejected(NamedTuple):
+    """A payload that was not used: the reason, and one line naming the field."""
+
+    reason: Reject
+    detail: str
+
+
+def encode(message: Message, encoding: str = MSGPACK) -> bytes:
+    """Serialise a message.
+
+    Args:
+        message: any of the wire's messages.
+        encoding: :data:`MSGPACK` or :data:`JSON`.
+
+    Returns:
+        The payload.
+    """
+    if encoding == JSON:
+        return msgspec.json.encode(message)
+    return msgspec.msgpack.encode(message)
+
+
+def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Rejected:
+    """Parse and check a payload.
+
+    Args:
+        payload: the bytes received.
+        kind: the message expected on that key.
+        encoding: the Zenoh encoding; anything that is not JSON is taken for msgpack.
+
+    Returns:
+        The message, or why it was refused.
+    """
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return Rejected(Reject.TOO_LARGE, f"{len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
+    parsed = _parse(payload, encoding)
+    if isinstance(parsed, Rejected):
+        return parsed
+    if not isinstance(parsed, dict):
+        return Rejected(Reject.WRONG_TYPE, f"expected a map, found {type(parsed).__name__}")
+    if "v" not in parsed:  # msgspec lets a missing tag pass
+        return Rejected(Reject.MISSING_FIELD, "missing required field `v`")
+    try:
+        return msgspec.convert(parsed, kind, strict=True)
+    except msgspec.ValidationError as error:
+        return _classify(str(error))
+    except (RecursionError, OverflowError) as error:
+        return Rejected(Reject.MALFORMED, type(error).__name__)
+
+
+def _parse(payload: bytes, encoding: str) -> object:
+    try:
+        if encoding.startswith(JSON):
+            return msgspec.json.decode(payload)
+        return msgpack.unpackb(
+            payload,
+            raw=False,
+            strict_map_key=True,
+            max_str_len=_MAX_ITEMS,
+            max_bin_len=_MAX_ITEMS,
+            max_array_len=_MAX_ITEMS,
+            max_map_len=_MAX_ITEMS,
+            max_ext_len=0,
+        )
+    # msgpack documents ValueError and its own subclasses of it (and UnpackException for
+    # truncated input); deep nesting raises RecursionError or StackError.
+    except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError) as error:
+        return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
+    except (TypeError, OverflowError) as error:  # unhashable or absurd map keys
+        return Rejected(Reject.MALFORMED, f"{type(error).__name__}: {_one_line(str(error))}")
+
+
+_AT_VERSION = re.compile(r"at `\$\.v`")
+
+
+def _classify(text: str) -> Rejected:
+    detail = _one_line(text)
+    if "missing required field" in text:
+        return Rejected(Reject.MISSING_FIELD, detail)
+    if _AT_VERSION.search(text):
+        return Rejected(Reject.VERSION, detail)
+    return Rejected(Reject.WRONG_TYPE, detail)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())[:200]

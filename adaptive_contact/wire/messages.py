@@ -1,0 +1,244 @@
+"""The messages on the wire, one frozen struct each.
+
+Field names are the wire's; units are in the names or in the docstring.  Times are ``int``
+nanoseconds of the *source's* clock.  All payloads carry ``v`` (contract version).  Unknown
+fields are ignored when read, so that fields can be added without a new version.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+import msgspec
+
+__all__ = [
+    "VERSION",
+    "BufferCounts",
+    "Command",
+    "ContactEvent",
+    "ContactTruth",
+    "Drift",
+    "DriftKind",
+    "DriftLevel",
+    "DriftReply",
+    "DriftShape",
+    "LearnerStatus",
+    "Message",
+    "ModelReport",
+    "ModelTerm",
+    "Phase",
+    "RefitCounts",
+    "ServoSample",
+    "Status",
+]
+
+VERSION: Final = 1
+
+Phase = Literal["swing", "stance"]
+Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]
+DriftKind = Literal[
+    "mass",
+    "friction",
+    "viscous",
+    "supply",
+    "compliance",
+    "backlash",
+    "offset",
+    "winding",
+    "dropout",
+]
+DriftShape = Literal["step", "ramp", "pulse", "walk"]
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="v", tag=VERSION):
+    """Base of every payload; each carries ``v``, the version of the contract, on the wire."""
+
+
+class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """What one leg's servos report and are told in control tick k.
+
+    Attributes:
+        t_ns: source clock, strictly increasing per leg within a run.
+        seq: control tick number, +1 per tick; a gap shows loss.
+        measured: (J,) rad, read at the start of tick k.
+        desired: (J,) rad, written right after that read, in force until tick k + 1.
+        preview: (M, J) rad, commands of the next M ticks, where the controller knows them.
+        phase: the gait controller's word, where it gives one.
+        valid: (J,) False for a servo that did not answer or a reading known to be stale.
+        run: new at each start of the source; a new run clears the window and keeps the model.
+    """
+
+    t_ns: int
+    seq: int
+    measured: list[float]
+    desired: list[float]
+    preview: list[list[float]] | None = None
+    phase: Phase | None = None
+    valid: list[bool] | None = None
+    run: int | None = None
+
+
+class ContactEvent(Message, frozen=True, kw_only=True):
+    """A change of a leg's contact state.
+
+    Attributes:
+        t_ns, seq: of the sample that decided.
+        onset_ns: estimated first touch (or release), at most ``t_ns``.
+        score: statistic over threshold, above 1 for a contact.
+        residual: (J,) rad, measured minus predicted at the deciding sample.
+    """
+
+    leg: str
+    t_ns: int
+    seq: int
+    onset_ns: int
+    contact: bool
+    status: Status
+    score: float
+    residual: list[float]
+    model_version: int
+
+
+class BufferCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """Confirmed contact-free data the learner holds."""
+
+    swings: int = 0
+    lift_ticks: int = 0
+    descent_ticks: int = 0
+
+
+class DriftLevel(msgspec.Struct, frozen=True, kw_only=True):
+    """How far the leg has moved from its model.
+
+    ``level`` is the residual level of recent lifts over the model's own, 1.0 without drift.
+    """
+
+    level: float = 1.0
+    since_ns: int | None = None
+    kind: str | None = None
+
+
+class RefitCounts(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of the periodic sparse refits."""
+
+    promoted: int = 0
+    refused: int = 0
+    rolled_back: int = 0
+    last_reason: str | None = None
+
+
+class LearnerStatus(Message, frozen=True, kw_only=True):
+    """How a leg's learner is, once a second and at each change of status.
+
+    Attributes:
+        residual_rms: (J,) rad, of recent free ticks.
+        noise_floor: (J,) rad, of the model on the data it was fitted on.
+        ticks: samples accepted since start.
+        rejects: samples refused, by reason.
+        missed: samples lost, from gaps in ``seq``.
+        contacts: contact events so far; ``state`` is the present one.
+        note: one line for a person when something is wrong, None when all is well.
+    """
+
+    leg: str
+    t_ns: int
+    status: Status
+    model_version: int
+    residual_rms: list[float]
+    noise_floor: list[float]
+    buffer: BufferCounts = BufferCounts()
+    drift: DriftLevel = DriftLevel()
+    refits: RefitCounts = RefitCounts()
+    ticks: int = 0
+    rejects: dict[str, int] = {}
+    missed: int = 0
+    contact: bool = False
+    contacts: int = 0
+    note: str | None = None
+
+
+class ModelTerm(msgspec.Struct, frozen=True, kw_only=True):
+    """One term of a joint's equation: ``coefficient * name``."""
+
+    name: str
+    coefficient: float
+
+
+class ModelReport(Message, frozen=True, kw_only=True):
+    """A leg's model, answered on request.
+
+    Attributes:
+        terms: one list of terms per joint.
+        equations: the same as text, one per joint.
+    """
+
+    leg: str
+    model_version: int
+    joints: list[str]
+    terms: list[list[ModelTerm]]
+    equations: list[str]
+    library: str = ""
+    threshold: float | None = None
+    origin: str | None = None
+
+
+class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """What the simulator knows: a leg touches, or lets go.
+
+    Attributes:
+        t_ns: time of the physics step at which the state changed.
+        force: N, mean over 20 ms from the change on (0 at release).
+        speed_m_s: speed of the touching part against the surface at touch.
+        surface: ``hard`` or ``soft``.
+        part: the part of the leg that touches: ``foot`` or a link's name.
+        grazing: the motion was nearly tangent to the surface.
+    """
+
+    t_ns: int
+    contact: bool
+    force: float
+    speed_m_s: float | None = None
+    surface: str | None = None
+    part: str | None = None
+    grazing: bool = False
+
+
+class Command(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """What a controller wants of a leg: (J,) rad, and optionally the next M ticks."""
+
+    desired: list[float]
+    preview: list[list[float]] | None = None
+
+
+class Drift(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """A change of the simulated robot; ``value`` is absolute against nominal.
+
+    Attributes:
+        leg, joint: which, None for all.
+        value: in the kind's unit (kg, factor, V, rad, probability).
+        duration_s: length of a ramp, a pulse or a random walk.
+        seed: of a random walk.
+    """
+
+    kind: DriftKind
+    value: float
+    leg: str | None = None
+    joint: str | None = None
+    shape: DriftShape = "step"
+    duration_s: float = 0.0
+    seed: int = 0
+
+
+class DriftReply(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """The simulator's answer: whether it took the drift, and what now holds.
+
+    Attributes:
+        holds: drift in force, or under way, ``{kind: {leg: {joint: value}}}``; nominal
+            values are left out.
+        error: one line when the drift was refused.
+    """
+
+    ok: bool
+    t_ns: int
+    holds: dict[str, dict[str, dict[str, float]]]
+    error: str | None = None

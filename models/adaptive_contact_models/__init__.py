@@ -1,0 +1,1 @@
+"""Robots, simulator models and learned baselines.  Data only; it imports nothing."""

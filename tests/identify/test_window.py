@@ -1,0 +1,78 @@
+"""Windows hold what the equations say, lag by lag."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.identify import Library, Window, stack
+
+
+@given(
+    st.integers(0, 30), st.integers(1, 3), st.integers(0, 4), st.integers(0, 4), st.integers(0, 3)
+)
+def test_every_row_holds_its_lags(n: int, joints: int, past: int, commands: int, ahead: int) -> None:
+    rng = np.random.default_rng(n)
+    measured, desired = rng.normal(size=(2, n, joints))
+    rows = stack(measured, desired, Window(past, commands, ahead))
+    expected = [k for k in range(n) if k >= max(past, commands) and k + max(1, ahead) < n]
+    assert rows.tick.tolist() == expected
+    for row, k in enumerate(expected):
+        for lag in range(past + 1):
+            np.testing.assert_array_equal(rows.measured[row, lag], measured[k - lag])
+        for lag in range(commands + 1):
+            np.testing.assert_array_equal(rows.desired[row, lag], desired[k - lag])
+        for lead in range(ahead):
+            np.testing.assert_array_equal(rows.preview[row, lead], desired[k + 1 + lead])
+        np.testing.assert_array_equal(rows.increment[row], measured[k + 1] - measured[k])
+
+
+@pytest.mark.parametrize("name", ["servo", "paper", "linear"])
+@pytest.mark.parametrize("joints", [1, 2, 3, 4])
+@pytest.mark.parametrize("window", [Window(3, 3, 0), Window(2, 2, 1), Window(0, 0, 0), Window(1, 3, 2)])
+def test_every_column_has_a_name_of_its_own(name: str, joints: int, window: Window) -> None:
+    library = Library(name, tuple("abcd"[:joints]), ("yaw", "pitch", "pitch", "pitch")[:joints], window)  # type: ignore[arg-type]
+    rows = stack(*np.random.default_rng(0).normal(size=(2, 20, joints)), window)
+    theta = library.evaluate(rows.measured, rows.desired, rows.preview)
+    assert theta.shape == (len(rows.tick), library.size)
+    assert len(set(library.names)) == library.size
+    # Batched over any leading shape.
+    np.testing.assert_array_equal(
+        library.evaluate(rows.measured[:4, None], rows.desired[:4, None], rows.preview[:4, None])[:, 0],
+        theta[:4],
+    )
+
+
+def test_the_papers_library_is_equation_8() -> None:
+    library = Library("paper", ("a", "b", "c"), ("yaw", "pitch", "pitch"), Window(2, 2, 1))
+    variables = 3 * (3 + 3 + 1)
+    assert library.size == 1 + 3 * variables + variables * (variables + 1) // 2
+    rng = np.random.default_rng(0)
+    x, u, ahead = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(1, 3))
+    values = dict(zip(library.names, library.evaluate(x, u, ahead), strict=True))
+    assert values["θ_b[k-2]"] == x[2, 1]
+    assert values["sin(u_c[k+1])"] == np.sin(ahead[0, 2])
+    assert values["cos(u_a)"] == np.cos(u[0, 0])
+    assert values["θ_a u_b[k-1]"] == x[0, 0] * u[1, 1]
+
+
+def test_the_servo_law_saturates() -> None:
+    library = Library("servo", ("a",), ("pitch",), slope_rad=0.1)
+    x, u = np.zeros((4, 1)), np.full((4, 1), 0.05)
+    for error, drive in [(0.05, 0.5), (0.1, 1.0), (3.0, 1.0), (-3.0, -1.0)]:
+        u[0] = error
+        values = dict(zip(library.names, library.evaluate(x, u, np.zeros((0, 1))), strict=True))
+        assert values["sat(e_a/s)"] == pytest.approx(drive)
+        assert values["sat(e⁻_a/s)"] == pytest.approx(0.5)
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(ConfigurationError, match="past_measured is 99"):
+        Window(past_measured=99)
+    with pytest.raises(ConfigurationError, match="library is 'magic'"):
+        Library("magic", ("a",), ("pitch",))  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="1 axes for 2 joints"):
+        Library("servo", ("a", "b"), ("pitch",))

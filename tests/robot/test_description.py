@@ -1,0 +1,88 @@
+"""A robot.toml is checked once, on load, with one line that helps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import load_robot, parse_robot, shipped_robot
+
+GOOD = """
+[robot]
+name = "mybot"
+period_s = 0.02
+quantum_rad = 0.00511
+[[leg]]
+id = "rf"
+joints = ["coxa", "femur", "tibia"]
+lengths_m = [0.052, 0.066, 0.138]
+"""
+
+
+def test_the_shortest_file_is_enough() -> None:
+    robot = parse_robot(GOOD, source="x")
+    assert robot.leg_ids == ("rf",)
+    assert robot.leg("rf").joint_axes == ("yaw", "pitch", "pitch")
+    assert robot.quantum("rf") == 0.00511
+
+
+@pytest.mark.parametrize("joints", [1, 2, 3, 4, 6])
+def test_any_number_of_joints(joints: int) -> None:
+    names = [f"j{i}" for i in range(joints)]
+    text = GOOD.replace('["coxa", "femur", "tibia"]', str(names)).replace(
+        "[0.052, 0.066, 0.138]", str([0.1] * joints)
+    )
+    assert len(parse_robot(text, source="x").leg("rf").joint_axes) == joints
+
+
+def test_the_shipped_hexapod_has_six_legs() -> None:
+    robot = shipped_robot()
+    assert set(robot.leg_ids) == {"lf", "lm", "lr", "rf", "rm", "rr"}
+    assert all(leg.limits is not None and leg.servos is not None for leg in robot.legs)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("period_s = 0.02", "period_s = 20", "period_s is 20"),
+        ("period_s = 0.02", 'period_s = "fast"', "period_s"),
+        ("period_s = 0.02", "", "missing key `period_s`"),
+        ("period_s = 0.02", "period_s = 0.02\nperiods = 1", "did you mean `period_s`?"),
+        ("quantum_rad = 0.00511", "quantum_rad = 0", "quantum_rad is 0"),
+        ('id = "rf"', 'id = "r*"', "an id is 1 to 32 letters"),
+        ('["coxa", "femur", "tibia"]', "[]", "joints is empty"),
+        ('["coxa", "femur", "tibia"]', '["a", "a", "b"]', "repeat a name"),
+        ("[0.052, 0.066, 0.138]", "[0.052, 0.066]", "lengths_m has 2 values for 3 joints"),
+        ("[0.052, 0.066, 0.138]", "[0.052, -1, 0.138]", "expected metres"),
+        ("[[leg]]", "[[leg", "not valid TOML"),
+        ("[[leg]]", "[detector]\nfalse_alarms_per_hour = 0\n[[leg]]", "false_alarms_per_hour is 0"),
+        ("[[leg]]", "[servo]\nslope_rad = 0\n[[leg]]", "slope_rad is 0"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(old: str, new: str, says: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_robot(GOOD.replace(old, new), source="my/robot.toml")
+    text = str(caught.value)
+    assert says in text
+    assert text.startswith("my/robot.toml: ")
+    assert "\n" not in text
+
+
+def test_twice_the_same_leg() -> None:
+    twice = GOOD + '[[leg]]\nid = "rf"\njoints = ["a"]\n'
+    with pytest.raises(ConfigurationError, match="used twice"):
+        parse_robot(twice, source="x")
+
+
+def test_a_missing_file_and_a_missing_leg(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_robot(tmp_path / "none.toml")
+    (tmp_path / "r.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigurationError, match="not UTF-8"):
+        load_robot(tmp_path / "r.toml")
+    with pytest.raises(ConfigurationError, match="has no leg 'xx'; its legs are rf"):
+        parse_robot(GOOD, source="x").leg("xx")
+    with pytest.raises(ConfigurationError, match="no robot 'octopus' ships"):
+        shipped_robot("octopus")

@@ -1,0 +1,157 @@
+"""The codec takes what the contract says, and names what is wrong with everything else."""
+
+from __future__ import annotations
+
+import math
+
+import msgpack
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.wire import (
+    JSON,
+    MAX_PAYLOAD_BYTES,
+    MSGPACK,
+    ContactEvent,
+    Drift,
+    LearnerStatus,
+    Message,
+    Reject,
+    Rejected,
+    ServoSample,
+    decode,
+    encode,
+)
+
+angles = st.lists(st.floats(-3, 3), min_size=1, max_size=6)
+samples = st.builds(
+    ServoSample,
+    t_ns=st.integers(0, 2**62),
+    seq=st.integers(0, 2**40),
+    measured=angles,
+    desired=angles,
+    preview=st.none() | st.lists(angles, max_size=3),
+    phase=st.sampled_from([None, "swing", "stance"]),
+    valid=st.none() | st.lists(st.booleans(), max_size=6),
+    run=st.none() | st.integers(0, 2**40),
+)
+
+
+@given(samples, st.sampled_from([MSGPACK, JSON]))
+def test_what_is_encoded_decodes_to_the_same(sample: ServoSample, encoding: str) -> None:
+    assert decode(encode(sample, encoding), ServoSample, encoding) == sample
+
+
+def test_the_bytes_are_a_plain_msgpack_map_with_a_version() -> None:
+    sample = ServoSample(t_ns=5, seq=1, measured=[0.5], desired=[0.25], phase="swing")
+    assert msgpack.unpackb(encode(sample)) == {
+        "v": 1, "t_ns": 5, "seq": 1, "measured": [0.5], "desired": [0.25], "phase": "swing",
+    }  # fmt: skip
+
+
+GOOD = {"v": 1, "t_ns": 1, "seq": 1, "measured": [0.1], "desired": [0.2]}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "names"),
+    [
+        ({"v": 2}, Reject.VERSION, "v"),
+        ({"v": None}, Reject.VERSION, "v"),
+        ({"v": ...}, Reject.MISSING_FIELD, "v"),
+        ({"seq": ...}, Reject.MISSING_FIELD, "seq"),
+        ({"measured": ...}, Reject.MISSING_FIELD, "measured"),
+        ({"seq": "1"}, Reject.WRONG_TYPE, "seq"),
+        ({"t_ns": 1.5}, Reject.WRONG_TYPE, "t_ns"),
+        ({"measured": [0.1, "x"]}, Reject.WRONG_TYPE, "measured[1]"),
+        ({"measured": 3}, Reject.WRONG_TYPE, "measured"),
+        ({"phase": "flight"}, Reject.WRONG_TYPE, "phase"),
+        ({"preview": [0.1]}, Reject.WRONG_TYPE, "preview[0]"),
+    ],
+)
+def test_a_wrong_field_is_named(change: dict[str, object], reason: Reject, names: str) -> None:
+    table = {k: v for k, v in {**GOOD, **change}.items() if v is not ...}
+    result = decode(msgpack.packb(table), ServoSample)
+    assert isinstance(result, Rejected)
+    assert result.reason is reason
+    assert names in result.detail
+    assert "\n" not in result.detail
+
+
+def test_unknown_fields_are_ignored() -> None:
+    assert isinstance(decode(msgpack.packb({**GOOD, "later": {"a": 1}}), ServoSample), ServoSample)
+
+
+def test_integers_are_taken_for_angles() -> None:
+    sample = decode(msgpack.packb({**GOOD, "measured": [1]}), ServoSample)
+    assert isinstance(sample, ServoSample)
+    assert sample.measured == [1.0]
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"\xc1",
+        encode(ServoSample(t_ns=1, seq=1, measured=[0.1], desired=[0.1]))[:-1],
+        b"\x91" * 100_000,  # nested until the parser gives up
+        b"\xdd\xff\xff\xff\xff",  # an array that claims four thousand million entries
+        msgpack.packb({1: 2, "v": 1}),
+    ],
+)
+def test_broken_msgpack_is_malformed(payload: bytes) -> None:
+    result = decode(payload, ServoSample)
+    assert isinstance(result, Rejected)
+    assert result.reason is Reject.MALFORMED
+
+
+def test_a_huge_payload_is_not_even_parsed() -> None:
+    result = decode(b"\x00" * (MAX_PAYLOAD_BYTES + 1), ServoSample)
+    assert isinstance(result, Rejected)
+    assert result.reason is Reject.TOO_LARGE
+
+
+@given(st.binary(max_size=300), st.sampled_from([MSGPACK, JSON, "text/plain", ""]))
+def test_no_bytes_raise(payload: bytes, encoding: str) -> None:
+    for kind in (ServoSample, ContactEvent, LearnerStatus, Drift):
+        assert isinstance(decode(payload, kind, encoding), Message | Rejected)
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+        max_leaves=20,
+    )
+)
+def test_no_structure_raises(value: object) -> None:
+    for extra in ({}, {"v": 1}, GOOD):
+        table = {**extra, **value} if isinstance(value, dict) else value
+        assert isinstance(decode(msgpack.packb(table), ServoSample), ServoSample | Rejected)
+
+
+def test_json_nan_does_not_pass() -> None:
+    payload = b'{"v":1,"t_ns":1,"seq":1,"measured":[NaN],"desired":[0]}'
+    assert isinstance(decode(payload, ServoSample, JSON), Rejected)
+
+
+def test_status_and_event_stay_small_enough_for_zenoh_pico() -> None:
+    reasons = {str(reason): 2**40 for reason in Reject}
+    status = LearnerStatus(
+        leg="l" * 32, t_ns=2**62, status="ambiguous", model_version=10**6, rejects=reasons,
+        residual_rms=[math.pi] * 6, noise_floor=[math.pi] * 6, note="n" * 300,
+    )  # fmt: skip
+    event = ContactEvent(
+        leg="l" * 32, t_ns=2**62, seq=2**40, onset_ns=2**62, contact=True, status="valid",
+        score=1e9, residual=[math.pi] * 6, model_version=10**6,
+    )  # fmt: skip
+    for message in (status, event):
+        assert max(len(encode(message, e)) for e in (JSON, MSGPACK)) < 4000
+
+
+def test_messages_are_frozen() -> None:
+    sample = ServoSample(t_ns=1, seq=1, measured=[0.1], desired=[0.1])
+    with pytest.raises(AttributeError):
+        sample.seq = 2  # type: ignore[misc]
+    assert msgspec.structs.replace(sample, seq=2).seq == 2
