@@ -1,0 +1,23 @@
+"""The learner: composes identification and detection, sample by sample."""
+
+from __future__ import annotations
+
+from adaptive_contact.adapt.bank import LearnerBank
+from adaptive_contact.adapt.baseline import (
+    Baseline,
+    LegBaseline,
+    load_baseline,
+    save_baseline,
+    shipped_baseline,
+)
+from adaptive_contact.adapt.learner import ContactLearner
+
+__all__ = [
+    "Baseline",
+    "ContactLearner",
+    "LearnerBank",
+    "LegBaseline",
+    "load_baseline",
+    "save_baseline",
+    "shipped_baseline",
+]

@@ -10,11 +10,10 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections import deque
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from adaptive_contact.robot.description import Leg
 from adaptive_contact.robot.geometry import foot
@@ -40,37 +39,22 @@ class Direction(enum.IntEnum):
 
 @dataclasses.dataclass
 class PhaseTracker:
-    """Follows one leg's commands, one tick at a time.
+    """Follows the height of one leg's commanded foot, one tick at a time."""
 
-    Attributes:
-        lengths_m: (J,) m.
-        axes: (J,) ``yaw`` or ``pitch``.
-    """
-
-    lengths_m: Sequence[float]
-    axes: Sequence[str]
     phase: Phase = "stance"
     _heights: deque[float] = dataclasses.field(default_factory=lambda: deque(maxlen=LOW_TICKS))
     _apex: float = -np.inf
     _still: int = 0
 
-    @classmethod
-    def of(cls, leg: Leg) -> PhaseTracker | None:
-        """The tracker of a described leg, or None where its lengths are not known."""
-        if leg.lengths_m is None:
-            return None
-        return cls(leg.lengths_m, leg.joint_axes)
-
-    def update(self, desired: ArrayLike) -> Phase:
+    def update(self, height: float) -> Phase:
         """Take in the next command.
 
         Args:
-            desired: (J,) rad.
+            height: of the commanded foot in the leg's frame, m.
 
         Returns:
             The phase at this tick.
         """
-        height = float(foot(desired, self.lengths_m, self.axes)[2])
         before = self._heights[-1] if self._heights else height
         self._heights.append(height)
         if self.phase == "stance":
@@ -89,10 +73,11 @@ class PhaseTracker:
 
 def infer_phase(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.bool_] | None:
     """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without lengths."""
-    tracker = PhaseTracker.of(leg)
-    if tracker is None:
+    if leg.lengths_m is None:
         return None
-    return np.array([tracker.update(row) == "swing" for row in desired], dtype=bool)
+    tracker = PhaseTracker()
+    heights = foot(desired, leg.lengths_m, leg.joint_axes)[:, 2].tolist()
+    return np.array([tracker.update(height) == "swing" for height in heights], dtype=bool)
 
 
 def directions(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.int64]:

@@ -1,0 +1,84 @@
+"""All legs of a robot at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import msgspec
+
+from adaptive_contact.adapt.baseline import Baseline
+from adaptive_contact.adapt.learner import ContactLearner, advance
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
+
+__all__ = ["MAX_LEGS", "LearnerBank"]
+
+# Described legs and those that turn up; a bound against a publisher that invents names.
+MAX_LEGS: Final = 32
+
+
+class LearnerBank:
+    """The learners of a robot, made when a leg is first seen.
+
+    Args:
+        robot: its description.
+        baseline: what is known of its legs' free motion.
+
+    Raises:
+        BaselineError: the baseline belongs to another robot.
+    """
+
+    def __init__(self, robot: Robot, baseline: Baseline | None = None) -> None:
+        if baseline is not None:
+            baseline.check_fits(robot)
+        self.robot = robot
+        self.baseline = baseline
+        self._learners: dict[str, ContactLearner] = {}
+
+    @property
+    def legs(self) -> tuple[str, ...]:
+        """Legs seen so far."""
+        return tuple(self._learners)
+
+    def learner(self, leg: str, joints: int | None = None) -> ContactLearner | None:
+        """The learner of a leg, made if need be.
+
+        Args:
+            leg: its id; one that the description lacks gets a learner without geometry, so that
+                its samples must carry their phase.
+            joints: how many joints its samples have, for such a leg.
+
+        Returns:
+            The learner, or None for an unusable id, and for one leg too many.
+        """
+        known = self._learners.get(leg)
+        if known is not None:
+            return known
+        if not is_leg_id(leg) or len(self._learners) >= MAX_LEGS:
+            return None
+        robot = self.robot
+        if leg not in robot.leg_ids:
+            if joints is None or not 1 <= joints <= 16:
+                return None
+            stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
+            robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
+        self._learners[leg] = ContactLearner(robot, leg, self.baseline)
+        return self._learners[leg]
+
+    def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+        """Take in at most one sample per leg.
+
+        Args:
+            samples: by leg; those of legs that get no learner are ignored, ask
+                :meth:`learner` first to count them.
+
+        Returns:
+            The events they decide, in the order of ``samples``.
+        """
+        work = []
+        for leg, sample in samples.items():
+            learner = self.learner(leg, len(sample.measured))
+            if learner is not None:
+                work.append((learner, sample))
+        return [event for event in advance(work) if event is not None]

@@ -1,0 +1,390 @@
+"""The learner of one leg: samples in, contact events out.
+
+:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the state
+machine.  :func:`advance` takes several learners one tick further and evaluates their libraries and
+statistics together, which is what makes six legs cost little more than one.
+
+Recursive updates and refits have their place after the event: what a resolved swing confirms as
+free will be learned there (design, section 7).
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.baseline import Baseline, LegBaseline, unlike
+from adaptive_contact.adapt.stream import Accepted, StreamGuard
+from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS, Tracker
+from adaptive_contact.detect import (
+    ContactState,
+    Decision,
+    context_of,
+    onset_fraction,
+    statistic,
+)
+from adaptive_contact.robot import Leg, Robot, height
+from adaptive_contact.robot.phase import Direction, PhaseTracker
+from adaptive_contact.wire import (
+    BufferCounts,
+    ContactEvent,
+    LearnerStatus,
+    ModelReport,
+    ModelTerm,
+    Phase,
+    Reject,
+    ServoSample,
+    Status,
+)
+
+__all__ = ["ContactLearner", "advance"]
+
+Array = NDArray[np.float64]
+
+# Free residuals remembered for the status, about the swings of the last ten seconds.
+STATUS_TICKS: Final = 256
+
+
+class ContactLearner:
+    """Learns one leg, and reports its contacts.
+
+    Args:
+        robot: the robot's description.
+        leg: id of the leg.
+        baseline: what is known of its free motion; without one the learner says ``learning``.
+
+    Raises:
+        ConfigurationError: the robot has no such leg.
+        BaselineError: the baseline belongs to another robot.
+    """
+
+    def __init__(self, robot: Robot, leg: str, baseline: Baseline | None = None) -> None:
+        if baseline is not None:
+            baseline.check_fits(robot)
+        self.robot = robot
+        self.leg: Leg = robot.leg(leg)
+        self._note: str | None = None
+        self._known = self._choose(baseline)
+        self._origin = None if baseline is None else baseline.origin
+        self._guard = StreamGuard(len(self.leg.joints))
+        self._phase = None if self.leg.lengths_m is None else PhaseTracker()
+        self._state = ContactState()
+        self._quantum = robot.quantum(leg)
+        self._rejects: Counter[Reject] = Counter()
+        self._counts: Counter[str] = Counter()
+        self._recent: deque[Array] = deque(maxlen=STATUS_TICKS)
+        self._t_ns = 0
+        self._swing_ticks = 0  # samples since this swing began, 0 in stance
+        self._command: list[float] = [0.0] * len(self.leg.joints)  # in force, and before it
+        self._command_before = self._command
+        self._height = 0.0
+        self._rising = False
+        self._axes = self.leg.joint_axes
+        self._direction = Direction.DESCENT
+        self._where = 0
+        self.tracker: Tracker | None = None
+        self.thresholds: Array | None = None
+        if self._known is not None:
+            assert baseline is not None
+            self.tracker = Tracker(self._known.model, self._quantum)
+            self.thresholds = baseline.thresholds(robot.detector.false_alarms_per_hour)
+
+    # -- public --------------------------------------------------------------------------------
+
+    def update(self, sample: ServoSample) -> ContactEvent | None:
+        """Take in the next sample.
+
+        Args:
+            sample: any sample; a bad one is counted in :attr:`status` and changes nothing.
+
+        Returns:
+            The change of contact that this sample decides, if it does.
+        """
+        return advance([(self, sample)])[0]
+
+    def count(self, reason: Reject, times: int = 1) -> None:
+        """Count payloads that were refused before they became samples."""
+        self._rejects[reason] += times
+
+    @property
+    def contact(self) -> bool:
+        """Whether the leg is held to touch."""
+        return self._state.contact
+
+    @property
+    def whitening(self) -> Array:
+        """(windows, J, J) for the context of the tick in hand."""
+        assert self._known is not None
+        return np.asarray(self._known.noise.whiten[self._where])
+
+    @property
+    def status(self) -> LearnerStatus:
+        """How the learner is."""
+        joints = len(self.leg.joints)
+        floor = [0.0] * joints if self._known is None else self._known.noise.rms.tolist()
+        recent = np.array(self._recent)
+        rms = np.sqrt(np.square(recent).mean(axis=0)).tolist() if len(recent) else [0.0] * joints
+        return LearnerStatus(
+            leg=self.leg.id,
+            t_ns=self._t_ns,
+            status=self._status,
+            model_version=self._version,
+            residual_rms=rms,
+            noise_floor=floor,
+            buffer=BufferCounts(),
+            ticks=self._counts["ticks"],
+            rejects={str(reason): n for reason, n in sorted(self._rejects.items())},
+            missed=self._guard.missed,
+            contact=self._state.contact,
+            contacts=self._counts["contacts"],
+            note=self._note or self._ailment(),
+        )
+
+    @property
+    def model_report(self) -> ModelReport | None:
+        """The model in terms and equations, or None while there is none."""
+        if self._known is None:
+            return None
+        model = self._known.model
+        joints = range(len(self.leg.joints))
+        terms = [[ModelTerm(name=n, coefficient=c) for n, c in model.terms(j)] for j in joints]
+        assert self.thresholds is not None
+        return ModelReport(
+            leg=self.leg.id,
+            model_version=model.version,
+            joints=list(self.leg.joints),
+            terms=terms,
+            equations=model.equations(),
+            library=model.library.name,
+            threshold=float(self.thresholds[0]),
+            origin=self._origin,
+        )
+
+    # -- one tick, in the order `advance` calls it ----------------------------------------------
+
+    def admit(self, sample: ServoSample) -> bool:
+        """Check a sample; True if it is to be judged and learned from."""
+        result = self._guard.admit(sample)
+        if isinstance(result, Reject):
+            self._rejects[result] += 1
+            return False
+        self._counts["ticks"] += 1
+        self._t_ns = sample.t_ns
+        self._connect(result, sample)
+        self._follow_phase(sample)
+        return True
+
+    def observe(self, sample: ServoSample) -> bool:
+        """Take the reading into the window; True if its residual can be judged."""
+        tracker = self.tracker
+        if tracker is None:
+            return False
+        # The commands that caused this tick's motion are those before `sample.desired`.
+        self._where = context_of(
+            self._command, self._command_before, self._direction, self._quantum
+        )
+        valid = None if sample.valid is None else np.array(sample.valid)
+        judged = tracker.observe(np.array(sample.measured), valid)
+        return judged and self._swing_ticks > LIFT_OFF_TICKS
+
+    def decide(self, value: Array | None, sample: ServoSample) -> ContactEvent | None:
+        """Turn the statistic of this tick into an event, or into none.
+
+        Args:
+            value: (windows,) of the statistic; None when this tick is not judged.
+            sample: the tick's.
+        """
+        tracker, decision = self.tracker, None
+        if tracker is None:
+            return None
+        score, width = 0.0, 1
+        if value is not None:
+            assert self.thresholds is not None
+            scores = value / self.thresholds
+            best = int(np.nanargmax(scores)) if not np.isnan(scores).all() else 0
+            score, width = float(scores[best]), best + 1
+            decision = self._state.swing_tick(score, sample.t_ns, self._onset(sample, width))
+            if not self._state.contact:
+                self._recent.append(tracker.residuals[0].copy())
+        elif self._swing_ticks == 1:
+            decision = self._state.lift_off(sample.t_ns)
+        if decision is None:
+            return None
+        if decision.contact:
+            self._counts["contacts"] += 1
+        return self._event(decision, sample)
+
+    def command(self, sample: ServoSample) -> bool:
+        """Take in the command written after the reading; True if a prediction can be made."""
+        self._command_before, self._command = self._command, sample.desired
+        if self.leg.lengths_m is not None:
+            self._direction = Direction.LIFT if self._rising else Direction.DESCENT
+        if self.tracker is None:
+            return False
+        preview = None if sample.preview is None else np.array(sample.preview)
+        ready = self.tracker.command(np.array(sample.desired), preview)
+        if self.tracker.full and not ready:
+            self._counts["no_preview"] += 1
+        return ready
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _connect(self, result: Accepted, sample: ServoSample) -> None:
+        tracker = self.tracker
+        if result.restart:
+            self._state.reset()
+            self._swing_ticks = 0
+            self._command = self._command_before = sample.desired
+            if self._phase is not None:
+                self._phase = PhaseTracker()
+            if tracker is not None:
+                tracker.restart()
+        elif result.missed and tracker is not None:
+            if result.missed < tracker.model.library.window.length:
+                tracker.bridge(np.array(sample.desired), result.missed)
+            else:
+                tracker.restart()
+
+    def _follow_phase(self, sample: ServoSample) -> None:
+        phase: Phase | None = None
+        if self._phase is not None:
+            assert self.leg.lengths_m is not None
+            now = height(sample.desired, self.leg.lengths_m, self._axes)
+            self._rising = now > self._height
+            self._height = now
+            phase = self._phase.update(now)
+        if sample.phase is not None:
+            phase = sample.phase
+        if phase is None:
+            self._counts["no_phase"] += 1
+        if phase != "swing":
+            self._swing_ticks = 0
+            return
+        self._swing_ticks += 1
+        if self._swing_ticks == 1 and self.tracker is not None:
+            self.tracker.begin_swing()
+        if self._swing_ticks == LIFT_OFF_TICKS + 1 and self.tracker is not None:
+            self.tracker.begin_swing()
+
+    def _onset(self, sample: ServoSample, width: int) -> int:
+        tracker = self.tracker
+        assert tracker is not None
+        period = round(self.robot.period_s * 1e9)
+        first = width - 1
+        share = onset_fraction(tracker.residuals[first], tracker.increments[first])
+        return sample.t_ns - first * period - round(share * period)
+
+    def _event(self, decision: Decision, sample: ServoSample) -> ContactEvent:
+        assert self.tracker is not None
+        return ContactEvent(
+            leg=self.leg.id,
+            t_ns=sample.t_ns,
+            seq=sample.seq,
+            onset_ns=min(decision.onset_ns, sample.t_ns),
+            contact=decision.contact,
+            status=self._status,
+            score=decision.score,
+            residual=self.tracker.residuals[0].tolist(),
+            model_version=self._version,
+        )
+
+    @property
+    def _status(self) -> Status:
+        return "learning" if self._known is None else "valid"
+
+    @property
+    def _version(self) -> int:
+        return 0 if self._known is None else self._known.model.version
+
+    def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
+        if baseline is None:
+            self._note = "no baseline: record free swings and run `adaptive-contact fit`"
+            return None
+        known = baseline.legs.get(self.leg.id)
+        if known is None:
+            self._note = f"the baseline has no leg '{self.leg.id}': fit one that has"
+            return None
+        self._note = unlike(self.leg, known)
+        return None if self._note else known
+
+    def _ailment(self) -> str | None:
+        """What stops this leg from being judged, for a person."""
+        if self._counts["no_phase"] and self._phase is None:
+            return (
+                "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
+                "contacts are not reported"
+            )
+        if self._counts["no_preview"]:
+            return "the model needs a preview that the samples do not carry: no predictions"
+        return None
+
+
+def advance(
+    work: Sequence[tuple[ContactLearner, ServoSample]],
+) -> list[ContactEvent | None]:
+    """Take several learners one sample further, each with its own.
+
+    Args:
+        work: learners, each at most once, with the sample that is next for it.
+
+    Returns:
+        The event of each, or None.
+    """
+    events: list[ContactEvent | None] = [None] * len(work)
+    admitted = [i for i, (learner, sample) in enumerate(work) if learner.admit(sample)]
+    judged = [i for i in admitted if work[i][0].observe(work[i][1])]
+    values = _statistics([work[i][0] for i in judged])
+    by_index = dict(zip(judged, values, strict=True))
+    ready: list[Tracker] = []
+    for i in admitted:
+        learner, sample = work[i]
+        events[i] = learner.decide(by_index.get(i), sample)
+        if learner.command(sample):
+            assert learner.tracker is not None
+            ready.append(learner.tracker)
+        elif learner.tracker is not None:
+            learner.tracker.predicted = False
+    _predict(ready)
+    return events
+
+
+def _statistics(learners: Sequence[ContactLearner]) -> list[Array]:
+    """(windows,) of the statistic for each learner; those with as many joints go together."""
+    if not learners:
+        return []
+    trackers = [learner.tracker for learner in learners]
+    assert all(t is not None for t in trackers)
+    if len({t.residuals.shape for t in trackers if t is not None}) > 1:
+        return [value for learner in learners for value in _statistics([learner])]
+    values = statistic(
+        np.stack([t.residuals for t in trackers if t is not None]),
+        np.stack([t.increments for t in trackers if t is not None]),
+        np.stack([learner.whitening for learner in learners]),
+        np.array([t.usable for t in trackers if t is not None]),
+    )
+    return list(values)
+
+
+def _predict(trackers: Sequence[Tracker]) -> None:
+    """Predict the next tick of each; legs with the same library go together."""
+    if not trackers:
+        return
+    first = trackers[0].model.library
+    if any(t.model.library is not first and t.model.library != first for t in trackers[1:]):
+        for tracker in trackers:
+            _predict([tracker])
+        return
+    theta = first.evaluate(
+        np.stack([t.measured for t in trackers]),
+        np.stack([t.desired for t in trackers]),
+        np.stack([t.preview for t in trackers]),
+    )
+    coefficients = np.stack([t.model.coefficients for t in trackers])
+    increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
+    for tracker, increment in zip(trackers, increments, strict=True):
+        tracker.foresee(increment)
+

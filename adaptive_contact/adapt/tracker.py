@@ -1,0 +1,174 @@
+"""One leg's recent past: the window, the prediction, the residuals of this swing.
+
+A reading that is missing, or that no leg could have made, is replaced by its prediction, and the
+window is carried through; what is then predicted from it is less certain, so that no decision is
+made until the substitute has left the freshest part of the window.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.detect.noise import WINDOWS
+from adaptive_contact.identify import LegModel
+
+__all__ = ["LIFT_OFF_TICKS", "MAX_STEP_RAD_S", "Tracker"]
+
+Array = NDArray[np.float64]
+
+DEPTH: Final = max(WINDOWS)
+# Ticks after the command lifts off in which the foot may still be loaded: the servo follows its
+# command three to four ticks late, and the stance's load has to let go first.
+LIFT_OFF_TICKS: Final = 5
+# No position servo of this class turns faster (AX-12A: 6.2 rad/s): a reading further from the one
+# before is a fault of the bus, such as the -π that some return for "no answer".
+MAX_STEP_RAD_S: Final = 25.0
+# All joints repeating their last reading to the step, while the model expects one of them to move
+# by this many steps, is more likely a stale reading than a leg stopped dead: wait one tick.
+STALE_QUANTA: Final = 3.0
+# So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
+MAX_IMPOSSIBLE: Final = 3
+# Ticks after a substitute in which the prediction leans on it most (velocity terms).
+UNSURE_TICKS: Final = 2
+
+
+class Tracker:
+    """Ring-free small arrays, lag 0 first: shifting a handful of rows is cheaper than indexing."""
+
+    def __init__(self, model: LegModel, quantum_rad: float) -> None:
+        library = model.library
+        joints = len(library.joints)
+        self.model = model
+        self.measured = np.zeros((library.window.past_measured + 1, joints))
+        self.desired = np.zeros((library.window.past_desired + 1, joints))
+        self.preview = np.zeros((library.window.preview, joints))
+        self.increment = np.zeros(joints)  # predicted for the tick to come
+        self.residuals = np.zeros((DEPTH, joints))
+        self.increments = np.zeros((DEPTH, joints))  # that were predicted for those residuals
+        self.filled = 0  # samples in the window
+        self.predicted = False  # whether `increment` holds
+        self.usable = 0  # sound residuals of this swing, newest first
+        self._max_step = MAX_STEP_RAD_S * library.period_s
+        self._stale_step = STALE_QUANTA * quantum_rad
+        self._stale = False
+        self._impossible = 0
+        self._unsure = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether the window holds enough samples in a row for a prediction."""
+        return self.filled >= self.model.library.window.length
+
+    def restart(self) -> None:
+        """Drop the past: what comes does not connect to it."""
+        self.filled = 0
+        self.predicted = False
+        self.usable = 0
+        self._impossible = 0
+        self._unsure = 0
+
+    def begin_swing(self) -> None:
+        """Residuals of the stance before say nothing about this swing."""
+        self.usable = 0
+
+    def observe(self, measured: Array, valid: Array | None) -> bool:
+        """Take in a reading.
+
+        Args:
+            measured: (J,) rad.
+            valid: (J,) False where the reading is known to be bad; None if all are good.
+
+        Returns:
+            Whether this tick's residual can be judged.
+        """
+        reading, sound = self._repair(measured, valid)
+        if self.predicted:
+            self.residuals[1:] = self.residuals[:-1]
+            self.increments[1:] = self.increments[:-1]
+            self.increments[0] = self.increment
+            np.subtract(reading, self.measured[0], out=self.residuals[0])
+            self.residuals[0] -= self.increment
+        if not sound:
+            self._unsure = UNSURE_TICKS
+        elif self._unsure:
+            self._unsure -= 1
+            sound = False
+        judged = self.predicted and sound
+        self.usable = min(self.usable + 1, DEPTH) if judged else 0
+        self.measured[1:] = self.measured[:-1]
+        self.measured[0] = reading
+        return judged
+
+    def command(self, desired: Array, preview: Array | None) -> bool:
+        """Take in the command written after the reading.
+
+        Returns:
+            Whether a prediction can be made from the window.
+        """
+        self.desired[1:] = self.desired[:-1]
+        self.desired[0] = desired
+        self.filled = min(self.filled + 1, self.model.library.window.length)
+        ahead = len(self.preview)
+        if ahead:
+            if preview is None or len(preview) < ahead:
+                self.predicted = False
+                return False
+            self.preview[:] = preview[:ahead]
+        return self.full
+
+    def bridge(self, desired: Array, missed: int) -> None:
+        """Fill a short gap by the model's own predictions.
+
+        Args:
+            desired: (J,) rad, the command known after the gap; between, commands are
+                interpolated.
+            missed: samples lost, at most what the window spans.
+        """
+        last = self.desired[0].copy()
+        for lost in range(1, missed + 1):
+            if not self.predicted:
+                self.restart()
+                return
+            self.observe(self.measured[0] + self.increment, None)
+            self.usable = 0
+            share = lost / (missed + 1)
+            if self.command(last + share * (desired - last), None):
+                self.foresee(self.model.increment(self.measured, self.desired, self.preview))
+            else:
+                self.predicted = False
+        self._unsure = UNSURE_TICKS
+
+    def foresee(self, increment: Array) -> None:
+        """Keep the movement predicted for the tick to come; one that is not finite is dropped."""
+        self.predicted = bool(np.isfinite(increment).all())
+        if self.predicted:
+            self.increment = increment
+
+    def _repair(self, measured: Array, valid: Array | None) -> tuple[Array, bool]:
+        if self.filled == 0:
+            return measured, True
+        bad = np.abs(measured - self.measured[0]) > self._max_step
+        if bad.any():
+            self._impossible += 1
+            if self._impossible > MAX_IMPOSSIBLE:
+                self.restart()
+                return measured, True
+        else:
+            self._impossible = 0
+        if valid is not None:
+            bad |= ~valid
+        self._stale = (
+            not self._stale
+            and self.predicted
+            and bool(np.abs(self.increment).max() > self._stale_step)
+            and bool((measured == self.measured[0]).all())
+        )
+        if self._stale:
+            bad[:] = True
+        if not bad.any():
+            return measured, True
+        substitute = self.measured[0] + self.increment if self.predicted else self.measured[0]
+        return np.where(bad, substitute, measured), False

@@ -1,0 +1,346 @@
+"""Learn a baseline from recorded free motion.
+
+Every figure that a threshold rests on comes from residuals of swings the model was not fitted to:
+swings are dealt into folds, each fold is predicted by a model of the others, and λ, covariances and
+tails are taken from those predictions.  The model that is kept is then fitted to all of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.baseline import Baseline, LegBaseline
+from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
+from adaptive_contact.detect import context, fit_noise, fit_tail, lagged, stream_statistic
+from adaptive_contact.detect.noise import WINDOWS
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.identify import (
+    Factor,
+    Fit,
+    FitSettings,
+    FitStatus,
+    LegModel,
+    Library,
+    LibraryName,
+    Window,
+    fit_sparse,
+    leg_library,
+    stack,
+)
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot.phase import directions
+
+__all__ = ["LegFigures", "Stretch", "Training", "learn", "swing_ticks"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+FOLDS: Final = 5
+# Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
+FOLD_SWINGS: Final = 10
+# λ in units of the residual's own root mean square: a term that moves the prediction by less
+# than a fiftieth of the noise cannot be told from nothing; one that moves it by its whole is law.
+SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+# The sparsest model whose held-out error is within this of the best is taken.
+TOLERANCE: Final = 1.005
+# Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
+# in a recording believed free, or a reading that is none.  Free ticks reach 6 in 10^6.
+OUTLIER_SIGMA: Final = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Stretch:
+    """One leg's samples without a gap.
+
+    Attributes:
+        measured: (n, J) rad.
+        desired: (n, J) rad.
+        swing: (n,) in swing.
+        free: (n,) known, or believed, to touch nothing.
+        sound: (n,) all readings of the tick are good.
+    """
+
+    measured: Array
+    desired: Array
+    swing: Mask
+    free: Mask
+    sound: Mask
+
+
+@dataclasses.dataclass(frozen=True)
+class LegFigures:
+    """How well one leg was learned.
+
+    Attributes:
+        rows: free ticks used, and ``outliers`` left out of them.
+        swings: they come from.
+        threshold: λ that was chosen, in units of the residual.
+        sweep: λ to held-out root mean square, (J,) rad.
+        held_out_rms: (J,) rad at that λ.
+        naive_rms: (J,) rad of predicting no motion.
+        terms: (J,) kept, of ``library_size``.
+        condition: of the scaled regressors.
+    """
+
+    rows: int
+    outliers: int
+    swings: int
+    threshold: float
+    sweep: dict[float, tuple[float, ...]]
+    held_out_rms: tuple[float, ...]
+    naive_rms: tuple[float, ...]
+    terms: tuple[int, ...]
+    library_size: int
+    condition: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Training:
+    """A learned baseline and how good it is."""
+
+    baseline: Baseline
+    figures: dict[str, LegFigures]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rows:
+    """Everything of one leg, stretches end to end; ``position`` tells where a row sits."""
+
+    theta: Array  # (n, p)
+    target: Array  # (n, J)
+    where: Ints  # (n,) context
+    fold: Ints  # (n,)
+    position: Ints  # (n,) tick, with gaps of at least 3 between swings
+    judged: Mask  # (n,) what a detector would judge: not the first ticks of a swing
+    swings: int
+
+
+def learn(
+    robot: Robot,
+    streams: Mapping[str, Sequence[Stretch]],
+    *,
+    origin: str,
+    library: LibraryName = "servo",
+    window: Window | None = None,
+    threshold: float | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Training:
+    """Learn every leg that has samples.
+
+    Args:
+        robot: its description.
+        streams: by leg.
+        origin: one line on where the samples come from.
+        library: the terms to choose from.
+        window: past and future to look at.
+        threshold: λ, in units of the residual; chosen on held-out swings where absent.
+        progress: told of each leg as it begins.
+
+    Returns:
+        The baseline with its figures.
+
+    Raises:
+        IdentificationError: there is too little to learn from, in one line per cause.
+    """
+    legs: dict[str, LegBaseline] = {}
+    figures: dict[str, LegFigures] = {}
+    statistics: list[Array] = []
+    for leg in robot.legs:
+        stretches = streams.get(leg.id)
+        if not stretches:
+            continue
+        progress(leg.id)
+        terms = leg_library(robot, leg, library, window)
+        legs[leg.id], figures[leg.id], values = _learn_leg(
+            leg, terms, stretches, robot.quantum(leg.id), threshold
+        )
+        statistics.append(values)
+    if not legs:
+        raise IdentificationError(
+            "no leg has samples; expected robot/leg/*/servo of the legs "
+            f"{', '.join(robot.leg_ids)}"
+        )
+    pooled = np.concatenate(statistics)
+    tails = tuple(fit_tail(pooled[:, w]) for w in range(len(WINDOWS)))
+    baseline = Baseline(robot.name, origin, robot.quantum_rad, legs, tails)
+    return Training(baseline, figures)
+
+
+def _learn_leg(
+    leg: Leg,
+    library: Library,
+    stretches: Sequence[Stretch],
+    quantum_rad: float,
+    threshold: float | None,
+) -> tuple[LegBaseline, LegFigures, Array]:
+    rows = _rows(leg, library, stretches, quantum_rad)
+    if len(rows.target) < 4 * library.size:
+        raise IdentificationError(
+            f"leg '{leg.id}': {len(rows.target)} free swing ticks for {library.size} terms; "
+            f"expected at least {4 * library.size}: record more swings"
+        )
+    keep = _inliers(rows, library)
+    outliers = int(np.count_nonzero(~keep))
+    rows = dataclasses.replace(
+        rows,
+        theta=rows.theta[keep],
+        target=rows.target[keep],
+        where=rows.where[keep],
+        fold=rows.fold[keep],
+        position=rows.position[keep],
+        judged=rows.judged[keep],
+    )
+    folds = [_factor(rows, rows.fold == f) for f in range(FOLDS)]
+    whole = Factor.merged(folds, library.size, len(leg.joints))
+    unit = tuple(_checked(leg, fit_sparse(whole, FitSettings())).rms.tolist())
+    sweep = SWEEP if threshold is None else (threshold,)
+    errors: dict[float, Array] = {}
+    residuals: dict[float, Array] = {}
+    for value in sweep:
+        held_out = _held_out(rows, folds, FitSettings(threshold=value, unit=unit))
+        if held_out is not None:
+            residuals[value] = held_out
+            errors[value] = np.sqrt(np.square(held_out).mean(axis=0))
+    if not errors:
+        raise IdentificationError(
+            f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
+        )
+    best = min(float(np.mean(e / np.array(unit))) for e in errors.values())
+    chosen = max(v for v, e in errors.items() if np.mean(e / np.array(unit)) <= TOLERANCE * best)
+    fit = _checked(leg, fit_sparse(whole, FitSettings(threshold=chosen, unit=unit)))
+    model = LegModel(library, fit.coefficients)
+
+    # Noise and statistic from the ticks, and the windows, that a detector would judge.
+    residual = residuals[chosen][rows.judged]
+    position, where = rows.position[rows.judged], rows.where[rows.judged]
+    histories = _histories(residual, position)
+    noise = fit_noise(histories, where, quantum_rad)
+    motion = _histories(rows.target[rows.judged] - residual, position)
+    usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
+    values = stream_statistic(histories, motion, where, usable, noise)
+    figures = LegFigures(
+        rows=len(rows.target),
+        outliers=outliers,
+        swings=rows.swings,
+        threshold=chosen,
+        sweep={v: tuple(e.tolist()) for v, e in errors.items()},
+        held_out_rms=tuple(errors[chosen].tolist()),
+        naive_rms=tuple(np.sqrt(np.square(rows.target).mean(axis=0)).tolist()),
+        terms=tuple(int(n) for n in model.support.sum(axis=0)),
+        library_size=library.size,
+        condition=fit.condition,
+    )
+    return LegBaseline(model, noise, len(rows.target)), figures, values
+
+
+def _rows(
+    leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float
+) -> _Rows:
+    theta, target, where, fold, position, judged = [], [], [], [], [], []
+    swings = 0
+    offset = 0
+    for stretch in stretches:
+        cut = stack(stretch.measured, stretch.desired, library.window)
+        use = stretch.swing & stretch.free & stretch.sound
+        sound = np.ones(len(cut.tick), dtype=bool)
+        for lag in range(library.window.length):
+            sound &= stretch.sound[cut.tick - lag]
+        rows = np.flatnonzero(sound & use[cut.tick] & use[cut.tick + 1])
+        # Swings are numbered through, so that folds stay even over stretches.
+        number = swings + np.cumsum(np.diff(stretch.swing.astype(int), prepend=0) == 1)
+        swings = int(number[-1]) if len(number) else swings
+        heading = directions(stretch.desired, leg)
+        tick = cut.tick[rows]
+        before = stretch.desired[np.maximum(tick - 1, 0)]
+        theta.append(library.evaluate(cut.measured[rows], cut.desired[rows], cut.preview[rows]))
+        target.append(cut.increment[rows])
+        where.append(context(stretch.desired[tick], before, heading[tick], quantum_rad))
+        fold.append(number[tick] // FOLD_SWINGS % FOLDS)
+        position.append(offset + tick)
+        # The row of tick k predicts tick k + 1, which is what would be judged.
+        judged.append(swing_ticks(stretch.swing)[tick + 1] > LIFT_OFF_TICKS)
+        offset += len(stretch.measured) + len(WINDOWS)
+    joints = len(leg.joints)
+    if not theta:
+        theta, target = [np.empty((0, library.size))], [np.empty((0, joints))]
+        where = fold = position = [np.empty(0, dtype=np.int64)]
+        judged = [np.empty(0, dtype=bool)]
+    return _Rows(
+        np.concatenate(theta),
+        np.concatenate(target),
+        np.concatenate(where),
+        np.concatenate(fold),
+        np.concatenate(position),
+        np.concatenate(judged),
+        swings,
+    )
+
+
+def swing_ticks(swing: Mask) -> Ints:
+    """(n,) how many ticks of its swing have passed at every tick, 1 at the first, 0 in stance."""
+    ticks = np.arange(len(swing))
+    last_stance = np.maximum.accumulate(np.where(swing, -1, ticks))
+    return np.asarray(np.where(swing, ticks - last_stance, 0))
+
+
+def _inliers(rows: _Rows, library: Library) -> Mask:
+    """Rows that a robust fit can explain; twice, as the first fit still carries the others."""
+    keep = np.isfinite(rows.theta).all(axis=1) & np.isfinite(rows.target).all(axis=1)
+    for _ in range(2):
+        factor = _factor(rows, keep)
+        fit = fit_sparse(factor, FitSettings())
+        residual = rows.target - rows.theta @ fit.coefficients
+        # Median absolute deviation: the outliers must not set the scale they are judged by.
+        sigma = 1.4826 * np.median(np.abs(residual[keep]), axis=0)
+        keep &= (np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, 1e-12)).all(axis=1)
+    return keep
+
+
+def _factor(rows: _Rows, mask: Mask) -> Factor:
+    factor = Factor(rows.theta.shape[1], rows.target.shape[1])
+    factor.add(rows.theta[mask], rows.target[mask])
+    return factor
+
+
+def _held_out(rows: _Rows, folds: Sequence[Factor], settings: FitSettings) -> Array | None:
+    """Residuals of every row by a model of the other folds; None if λ empties a joint."""
+    residual = np.empty_like(rows.target)
+    p, joints = rows.theta.shape[1], rows.target.shape[1]
+    for f in range(len(folds)):
+        inside = rows.fold == f
+        if not inside.any():
+            continue
+        others = Factor.merged((o for i, o in enumerate(folds) if i != f), p, joints)
+        fit = fit_sparse(others, settings)
+        if fit.status is not FitStatus.OK:
+            # A short recording may lie in one fold; then there is nothing to hold out.
+            fit = fit_sparse(Factor.merged(folds, p, joints), settings)
+            if fit.status is not FitStatus.OK:
+                return None
+        residual[inside] = rows.target[inside] - rows.theta[inside] @ fit.coefficients
+    return residual
+
+
+def _histories(values: Array, position: Ints) -> Array:
+    """(n, J) to (n, windows, J), lag 0 first, NaN where the tick before is not there."""
+    out = lagged(values, len(WINDOWS))
+    for lag in range(1, len(WINDOWS)):
+        apart = np.ones(len(values), dtype=bool)
+        apart[lag:] = position[lag:] - position[:-lag] != lag
+        out[apart, lag:] = np.nan
+    return out
+
+
+def _checked(leg: Leg, fit: Fit) -> Fit:
+    if fit.status is not FitStatus.OK:
+        raise IdentificationError(
+            f"leg '{leg.id}': the fit ended with '{fit.status}' on {fit.rows:.0f} rows; "
+            "record more, and more varied, free swings"
+        )
+    return fit

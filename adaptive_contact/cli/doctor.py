@@ -1,0 +1,112 @@
+"""``adaptive-contact doctor``: what is on the wire, and what looks wrong."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from adaptive_contact.cli._options import (
+    ConnectOption,
+    JsonOption,
+    NamespaceOption,
+    ZenohConfigOption,
+    client,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from adaptive_contact.service.doctor import Diagnosis
+    from adaptive_contact.service.legcheck import Level
+
+__all__ = ["doctor"]
+
+_PIPE_WIDTH: Final = 140
+_COLOURS: Final = {"error": "bold red", "warning": "yellow", "note": "dim"}
+
+
+def doctor(
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    seconds: Annotated[float, typer.Option(min=0.5, max=600.0, help="How long to listen.")] = 3.0,
+    json: JsonOption = False,
+) -> None:
+    """Find out who publishes what, which legs look wrong, and why.
+
+    Exit code 0: all is well; 1: there are findings; 2: no router.
+    """
+    from adaptive_contact.service.doctor import Diagnosis, examine
+    from adaptive_contact.service.link import Link, NoRouterError
+
+    try:
+        with Link.open(client(connect, namespace, zenoh_config, wait=False)) as link:
+            diagnosis = examine(link, seconds)
+    except NoRouterError as error:
+        found = error.finding
+        diagnosis = Diagnosis(router=found.reach, router_line=found.line)
+    if json:
+        import msgspec
+
+        print(msgspec.json.encode(diagnosis).decode())
+    else:
+        _print(diagnosis)
+    raise typer.Exit(diagnosis.exit_code)
+
+
+def _print(diagnosis: Diagnosis) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    # Into a pipe, rich would take 80 columns and fold every line.
+    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    if diagnosis.router != "connected":
+        console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))
+        return
+    console.print(f"router   {diagnosis.router_line}")
+    service = diagnosis.service
+    if service is not None:
+        names = " ".join(service.legs)
+        console.print(f"service  up {service.uptime_s:.0f} s, robot {service.robot}, legs {names}")
+    else:
+        console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
+    if diagnosis.keys:
+        console.print(_traffic(diagnosis))
+    # What is true of several legs is said once.
+    together: dict[tuple[Level, str, str], list[str]] = {}
+    for finding in diagnosis.findings:
+        legs = together.setdefault((finding.level, finding.what, finding.remedy), [])
+        if finding.leg is not None:
+            legs.append(finding.leg)
+    ranks = list(_COLOURS)
+    for level, what, remedy in sorted(together, key=lambda item: ranks.index(item[0])):
+        line = Text(f"{level}: ", style=_COLOURS[level])
+        legs = together[level, what, remedy]
+        line.append(f"{' '.join(legs)}: " if legs else "", style="bold")
+        line.append(what, style="not bold not dim default")
+        console.print(line)
+        console.print(Text(f"    -> {remedy}", style="dim"))
+    if diagnosis.exit_code == 0:
+        console.print(Text("all is well", style="green"))
+
+
+def _traffic(diagnosis: Diagnosis) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    shown = Table(box=box.SIMPLE_HEAD)
+    shown.add_column("key")
+    for name in ("messages/s", "bytes/s", "mean size"):
+        shown.add_column(name, justify="right")
+    shown.add_column("encoding")
+    for key in diagnosis.keys:
+        shown.add_row(
+            key.key,
+            f"{key.rate_hz:.1f}",
+            f"{key.bytes_per_s:.0f}",
+            f"{key.mean_bytes:.0f} B",
+            ", ".join(key.encodings),
+        )
+    return shown

@@ -1,0 +1,158 @@
+"""``adaptive-contact fit``: a baseline from recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from adaptive_contact.cli._options import ConfigOption, JsonOption
+
+if TYPE_CHECKING:
+    from adaptive_contact.adapt.gather import LegGatherer
+    from adaptive_contact.adapt.training import Training
+    from adaptive_contact.robot import Robot
+
+__all__ = ["fit", "print_training"]
+
+
+def fit(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING...",
+            help="MCAP files with free swings; where they carry truth, touches are left out.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON)."),
+    ] = Path("baseline.json"),
+    config: ConfigOption = None,
+    free: Annotated[
+        bool,
+        typer.Option(
+            "--free",
+            help="Nothing was touched: without truth, use the swings to their ends.",
+        ),
+    ] = False,
+    library: Annotated[
+        Literal["servo", "paper", "linear"],
+        typer.Option("--library", help="Candidate terms."),
+    ] = "servo",
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold",
+            metavar="λ",
+            min=0.0,
+            help="STLSQ's threshold in units of the residual; chosen on held-out swings if left out.",
+            show_default=False,
+        ),
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Learn a contact-free model of every recorded leg, and print its equations."""
+    from adaptive_contact.adapt.baseline import save_baseline
+    from adaptive_contact.adapt.training import learn
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    robot = shipped_robot() if config is None else load_robot(config)
+    gathered = _gather(recordings, robot)
+    training = learn(
+        robot,
+        {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples},
+        origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
+        library=library,
+        threshold=threshold,
+        progress=lambda leg: typer.echo(f"fitting leg {leg}", err=True),
+    )
+    save_baseline(training.baseline, out)
+    print_training(training, robot, json=json)
+    typer.echo(f"baseline written to {out}", err=True)
+
+
+def _gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
+    """Every leg's samples and truth of several recordings, one after the other."""
+    from adaptive_contact.adapt.gather import LegGatherer
+    from adaptive_contact.service.recording import read_recording
+    from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
+
+    legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
+    for path in recordings:
+        recording = read_recording(path)
+        refused = 0
+        for record in recording:
+            leg = legs.get(leg_of_key(record.key) or "")
+            if leg is None:
+                continue
+            if record.key.endswith("/servo"):
+                sample = decode(record.payload, ServoSample, record.encoding)
+                if isinstance(sample, Rejected):
+                    refused += 1
+                else:
+                    leg.take_sample(sample)
+            elif record.key.endswith("/truth"):
+                truth = decode(record.payload, ContactTruth, record.encoding)
+                if not isinstance(truth, Rejected):
+                    leg.take_truth(truth)
+        if recording.damage is not None:
+            typer.echo(f"adaptive-contact: {path}: {recording.damage}", err=True)
+        if refused:
+            typer.echo(f"adaptive-contact: {path}: {refused} samples not used", err=True)
+    for name, leg in legs.items():
+        if leg.rejects:
+            reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))
+            typer.echo(f"adaptive-contact: leg '{name}': samples not used: {reasons}", err=True)
+    return legs
+
+
+def print_training(training: Training, robot: Robot, *, json: bool) -> None:
+    """Show how well every leg was learned, and its equations."""
+    import msgspec
+    import numpy as np
+
+    thresholds = training.baseline.thresholds(robot.detector.false_alarms_per_hour)
+    if json:
+        text = {
+            "figures": training.figures,
+            "thresholds": thresholds.tolist(),
+            "equations": {
+                leg: known.model.equations() for leg, known in training.baseline.legs.items()
+            },
+        }
+        encoded = msgspec.json.encode(text, enc_hook=str)
+        typer.echo(msgspec.json.format(encoded, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    table = Table(title="Held-out one-step error, degrees (per joint)")
+    for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):
+        table.add_column(column, justify="left" if column == "leg" else "right")
+    for leg, known in training.figures.items():
+        table.add_row(
+            leg,
+            str(known.swings),
+            str(known.rows),
+            str(known.outliers),
+            f"{known.threshold:g}",
+            f"{'/'.join(map(str, known.terms))} of {known.library_size}",
+            " ".join(f"{x:.3f}" for x in np.degrees(known.held_out_rms)),
+            " ".join(f"{x:.2f}" for x in np.degrees(known.naive_rms)),
+        )
+    console.print(table)
+    aim = robot.detector.false_alarms_per_hour
+    console.print(
+        f"thresholds for {aim:g} false alarm(s) per robot-hour, windows of 1, 2, 3 ticks: "
+        + ", ".join(f"{h:.1f}" for h in thresholds)
+    )
+    for leg, entry in training.baseline.legs.items():
+        console.print(f"\n[bold]{leg}[/bold] (rad)")
+        for line in entry.model.equations():
+            console.print("  " + line, highlight=False, soft_wrap=True)

@@ -1,0 +1,138 @@
+"""``adaptive-contact record``: what goes over the wire, into an MCAP file."""
+
+from __future__ import annotations
+
+import collections
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from adaptive_contact.cli._options import (
+    ConnectOption,
+    NamespaceOption,
+    ZenohConfigOption,
+    client,
+)
+from adaptive_contact.errors import ConfigurationError, LinkError
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.probe import Finding
+
+__all__ = ["record"]
+
+
+def record(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.mcap", help="Recording to write.", show_default=False)
+    ],
+    key: Annotated[
+        str, typer.Option("--key", metavar="EXPR", help="Zenoh key expression of what to record.")
+    ] = "robot/**",
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--seconds",
+            min=0.0,
+            help="Stop after so long; otherwise at Ctrl-C.",
+            show_default=False,
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the file if it is there already.")
+    ] = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+) -> None:
+    """Record messages of any key, byte for byte, until Ctrl-C."""
+    # Before anything that takes time, so that a stop during the start is clean too.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: _on_signal(stop))
+
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.recording import RecordingWriter
+    from adaptive_contact.service.recording.recorder import Recorder, check_key_expression
+
+    check_key_expression(key)
+    if file.exists() and not force:
+        raise ConfigurationError(
+            f"{file} exists already; choose another name, or give --force to replace it"
+        )
+    settings = client(connect, namespace, zenoh_config)
+    try:
+        link = Link.open(settings, on_wait=_say, stop=stop)
+    except LinkError:
+        if stop.is_set():
+            return
+        raise
+    try:
+        started_s = time.monotonic()
+        live = sys.stderr.isatty()
+        about = {"key": key, "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
+        with RecordingWriter(file, about) as writer:
+            recorder = Recorder(link, writer, key)
+            typer.echo(f"recording {key} to {file}; stop with Ctrl-C", err=True)
+            recorder.run(
+                stop,
+                seconds,
+                (lambda: _progress(recorder.counts, started_s)) if live else None,
+            )
+    finally:
+        closed = link.close()
+    if live:
+        typer.echo("\r\x1b[K", nl=False, err=True)
+    _report(file, key, recorder.counts, time.monotonic() - started_s)
+    if not closed:
+        # A publisher hangs on to the session, and the interpreter's own exit would wait for it.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _on_signal(stop: threading.Event) -> None:
+    """The first signal asks the recorder to end, the second does not ask."""
+    if stop.is_set():
+        os._exit(1)
+    stop.set()
+
+
+def _kinds(counts: collections.Counter[str]) -> str:
+    """Counts by the last part of the key, the most frequent first."""
+    kinds: collections.Counter[str] = collections.Counter()
+    for key, count in counts.items():
+        kinds[key.rpartition("/")[2]] += count
+    return "  ".join(f"{kind} {count}" for kind, count in kinds.most_common(8))
+
+
+def _progress(counts: collections.Counter[str], started_s: float) -> None:
+    elapsed = time.monotonic() - started_s
+    line = f"{elapsed:7.1f} s  {counts.total()} messages  {_kinds(counts)}"
+    typer.echo(f"\r\x1b[K{line[:118]}", nl=False, err=True)
+
+
+def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: float) -> None:
+    size_kb = file.stat().st_size / 1000
+    typer.echo(
+        f"{counts.total()} messages of {len(counts)} keys in {elapsed_s:.1f} s, "
+        f"{size_kb:.0f} kB in {file}"
+    )
+    width = max((len(name) for name in counts), default=0)
+    for name in sorted(counts):
+        rate = counts[name] / elapsed_s
+        typer.echo(f"  {name:{width}}  {counts[name]:8d}  {rate:7.1f} /s")
+    if not counts:
+        typer.echo(
+            f"adaptive-contact: nothing was heard on '{key}'; "
+            "`adaptive-contact doctor` tells who publishes what",
+            err=True,
+        )
+
+
+def _say(finding: Finding) -> None:
+    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

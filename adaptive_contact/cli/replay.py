@@ -1,0 +1,265 @@
+"""``adaptive-contact replay``: a recording onto the wire, or straight through the learners."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from adaptive_contact.cli._options import (
+    BaselineOption,
+    ConfigOption,
+    ConnectOption,
+    NamespaceOption,
+    ZenohConfigOption,
+    client,
+)
+from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
+
+if TYPE_CHECKING:
+    from adaptive_contact.adapt.bank import LearnerBank
+    from adaptive_contact.adapt.baseline import Baseline
+    from adaptive_contact.robot import Robot
+    from adaptive_contact.service.link import LinkSettings
+    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.recording import Recording
+    from adaptive_contact.service.replay import Counts
+
+__all__ = ["replay"]
+
+_MAX_SPEED: Final = 1000.0
+
+
+def replay(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.mcap", help="Recording to play.", show_default=False)
+    ],
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            "--speed",
+            metavar="X|max",
+            help="How much faster than recorded; 'max' takes as little time as it can. [1]",
+            show_default=False,
+        ),
+    ] = None,
+    events: Annotated[
+        Path | None,
+        typer.Option(
+            "--events",
+            metavar="OUT.jsonl",
+            help="Use no network: feed the learners and write one contact event per line "
+            "('-' for standard output).",
+            show_default=False,
+        ),
+    ] = None,
+    baseline: BaselineOption = None,
+    config: ConfigOption = None,
+    everything: Annotated[
+        bool,
+        typer.Option("--all", help="Also publish recorded events, status and COMMANDS."),
+    ] = False,
+    keep_run: Annotated[
+        bool,
+        typer.Option("--keep-run", help="Leave `run` in the samples as recorded, not a new start."),
+    ] = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+) -> None:
+    """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
+    from adaptive_contact.service.recording import read_recording
+
+    on_wire = {
+        "--speed": speed,
+        "--all": everything,
+        "--keep-run": keep_run,
+        "--connect": connect,
+        "--namespace": namespace,
+        "--zenoh-config": zenoh_config,
+    }
+    through_learners = {"--baseline": baseline, "--config": config}
+    if events is not None:
+        _refuse(on_wire, "--events uses no network; leave {} out")
+        _to_events(read_recording(file), events, baseline, config)
+    else:
+        _refuse(through_learners, "{} is for --events; the service on the wire has its own")
+        factor = _speed(speed)
+        settings = client(connect, namespace, zenoh_config)
+        _to_wire(read_recording(file), settings, factor, everything=everything, keep_run=keep_run)
+
+
+def _refuse(options: Mapping[str, object], message: str) -> None:
+    given = [name for name, value in options.items() if value not in (None, False)]
+    if given:
+        raise ConfigurationError(message.format(" and ".join(given)))
+
+
+def _speed(text: str | None) -> float | None:
+    """Factor over real time, None for as fast as possible."""
+    if text == "max":
+        return None
+    try:
+        factor = 1.0 if text is None else float(text.removesuffix("x"))
+    except ValueError:
+        factor = 0.0
+    if not 0.0 < factor <= _MAX_SPEED:  # false for NaN, too
+        raise ConfigurationError(
+            f"--speed {text}: expected a factor above 0, up to {_MAX_SPEED:.0f}, or max"
+        )
+    return factor
+
+
+def _to_events(recording: Recording, out: Path, baseline: Path | None, config: Path | None) -> None:
+    from adaptive_contact.adapt.bank import LearnerBank
+    from adaptive_contact.service.replay import Counts, replay_events
+    from adaptive_contact.wire import JSON, encode
+
+    robot, learned = _load(config, baseline)
+    bank = LearnerBank(robot, learned)
+    counts = Counts()
+    written = 0
+    started_s = time.perf_counter()
+    with _output(out) as file:
+        for event in replay_events(recording, bank, counts):
+            file.write(encode(event, JSON) + b"\n")
+            written += 1
+    elapsed_s = time.perf_counter() - started_s
+    typer.echo(
+        f"{written} events from {counts.samples} samples in {counts.ticks} ticks "
+        f"({counts.span_s:.1f} s recorded) in {elapsed_s:.2f} s, "
+        f"{counts.samples / max(elapsed_s, 1e-9):.0f} leg-ticks/s",
+        err=True,
+    )
+    _warn(recording, counts)
+    _tell_legs(bank)
+    if counts.samples == 0:
+        raise RecordingError(f"{recording.path}: no servo sample (robot/leg/*/servo) in it")
+
+
+def _tell_legs(bank: LearnerBank) -> None:
+    """One line for each leg that lost or refused samples, or has something to say."""
+    for leg in bank.legs:
+        learner = bank.learner(leg)
+        if learner is None:
+            continue
+        status = learner.status
+        words = [f"{reason} {n}" for reason, n in status.rejects.items()]
+        if status.missed:
+            words.append(f"{status.missed} samples missing")
+        if status.note:
+            words.append(status.note)
+        if words:
+            typer.echo(f"adaptive-contact: leg '{leg}': {', '.join(words)}", err=True)
+
+
+def _to_wire(
+    recording: Recording,
+    settings: LinkSettings,
+    speed: float | None,
+    *,
+    everything: bool,
+    keep_run: bool,
+) -> None:
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.replay import WirePlayer
+
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: _on_signal(stop))
+    try:
+        link = Link.open(settings, on_wait=_say, stop=stop)
+    except LinkError:
+        if stop.is_set():
+            return
+        raise
+    try:
+        # Milliseconds since 1970: a later replay is a newer start.
+        run = time.time_ns() // 1_000_000
+        player = WirePlayer(link, speed, everything=everything, keep_run=keep_run, run=run)
+        started_s = time.perf_counter()
+        player.play(recording, stop)
+        elapsed_s = time.perf_counter() - started_s
+    finally:
+        closed = link.close()
+    behind = f", up to {player.behind_s:.2f} s behind" if player.behind_s > 0.1 else ""
+    typer.echo(
+        f"{player.sent.total()} of {player.counts.messages} messages published on "
+        f"{len(player.sent)} keys in {elapsed_s:.1f} s "
+        f"({player.counts.span_s:.1f} s recorded{behind})",
+        err=True,
+    )
+    _warn(recording, player.counts)
+    if player.sent.total() == 0 and not stop.is_set():
+        raise RecordingError(
+            f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
+        )
+    if not closed:
+        # A subscriber hangs on to the session, and the interpreter's own exit would wait for it.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _on_signal(stop: threading.Event) -> None:
+    """The first signal asks the player to end, the second does not ask."""
+    if stop.is_set():
+        os._exit(1)
+    stop.set()
+
+
+def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None]:
+    """The robot, and what is learned of it already; the shipped ones go together."""
+    from adaptive_contact.adapt.baseline import load_baseline, shipped_baseline
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    robot = shipped_robot() if config is None else load_robot(config)
+    if baseline is not None:
+        return robot, load_baseline(baseline)
+    return robot, shipped_baseline(robot.name) if config is None else None
+
+
+@contextmanager
+def _output(path: Path) -> Iterator[IO[bytes]]:
+    """A file that appears under its name once it is whole; ``-`` is standard output."""
+    if str(path) == "-":
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
+        return
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            yield file
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise RecordingError(
+            f"{path}: cannot be written ({error.strerror}); give a path in a folder that exists, "
+            "is writable and has room"
+        ) from error
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _warn(recording: Recording, counts: Counts) -> None:
+    """One line each for what was cut off and for what could not be used."""
+    if recording.damage is not None:
+        typer.echo(f"adaptive-contact: {recording.path}: {recording.damage}", err=True)
+    rejected = counts.rejects.total()
+    if rejected:
+        reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))
+        typer.echo(
+            f"adaptive-contact: {recording.path}: {rejected} samples not used: {reasons}", err=True
+        )
+
+
+def _say(finding: Finding) -> None:
+    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

@@ -1,0 +1,107 @@
+"""``adaptive-contact score``: contact events against the simulator's truth."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from adaptive_contact.cli._options import ConfigOption, JsonOption
+from adaptive_contact.errors import ConfigurationError, RecordingError
+
+if TYPE_CHECKING:
+    from adaptive_contact.wire import ContactEvent
+
+__all__ = ["score"]
+
+_PIPE_WIDTH: Final = 120
+
+
+def score(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING", help="MCAP file with servo samples and truth.", show_default=False
+        ),
+    ],
+    events: Annotated[
+        Path | None,
+        typer.Option(
+            "--events",
+            metavar="FILE.jsonl",
+            help="Score these events, one ContactEvent per line, instead of the recorded ones.",
+            show_default=False,
+        ),
+    ] = None,
+    json: JsonOption = False,
+    config: ConfigOption = None,
+    from_s: Annotated[
+        float, typer.Option("--from", metavar="S", min=0.0, help="Judge swings from here on, s.")
+    ] = 0.0,
+    to_s: Annotated[
+        float | None,
+        typer.Option("--to", metavar="S", help="And up to here, s.", show_default=False),
+    ] = None,
+) -> None:
+    """Print recall, latency, precision and false alarms per robot-hour of a recording."""
+    from adaptive_contact.robot import load_robot, shipped_robot
+    from adaptive_contact.score import score_messages
+    from adaptive_contact.score.tables import as_json, as_table
+    from adaptive_contact.service.recording import read_recording
+
+    end_s = math.inf if to_s is None else to_s
+    if not from_s < end_s:
+        raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
+    robot = shipped_robot() if config is None else load_robot(config)
+    given = None if events is None else _read_events(events)
+    source = read_recording(recording)
+    try:
+        result = score_messages(source, robot, given, from_s=from_s, to_s=end_s)
+    except RecordingError as error:
+        cut = f" ({source.damage})" if source.damage is not None else ""
+        raise RecordingError(f"{recording}: {error}{cut}") from error
+    if source.damage is not None:
+        typer.echo(f"adaptive-contact: {recording}: {source.damage}", err=True)
+    if json:
+        import msgspec
+
+        text = {"recording": str(recording), "truncated": source.truncated, **as_json(result)}
+        typer.echo(msgspec.json.format(msgspec.json.encode(text), indent=2))
+        return
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_PIPE_WIDTH)
+    console.print(as_table(result))
+
+
+def _read_events(path: Path) -> list[ContactEvent]:
+    """Events of a file with one JSON object per line.
+
+    Raises:
+        RecordingError: it cannot be read, or a line is no event.
+    """
+    from adaptive_contact.wire import JSON, ContactEvent, Rejected, decode
+
+    try:
+        lines = path.read_bytes().splitlines()
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be read ({error.strerror}); give a file that "
+            "`adaptive-contact replay RECORDING --events FILE` wrote"
+        ) from error
+    events = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        event = decode(line, ContactEvent, JSON)
+        if isinstance(event, Rejected):
+            raise RecordingError(
+                f"{path}, line {number}: not a contact event ({event.detail}); expected one "
+                "JSON object per line, as `adaptive-contact replay --events` writes"
+            )
+        events.append(event)
+    return events

@@ -1,0 +1,131 @@
+"""``adaptive-contact serve``: the service."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from adaptive_contact.cli._options import (
+    BaselineOption,
+    ConfigOption,
+    ConnectOption,
+    InsecureOption,
+    JsonPayloadOption,
+    ListenOption,
+    LogJsonOption,
+    LogLevel,
+    LogLevelOption,
+    NamespaceOption,
+    ZenohConfigOption,
+)
+from adaptive_contact.errors import LinkError
+
+if TYPE_CHECKING:
+    from adaptive_contact.adapt import Baseline
+    from adaptive_contact.robot import Robot
+    from adaptive_contact.service.probe import Finding
+
+__all__ = ["serve"]
+
+
+def serve(
+    config: ConfigOption = None,
+    baseline: BaselineOption = None,
+    listen: ListenOption = None,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    insecure: InsecureOption = False,
+    json: JsonPayloadOption = False,
+    log_json: LogJsonOption = False,
+    log_level: LogLevelOption = LogLevel.INFO,
+) -> None:
+    """Turn servo samples into contact events, over Zenoh.
+
+    Embeds a router on loopback; with --connect alone it joins another one instead.
+    """
+    # Before anything that takes time, so that a stop during the start is clean too.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: _on_signal(stop))
+
+    from adaptive_contact.adapt import LearnerBank
+    from adaptive_contact.service.link import Link, router_settings
+    from adaptive_contact.service.logs import configure_logs
+    from adaptive_contact.service.server import Service
+
+    configure_logs(log_level, json=log_json)
+    settings = router_settings(
+        listen or (),
+        connect or (),
+        namespace=namespace,
+        json=json,
+        zenoh_config=zenoh_config,
+        insecure=insecure,
+    )
+    robot, learned, origin = _load(config, baseline)
+    bank = LearnerBank(robot, learned)
+    try:
+        link = Link.open(settings, on_wait=_say, stop=stop)
+    except LinkError:
+        if stop.is_set():
+            return
+        raise
+    try:
+        service = Service(link, bank, robot, baseline=origin, now_ns=time.monotonic_ns())
+        typer.echo(_ready_line(link.endpoints, settings.connect, robot, origin))
+        service.run(stop)
+        service.log_figures()
+    finally:
+        closed = link.close()
+    if not closed:
+        # A subscriber hangs on to the session, and the interpreter's own exit would wait for it.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _on_signal(stop: threading.Event) -> None:
+    """The first signal asks the worker to end, the second does not ask."""
+    if stop.is_set():
+        os._exit(1)
+    stop.set()
+
+
+def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None, str | None]:
+    """The robot, what is learned of it already, and where that comes from."""
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    robot = shipped_robot() if config is None else load_robot(config)
+    if baseline is not None:
+        from adaptive_contact.adapt import load_baseline
+
+        return robot, load_baseline(baseline), str(baseline)
+    if config is not None:
+        return robot, None, None
+    from adaptive_contact.adapt import shipped_baseline
+
+    learned = shipped_baseline(robot.name)
+    return robot, learned, None if learned is None else f"shipped with {robot.name}"
+
+
+def _ready_line(
+    listen: tuple[str, ...], connect: tuple[str, ...], robot: Robot, origin: str | None
+) -> str:
+    where = [f"listening on {', '.join(listen)}"] if listen else []
+    where += [f"connected to {', '.join(connect)}"] if connect else []
+    return (
+        f"adaptive-contact: {' and '.join(where)}; robot {robot.name}, "
+        f"legs {' '.join(robot.leg_ids)}; "
+        f"baseline {origin or 'none (`adaptive-contact fit` makes one)'}; stop with Ctrl-C"
+    )
+
+
+def _say(finding: Finding) -> None:
+    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

@@ -1,0 +1,259 @@
+"""``adaptive-contact sim``: the simulated robot."""
+
+from __future__ import annotations
+
+import dataclasses
+import json as jsonlib
+from typing import Annotated
+
+import typer
+
+from adaptive_contact.cli._options import (
+    ConnectOption,
+    JsonOption,
+    JsonPayloadOption,
+    NamespaceOption,
+    ZenohConfigOption,
+    client,
+)
+from adaptive_contact.cli._sim_options import (
+    BogusOption,
+    DriftOption,
+    DroppedOption,
+    OfflineOption,
+    PreviewOption,
+    ReactOption,
+    RecordOption,
+    RenderOption,
+    RepeatedOption,
+    RobotSeedOption,
+    ScenarioOption,
+    SecondsOption,
+    SeedOption,
+    SpeedOption,
+    ViewOption,
+    base_of,
+    execute,
+    given,
+    needs_simulator,
+    robot_of,
+    say,
+    speed_of,
+    stoppable,
+)
+from adaptive_contact.errors import ConfigurationError, LinkError
+
+__all__ = ["app"]
+
+app = typer.Typer(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
+
+
+@app.command()
+def pose(
+    leg: Annotated[
+        str | None, typer.Option("--leg", metavar="LEG|all", help="Which leg moves. [rf]")
+    ] = None,
+    obstacles: Annotated[
+        float | None, typer.Option("--obstacles", help="Share of descents onto an obstacle. [0]")
+    ] = None,
+    soft: Annotated[
+        float | None, typer.Option("--soft", help="Share of obstacles that yield. [0]")
+    ] = None,
+    approach: Annotated[
+        str | None,
+        typer.Option("--approach", metavar="descent|slow|forward|graze", help="How legs come."),
+    ] = None,
+    workspace: Annotated[
+        str | None, typer.Option("--workspace", metavar="paper|whole", help="Where legs move.")
+    ] = None,
+    path: Annotated[
+        str | None, typer.Option("--path", metavar="cartesian|joint", help="What is straight.")
+    ] = None,
+    react_ms: ReactOption = None,
+    scenario: ScenarioOption = None,
+    seconds: SecondsOption = None,
+    speed: SpeedOption = None,
+    seed: SeedOption = None,
+    robot_seed: RobotSeedOption = None,
+    drift: DriftOption = None,
+    dropped: DroppedOption = None,
+    repeated: RepeatedOption = None,
+    bogus: BogusOption = None,
+    preview: PreviewOption = None,
+    offline: OfflineOption = False,
+    record: RecordOption = None,
+    render: RenderOption = None,
+    view: ViewOption = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: JsonPayloadOption = False,
+) -> None:
+    """Stand on five legs and move one, in free air or onto obstacles (the paper's set-up)."""
+    stop = stoppable()
+    with needs_simulator():
+        from adaptive_contact_sim import LEGS, PoseSettings, RunPlan
+
+    changes = given(approach=approach, workspace=workspace, path=path, react_ms=react_ms)
+    if leg is not None:
+        changes["legs"] = LEGS if leg == "all" else tuple(leg.split(","))
+    base, motion = base_of(scenario, PoseSettings)
+    changes["obstacles"] = dataclasses.replace(
+        motion.obstacles, **given(probability=obstacles, soft=soft)
+    )
+    settings = dataclasses.replace(base.settings, motion=dataclasses.replace(motion, **changes))
+    settings = robot_of(settings, seed, robot_seed, drift, dropped, repeated, bogus, preview)
+    wire = None if offline else client(connect, namespace, zenoh_config, json=json)
+    duration = base.seconds if seconds is None else seconds
+    plan = RunPlan(settings, duration, speed_of(speed, offline=offline), wire, record, render, view)
+    execute(plan, stop)
+
+
+@app.command()
+def walk(
+    gait: Annotated[
+        str | None, typer.Option("--gait", metavar="tripod|ripple|wave", help="[tripod]")
+    ] = None,
+    terrain: Annotated[
+        str | None,
+        typer.Option("--terrain", metavar="flat|steps|rough|soft", help="The ground. [rough]"),
+    ] = None,
+    relief: Annotated[
+        float | None, typer.Option("--relief", metavar="M", help="Lowest to highest. [0.035]")
+    ] = None,
+    stop_on: Annotated[
+        str | None,
+        typer.Option(
+            "--stop-on", metavar="truth|service|never", help="Who stops a descent. [truth]"
+        ),
+    ] = None,
+    react_ms: ReactOption = None,
+    scenario: ScenarioOption = None,
+    seconds: SecondsOption = None,
+    speed: SpeedOption = None,
+    seed: SeedOption = None,
+    robot_seed: RobotSeedOption = None,
+    drift: DriftOption = None,
+    dropped: DroppedOption = None,
+    repeated: RepeatedOption = None,
+    bogus: BogusOption = None,
+    preview: PreviewOption = None,
+    offline: OfflineOption = False,
+    record: RecordOption = None,
+    render: RenderOption = None,
+    view: ViewOption = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: JsonPayloadOption = False,
+) -> None:
+    """Walk over flat, stepped, rough or soft ground."""
+    stop = stoppable()
+    with needs_simulator():
+        from adaptive_contact_sim import RunPlan, WalkSettings
+
+    base, motion = base_of(scenario, WalkSettings)
+    changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms)
+    settings = dataclasses.replace(
+        base.settings,
+        motion=dataclasses.replace(motion, **changes),
+        terrain=dataclasses.replace(base.settings.terrain, **given(kind=terrain, relief_m=relief)),
+    )
+    settings = robot_of(settings, seed, robot_seed, drift, dropped, repeated, bogus, preview)
+    wire = None if offline else client(connect, namespace, zenoh_config, json=json)
+    duration = base.seconds if seconds is None else seconds
+    plan = RunPlan(settings, duration, speed_of(speed, offline=offline), wire, record, render, view)
+    execute(plan, stop)
+
+
+@app.command()
+def inject(
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="KIND", help="What drifts (`sim list`); without it, what holds."),
+    ] = None,
+    value: Annotated[
+        float | None, typer.Option("--value", help="Absolute, in the kind's unit.")
+    ] = None,
+    leg: Annotated[str, typer.Option("--leg", metavar="LEG|all")] = "all",
+    joint: Annotated[str, typer.Option("--joint", metavar="JOINT|all")] = "all",
+    shape: Annotated[str, typer.Option("--shape", metavar="step|ramp|pulse|walk")] = "step",
+    duration: Annotated[float, typer.Option("--duration", help="Of a shape, s.")] = 0.0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of a random walk.")] = 0,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Let something drift in a running simulator, and print what now holds."""
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.wire import SIM_DRIFT, Drift, DriftReply, Rejected, decode, encode
+
+    drift: Drift | None = None
+    if kind is not None:
+        with needs_simulator():
+            from adaptive_contact_sim import drift_from
+        fields = given(kind=kind, value=value, leg=leg, joint=joint, shape=shape)
+        fields |= {"duration_s": duration, "seed": seed}
+        drift = drift_from(fields, where=f"drift '{kind}'").drift
+    with Link.open(client(connect, namespace, zenoh_config, wait=False), on_wait=say) as link:
+        replies = link.query(SIM_DRIFT, drift)
+    if not replies:
+        raise LinkError(
+            f"no simulator answers on {SIM_DRIFT}; start `adaptive-contact sim walk`, or check "
+            "--connect and --namespace"
+        )
+    answer = decode(replies[0].payload, DriftReply, replies[0].encoding)
+    if isinstance(answer, Rejected):
+        raise LinkError(f"the simulator's answer cannot be read: {answer.detail}")
+    if not answer.ok:
+        raise ConfigurationError(f"the simulator refused: {answer.error}")
+    if json:
+        typer.echo(encode(answer, "application/json").decode())
+        return
+    typer.echo(f"at {answer.t_ns / 1e9:.2f} s:" + ("" if answer.holds else " nothing drifts"))
+    for name, legs in answer.holds.items():
+        for one, joints in legs.items():
+            values = "  ".join(f"{j} {v:g}" for j, v in joints.items())
+            typer.echo(f"  {name:11} {one}  {values}")
+
+
+@app.command("list")
+def list_(json: JsonOption = False) -> None:
+    """Show the shipped scenarios, and the kinds of drift with their ranges."""
+    with needs_simulator():
+        from adaptive_contact_sim import KINDS, describe, shipped_scenarios
+
+    scenarios = shipped_scenarios()
+    if json:
+        table = {
+            "scenarios": {
+                s.name: {"about": s.about, "seconds": s.seconds, "run": describe(s.settings)}
+                for s in scenarios.values()
+            },
+            "drift": {name: kind._asdict() for name, kind in KINDS.items()},
+        }
+        typer.echo(jsonlib.dumps(table, indent=2))
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    shown = Table("scenario", "about", "seconds", box=box.SIMPLE_HEAD, pad_edge=False)
+    for scenario in scenarios.values():
+        seconds = "" if scenario.seconds is None else f"{scenario.seconds:g}"
+        shown.add_row(scenario.name, scenario.about, seconds)
+    console.print(shown)
+    kinds = Table(
+        *("drift", "unit", "nominal", "accepted", "usual", "meaning"),
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for name, kind in KINDS.items():
+        accepted = f"{kind.low:g} to {kind.high:g}"
+        kinds.add_row(name, kind.unit, f"{kind.nominal:g}", accepted, kind.usual, kind.meaning)
+    console.print(kinds)
+    console.print(
+        "A value is absolute against nominal.  Shapes: step, ramp, pulse, walk (the last three with duration=SECONDS)"
+    )

@@ -1,0 +1,98 @@
+"""``adaptive-contact watch``: a live table of a running service."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from adaptive_contact.cli._options import (
+    ConnectOption,
+    JsonOption,
+    NamespaceOption,
+    ZenohConfigOption,
+    client,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.watch import View
+
+    Look = Callable[[], View]
+
+__all__ = ["watch"]
+
+_REFRESH_S: Final = 0.25
+_PIPE_WIDTH: Final = 160
+
+
+def watch(
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Look for a while, print one table and end.")
+    ] = False,
+    seconds: Annotated[
+        float,
+        typer.Option(
+            min=0.1,
+            max=3600.0,
+            help="How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
+        ),
+    ] = 2.0,
+    json: JsonOption = False,
+) -> None:
+    """Show every leg of a running service: contact, model, latency, losses, and what is wrong."""
+    from adaptive_contact.service.feed import Feed
+    from adaptive_contact.service.link import Link
+
+    settings = client(connect, namespace, zenoh_config)
+    with contextlib.suppress(KeyboardInterrupt), Link.open(settings, on_wait=_say) as link:
+        feed = Feed(link)
+
+        def look() -> View:
+            return feed.view(time.monotonic_ns())
+
+        if not once and not json and sys.stdout.isatty():
+            _live(look)
+        while True:
+            time.sleep(seconds)
+            _print(look(), json)
+            if once:
+                break
+
+
+def _live(look: Look) -> None:
+    """Redraw until Ctrl-C."""
+    from rich.live import Live
+
+    from adaptive_contact.service.watch_table import table
+
+    with Live(table(look()), auto_refresh=False) as live:
+        while True:
+            live.update(table(look()), refresh=True)
+            time.sleep(_REFRESH_S)
+
+
+def _print(view: View, json: bool) -> None:
+    if json:
+        import msgspec
+
+        print(msgspec.json.encode(view).decode(), flush=True)
+        return
+    from rich.console import Console
+
+    from adaptive_contact.service.watch_table import table
+
+    # Into a pipe, rich would take 80 columns and cut the table to pieces.
+    Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table(view))
+
+
+def _say(finding: Finding) -> None:
+    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

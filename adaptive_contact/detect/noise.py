@@ -1,0 +1,146 @@
+r"""What residuals look like on free ticks, conditional on what the leg is doing.
+
+Residuals of a good leg model are nearly white, but not equally large everywhere: fast motion
+carries model error, slow motion sticks and slips.  Contexts are formed from the command alone
+(direction of the foot, commanded speed), which a contact cannot change, and each context has its
+own covariance, shrunk towards that of its direction where it saw few ticks.
+
+For every window of w = 1, 2, 3 ticks the covariance of the *sum* of residuals is estimated
+directly, so that what autocorrelation is left is in it.
+"""
+
+from __future__ import annotations
+
+import bisect
+import dataclasses
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import IdentificationError
+
+__all__ = ["WINDOWS", "NoiseModel", "context", "context_of", "fit_noise", "lagged"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WINDOWS: Final = (1, 2, 3)
+# Edges of the commanded speed, in position quanta per tick (largest joint): below one step per
+# tick a leg sticks and slips, above a dozen it moves as fast as such servos can.
+SPEED_EDGES_QUANTA: Final = (1.0, 4.0, 12.0)
+CONTEXTS: Final = 2 * (len(SPEED_EDGES_QUANTA) + 1)
+# A context's covariance weighs like this many ticks of its direction's.
+SHRINK_TICKS: Final = 200.0
+# Fewer free ticks than this do not make a covariance worth a threshold.
+MIN_TICKS: Final = 300
+
+
+def context(desired: Array, before: Array, direction: Ints, quantum_rad: float) -> Ints:
+    """Context of a tick, from its command and the one before.
+
+    Args:
+        desired: (..., J) rad.
+        before: (..., J) rad, the command of the previous tick.
+        direction: (...,) 0 for a lift, 1 for a descent.
+        quantum_rad: position step of the servos.
+
+    Returns:
+        (...,) index in ``0 .. CONTEXTS - 1``.
+    """
+    speed = np.abs(desired - before).max(axis=-1) / quantum_rad
+    return np.asarray(
+        direction * (len(SPEED_EDGES_QUANTA) + 1)
+        + np.searchsorted(SPEED_EDGES_QUANTA, speed, side="right")
+    )
+
+
+def context_of(desired: Sequence[float], before: Sequence[float], direction: int, quantum_rad: float) -> int:
+    """:func:`context` of one tick in plain floats, for the control loop."""
+    speed = max(abs(a - b) for a, b in zip(desired, before, strict=True)) / quantum_rad
+    return direction * (len(SPEED_EDGES_QUANTA) + 1) + bisect.bisect_right(SPEED_EDGES_QUANTA, speed)
+
+
+def lagged(values: Array, depth: int) -> Array:
+    """(n, J) to (n, depth, J), lag 0 first; rows before the start are NaN."""
+    out = np.full((len(values), depth, values.shape[1]), np.nan)
+    for lag in range(depth):
+        out[lag:, lag] = values[: len(values) - lag]
+    return out
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseModel:
+    """Covariances of residual sums on free ticks.
+
+    Attributes:
+        covariance: (contexts, windows, J, J) rad².
+        ticks: (contexts,) free ticks behind each.
+        whiten: (contexts, windows, J, J), inverse Cholesky factors of the covariances.
+    """
+
+    covariance: Array
+    ticks: Array
+    whiten: Array = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.covariance).all():
+            raise IdentificationError("noise: a covariance is not finite; fit it anew")
+        try:
+            factor = np.linalg.cholesky(self.covariance)
+        except np.linalg.LinAlgError as error:
+            raise IdentificationError(
+                "noise: a covariance is not positive definite; fit it anew"
+            ) from error
+        object.__setattr__(self, "whiten", np.linalg.inv(factor))
+
+    @property
+    def rms(self) -> Array:
+        """(J,) rad, root mean square of single residuals over all contexts."""
+        weight = self.ticks / self.ticks.sum()
+        diagonal = np.diagonal(self.covariance[:, 0], axis1=-2, axis2=-1)
+        return np.sqrt(weight @ diagonal)
+
+
+def fit_noise(residual: Array, where: Ints, quantum_rad: float) -> NoiseModel:
+    """Estimate the covariances from free ticks.
+
+    Args:
+        residual: (n, depth, J) rad, lag 0 first, NaN where a lag is missing; depth ≥ 3.
+        where: (n,) context of each tick.
+        quantum_rad: position step; no variance may fall below that of rounding to it.
+
+    Returns:
+        The noise model.
+
+    Raises:
+        IdentificationError: fewer than :data:`MIN_TICKS` usable ticks.
+    """
+    usable = np.isfinite(residual[:, : WINDOWS[-1]]).all(axis=(1, 2))
+    residual, where = residual[usable], where[usable]
+    if len(residual) < MIN_TICKS:
+        raise IdentificationError(
+            f"noise: {len(residual)} free ticks; expected at least {MIN_TICKS}: record more swings"
+        )
+    joints = residual.shape[-1]
+    floor = np.eye(joints) * quantum_rad**2 / 12.0
+    per_direction = CONTEXTS // 2
+    covariance = np.empty((CONTEXTS, len(WINDOWS), joints, joints))
+    ticks = np.bincount(where, minlength=CONTEXTS).astype(np.float64)
+    for column, width in enumerate(WINDOWS):
+        total = residual[:, :width].sum(axis=1)
+        whole = total.T @ total / len(total)
+        for direction in range(2):
+            inside = where // per_direction == direction
+            part = total[inside]
+            prior = (part.T @ part + SHRINK_TICKS * whole) / (len(part) + SHRINK_TICKS)
+            for speed in range(per_direction):
+                index = direction * per_direction + speed
+                own = total[where == index]
+                estimate = (own.T @ own + SHRINK_TICKS * prior) / (len(own) + SHRINK_TICKS)
+                covariance[index, column] = estimate + width * floor * 1e-3
+                least = np.diagonal(covariance[index, column]) - np.diagonal(floor) * width
+                lift = np.maximum(-least, 0.0)
+                covariance[index, column] += np.diag(lift)
+    return NoiseModel(covariance, ticks)

@@ -1,0 +1,63 @@
+r"""The likelihood-ratio statistic of a contact.
+
+Free residuals are :math:`r \sim N(0, \Sigma_c)` in context c; a contact that began w ticks ago adds
+an unknown mean to the last w of them.  The generalised likelihood ratio of that against no contact is
+
+.. math:: T_w = \Big\| W_{c,w} \sum_{i<w} r[k-i] \Big\|^2 , \qquad
+          W_{c,w}^\top W_{c,w} = \mathrm{cov}\Big(\sum_{i<w} r[k-i]\Big)^{-1} ,
+
+for w = 1, 2, 3, so that a hard contact shows in one tick and a soft one adds up.  A contact holds
+the leg back: windows whose whitened sum does not oppose the predicted motion count as zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.detect.noise import WINDOWS, NoiseModel
+
+__all__ = ["statistic", "stream_statistic"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) -> Array:
+    """Compute T for every window.
+
+    Args:
+        residual: (..., 3, J) rad, measured minus predicted, lag 0 first.
+        increment: (..., 3, J) rad, the movement that was predicted for those ticks.
+        whiten: (..., windows, J, J) of each tick's context.
+        usable: (...,) how many of the lags belong to this swing and are sound; windows that
+            reach further back give NaN.
+
+    Returns:
+        (..., windows), chi-square with J degrees of freedom on free ticks (or zero).
+    """
+    total = np.cumsum(residual, axis=-2)
+    motion = np.cumsum(increment, axis=-2)
+    z = np.matmul(whiten, total[..., None])[..., 0]
+    expected = np.matmul(whiten, motion[..., None])[..., 0]
+    opposes = (z * expected).sum(axis=-1) < 0.0
+    value = np.where(opposes, np.square(z).sum(axis=-1), 0.0)
+    return np.where(np.asarray(WINDOWS) <= np.asarray(usable)[..., None], value, np.nan)
+
+
+def stream_statistic(
+    residual: Array, increment: Array, where: Ints, usable: Ints, noise: NoiseModel
+) -> Array:
+    """The same for a whole stream at once.
+
+    Args:
+        residual: (n, 3, J) rad, lag 0 first.
+        increment: (n, 3, J) rad.
+        where: (n,) contexts.
+        usable: (n,) sound lags.
+        noise: covariances on free ticks.
+
+    Returns:
+        (n, windows).
+    """
+    return statistic(residual, increment, noise.whiten[where], usable)

@@ -1,0 +1,115 @@
+r"""A threshold far beyond counting, from a fitted tail.
+
+One false alarm per robot-hour is a probability of :math:`2\cdot10^{-6}` per tick; no affordable
+number of free ticks shows such an event often enough to count.  Exceedances of a high level
+:math:`t_0` follow a generalised Pareto distribution (Pickands 1975),
+
+.. math:: P(T > t_0 + y \mid T > t_0) = (1 + \xi y / \beta)^{-1/\xi},
+
+fitted by probability-weighted moments (Hosking and Wallis 1987), which stay sane on the small
+samples on which maximum likelihood does not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptive_contact.errors import IdentificationError
+
+__all__ = ["Tail", "fit_tail"]
+
+Array = NDArray[np.float64]
+
+# The level above which the tail is fitted: the largest 1 % of the ticks, but enough of them.
+TAIL_FRACTION: Final = 0.01
+MIN_EXCEEDANCES: Final = 50
+# A heavier shape than this means a few outliers, not a tail; a lighter one promises a hard end.
+SHAPE_RANGE: Final = (-0.2, 0.6)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tail:
+    """Upper tail of a statistic.
+
+    Attributes:
+        level: t0, in the unit of the statistic.
+        rate: share of ticks above it.
+        scale: β.
+        shape: ξ.
+        ticks: how many free ticks it was fitted to.
+    """
+
+    level: float
+    rate: float
+    scale: float
+    shape: float
+    ticks: int
+
+    def exceedance(self, value: float) -> float:
+        """Probability that a free tick's statistic is above ``value`` (at least ``level``)."""
+        y = max(value - self.level, 0.0) / self.scale
+        if abs(self.shape) < 1e-9:
+            return self.rate * math.exp(-y)
+        base = 1.0 + self.shape * y
+        return 0.0 if base <= 0.0 else float(self.rate * base ** (-1.0 / self.shape))
+
+    def quantile(self, probability: float) -> float:
+        """The value that a free tick exceeds with the given probability.
+
+        Raises:
+            IdentificationError: the probability lies above the tail's own rate.
+        """
+        if not 0.0 < probability <= self.rate:
+            raise IdentificationError(
+                f"tail: probability {probability:g} is outside (0, {self.rate:g}]; "
+                "the tail says nothing there"
+            )
+        ratio = self.rate / probability
+        if abs(self.shape) < 1e-9:
+            return self.level + self.scale * math.log(ratio)
+        return self.level + self.scale / self.shape * (ratio**self.shape - 1.0)
+
+
+def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
+    """Fit the upper tail of a statistic on free ticks.
+
+    Args:
+        values: (n,) the statistic on ticks known to be free; NaN is left out.
+        fraction: share of the ticks taken for the tail.
+
+    Returns:
+        The tail.
+
+    Raises:
+        IdentificationError: fewer ticks than give :data:`MIN_EXCEEDANCES` exceedances.
+
+    Reference:
+        Hosking and Wallis, Parameter and quantile estimation for the generalized Pareto
+        distribution, Technometrics 29 (1987).
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    sample = np.sort(sample[np.isfinite(sample)])
+    n = len(sample)
+    count = int(n * fraction)
+    if count < MIN_EXCEEDANCES:
+        raise IdentificationError(
+            f"tail: {n} free ticks give {count} exceedances; expected at least {MIN_EXCEEDANCES}: "
+            "record more free swings"
+        )
+    level = float(sample[n - count - 1])
+    excess = sample[n - count :] - level
+    mean = float(excess.mean())
+    if mean <= 0.0:  # a statistic that is constant at the top
+        return Tail(level, count / n, max(abs(level), 1.0) * 1e-6, 0.0, n)
+    order = np.arange(1, count + 1)
+    # b1 estimates E[X (1 - F(X))]; ascending order, so the weight falls.
+    b1 = float(np.sum((count - order) * excess) / (count * (count - 1)))
+    shape = 2.0 - mean / (mean - 2.0 * b1) if mean > 2.0 * b1 else SHAPE_RANGE[1]
+    shape = float(np.clip(shape, *SHAPE_RANGE))
+    # With the shape held, the mean gives the scale: E[X] = β / (1 - ξ).
+    return Tail(level, count / n, mean * (1.0 - shape), shape, n)

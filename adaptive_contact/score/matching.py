@@ -1,0 +1,180 @@
+"""Events of one leg against its contacts: touches found and missed, false alarms.
+
+The rules of ``docs/scoring.md``.  In short: only swings are judged, only events decided on a swing
+sample count; a detection is the first unmatched ``contact: true`` within the window of a touch;
+events while the foot is still loaded after a stance are neither; every other one is a false alarm.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.score.contacts import Contacts, contacts_of
+from adaptive_contact.score.outcome import (
+    COUNTED,
+    ROWS,
+    Events,
+    LegOutcome,
+    LegStream,
+    Row,
+    SwingTable,
+    TouchTable,
+)
+from adaptive_contact.score.swings import Swings, find_swings, lift_by_halves, longest_gap
+
+__all__ = ["match"]
+
+Times = NDArray[np.int64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+# After a touch on hard ground at speed, and after a slow approach or on soft ground.
+WINDOW_NS: Final = 120_000_000
+LONG_WINDOW_NS: Final = 500_000_000
+# A touch with fewer swing samples left than this cannot be judged.
+LATE_SAMPLES: Final = 3
+# Speed at touch, m/s.
+HEADLINE_M_S: Final = 0.2
+SLOW_M_S: Final = 0.1
+CREEP_M_S: Final = 0.02
+
+_COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
+
+
+def match(stream: LegStream, events: Events) -> LegOutcome:
+    """Judge the events of one leg.
+
+    Args:
+        stream: samples and truth.
+        events: of one detector; repeats of a ``contact: true`` at one sample count once.
+
+    Returns:
+        Every touch, swing and false alarm.
+    """
+    t_ns = stream.t_ns
+    swings = find_swings(t_ns, stream.swing)
+    lift = lift_by_halves(swings) if stream.lift is None else stream.lift
+    contacts = contacts_of(stream.truth, int(t_ns[0]) if len(t_ns) else 0)
+    # The swing a contact began in, -1 where it was loaded already, or began in stance.
+    tick = _tick_of(contacts.onset_ns, t_ns)
+    contact_swing = np.where(contacts.touch, _at(swings.of_tick, tick), -1)
+    touches = _touches(contacts, contact_swing, tick, swings, lift)
+
+    event_ns, first = np.unique(events.t_ns[events.contact], return_index=True)
+    estimate_ns = events.onset_ns[events.contact][first]
+    event_swing = _at(swings.of_tick, _tick_of(event_ns, t_ns))
+    loaded = _loaded(event_ns, event_swing, contacts, contact_swing)
+    free = np.flatnonzero((event_swing >= 0) & ~loaded)
+    touches, taken = _assign(touches, event_ns[free], event_swing[free], estimate_ns[free])
+
+    count = len(swings.start)
+    in_swing = swings.of_tick >= 0
+    tick_swing = swings.of_tick[in_swing]
+    tick_loaded = _loaded(t_ns[in_swing], tick_swing, contacts, contact_swing)
+    counted = _COUNTED_CODES[touches.row]
+    alarms = free[~taken]
+    return LegOutcome(
+        leg=stream.leg,
+        swings=SwingTable(
+            start_ns=t_ns[swings.start],
+            end_ns=t_ns[swings.stop - 1],
+            ticks=swings.stop - swings.start,
+            judged=np.bincount(tick_swing[~tick_loaded], minlength=count),
+            touches=np.bincount(touches.swing[counted], minlength=count),
+            hits=np.bincount(touches.swing[touches.found], minlength=count),
+            misses=np.bincount(touches.swing[counted & ~touches.found], minlength=count),
+            false_alarms=np.bincount(event_swing[alarms], minlength=count),
+            neutral=np.bincount(event_swing[(event_swing >= 0) & loaded], minlength=count),
+        ),
+        touches=touches,
+        alarms_ns=event_ns[alarms],
+        alarm_swing=event_swing[alarms],
+        outside_ns=event_ns[event_swing < 0],
+        unjudged_ns=contacts.onset_ns[contacts.touch & (contact_swing < 0)],
+        span_ns=(int(t_ns[0]), int(t_ns[-1])) if len(t_ns) else (0, 0),
+    )
+
+
+def _tick_of(when_ns: Times, t_ns: Times) -> Index:
+    """The tick each time lies in: its last sample so far, -1 before the first or in a hole."""
+    tick = np.searchsorted(t_ns, when_ns, side="right") - 1
+    if len(t_ns):
+        tick[(tick >= 0) & (when_ns - t_ns[tick] > longest_gap(t_ns))] = -1
+    return tick
+
+
+def _at(values: Index, tick: Index) -> Index:
+    """``values[tick]``, -1 where the tick is."""
+    if len(values) == 0:
+        return np.full(len(tick), -1)
+    return np.where(tick >= 0, values[tick], -1)
+
+
+def _loaded(when_ns: Times, swing: Index, contacts: Contacts, contact_swing: Index) -> Flags:
+    """Whether, at times inside the given swings, a contact held that did not begin in them."""
+    if len(contacts.onset_ns) == 0:
+        return np.zeros(len(when_ns), dtype=bool)
+    which = np.searchsorted(contacts.onset_ns, when_ns, side="right") - 1
+    loaded: Flags = (which >= 0) & (when_ns < contacts.release_ns[which])
+    loaded &= contact_swing[which] != swing
+    return loaded
+
+
+def _touches(
+    contacts: Contacts, contact_swing: Index, tick: Index, swings: Swings, lift: Flags
+) -> TouchTable:
+    """The touches to be found, in their rows; none found yet."""
+    inside = np.flatnonzero(contact_swing >= 0)
+    at, swing = tick[inside], contact_swing[inside]
+    speed, soft = contacts.speed_m_s[inside], contacts.soft[inside]
+    # Samples at or before the onset cannot know of it; ``at`` is the last of those.
+    left = swings.stop[swing] - 1 - at
+    rows: list[tuple[Flags, Row]] = [
+        (left < LATE_SAMPLES, Row.LATE),
+        (lift[at], Row.LIFT),
+        (contacts.grazing[inside], Row.GRAZING),
+        (soft, Row.SOFT),
+        (np.isnan(speed), Row.UNKNOWN),
+        (speed >= HEADLINE_M_S, Row.HEADLINE),
+        (speed > SLOW_M_S, Row.MID),
+        (speed >= CREEP_M_S, Row.SLOW),
+    ]
+    row = np.select(
+        [flags for flags, _ in rows],
+        [ROWS.index(name) for _, name in rows],
+        default=ROWS.index(Row.CREEP),
+    )
+    slow = soft | (speed <= SLOW_M_S)
+    return TouchTable(
+        onset_ns=contacts.onset_ns[inside],
+        swing=swing,
+        row=row,
+        window_ns=np.where(slow, LONG_WINDOW_NS, WINDOW_NS),
+        found=np.zeros(len(inside), dtype=bool),
+        latency_ns=np.full(len(inside), -1),
+        onset_error_ns=np.zeros(len(inside), dtype=np.int64),
+        speed_m_s=speed,
+        force_n=contacts.force_n[inside],
+    )
+
+
+def _assign(
+    touches: TouchTable, event_ns: Times, event_swing: Index, estimate_ns: Times
+) -> tuple[TouchTable, Flags]:
+    """Give each touch, in order, the first event in its window and swing that no other has."""
+    found, latency = touches.found.copy(), touches.latency_ns.copy()
+    error = touches.onset_error_ns.copy()
+    taken = np.zeros(len(event_ns), dtype=bool)
+    first = np.searchsorted(event_ns, touches.onset_ns, side="right")
+    last = np.searchsorted(event_ns, touches.onset_ns + touches.window_ns, side="right")
+    for touch in np.flatnonzero(first < last):
+        for event in range(first[touch], last[touch]):
+            if not taken[event] and event_swing[event] == touches.swing[touch]:
+                taken[event] = found[touch] = True
+                latency[touch] = event_ns[event] - touches.onset_ns[touch]
+                error[touch] = estimate_ns[event] - touches.onset_ns[touch]
+                break
+    return touches._replace(found=found, latency_ns=latency, onset_error_ns=error), taken

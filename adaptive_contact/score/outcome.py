@@ -1,0 +1,200 @@
+"""What goes into a score, and what comes out, per leg: tables of touches and swings."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.score.contacts import TruthChanges
+
+__all__ = [
+    "COUNTED",
+    "ROWS",
+    "Events",
+    "LegOutcome",
+    "LegStream",
+    "Outcome",
+    "Row",
+    "SwingTable",
+    "TouchTable",
+]
+
+Times = NDArray[np.int64]
+Index = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class Row(enum.StrEnum):
+    """Row of the table that a touch belongs to; each touch is in exactly one."""
+
+    HEADLINE = "headline"
+    MID = "mid"
+    SLOW = "slow"
+    CREEP = "creep"
+    SOFT = "soft"
+    GRAZING = "grazing"
+    LIFT = "lift"
+    LATE = "late"
+    UNKNOWN = "unknown"
+
+
+# Codes in the tables are positions in this tuple.
+ROWS: Final = tuple(Row)
+# Rows whose misses are errors of a swing.  The others are told apart because they may be beyond
+# any detector: too slow to be felt, along the surface, in the lift, too late.
+COUNTED: Final = frozenset({Row.HEADLINE, Row.MID, Row.SLOW, Row.SOFT, Row.UNKNOWN})
+
+
+class Outcome(enum.StrEnum):
+    """What a swing came to; the worst that happened in it."""
+
+    FALSE_ALARM = "false alarm"
+    MISS = "miss"
+    HIT = "hit"
+    CLEAN = "clean"
+
+
+class Events(NamedTuple):
+    """One leg's contact events, (e,) each, in any order.
+
+    Attributes:
+        t_ns: of the deciding sample.
+        contact: the state told.
+        onset_ns: the estimated first touch.
+    """
+
+    t_ns: Times
+    contact: Flags
+    onset_ns: Times
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class LegStream:
+    """What happened to one leg; every detector's events are scored against the same one.
+
+    Attributes:
+        t_ns: (n,) strictly increasing sample times.
+        swing: (n,) whether the tick is commanded swing.
+        truth: changes of the true state.
+        lift: (n,) which swing ticks are lift; None takes the first half of every swing.
+    """
+
+    leg: str
+    t_ns: Times
+    swing: Flags
+    truth: TruthChanges
+    lift: Flags | None = None
+
+
+class TouchTable(NamedTuple):
+    """Touches inside swings, in order of time, (c,) each.
+
+    Attributes:
+        onset_ns: true onset.
+        swing: which swing it lies in.
+        row: position in :data:`ROWS`.
+        window_ns: how long a detection may take.
+        found: whether it was detected.
+        latency_ns: deciding sample minus onset, -1 where it was not detected.
+        onset_error_ns: estimated minus true onset, 0 where it was not detected.
+        speed_m_s, force_n: as the truth told.
+    """
+
+    onset_ns: Times
+    swing: Index
+    row: Index
+    window_ns: Times
+    found: Flags
+    latency_ns: Times
+    onset_error_ns: Times
+    speed_m_s: Floats
+    force_n: Floats
+
+
+class SwingTable(NamedTuple):
+    """Swings in order of time, (s,) each.
+
+    Attributes:
+        start_ns, end_ns: first and last swing sample.
+        ticks: swing samples.
+        judged: those of them on which the foot was not still loaded from before.
+        touches: touches of counted rows.
+        hits: touches of any row that were detected.
+        misses: touches of counted rows that were not.
+        false_alarms: ``contact: true`` that belong to no touch.
+        neutral: ``contact: true`` while the foot was still loaded from before.
+    """
+
+    start_ns: Times
+    end_ns: Times
+    ticks: Index
+    judged: Index
+    touches: Index
+    hits: Index
+    misses: Index
+    false_alarms: Index
+    neutral: Index
+
+    @property
+    def errors(self) -> Index:
+        """(s,) misses and false alarms."""
+        return self.misses + self.false_alarms
+
+    @property
+    def outcome(self) -> NDArray[np.str_]:
+        """(s,) values of :class:`Outcome`."""
+        kinds = [self.false_alarms > 0, self.misses > 0, self.hits > 0]
+        names: NDArray[np.str_] = np.array([outcome.value for outcome in Outcome])
+        told: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
+        return told
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class LegOutcome:
+    """One leg, judged.
+
+    Attributes:
+        alarms_ns: (a,) deciding samples of the false alarms.
+        alarm_swing: (a,) the swings they lie in.
+        outside_ns: deciding samples of each ``contact: true`` outside swings; not judged.
+        unjudged_ns: onsets of touches outside swings; not judged either.
+        span_ns: first and last sample.
+    """
+
+    leg: str
+    swings: SwingTable
+    touches: TouchTable
+    alarms_ns: Times
+    alarm_swing: Index
+    outside_ns: Times
+    unjudged_ns: Times
+    span_ns: tuple[int, int]
+
+    def between(self, from_ns: int, to_ns: int) -> LegOutcome:
+        """The swings that begin in [``from_ns``, ``to_ns``), and what lies in them.
+
+        What lies outside swings is taken by its own time.
+        """
+
+        def within(when_ns: Times) -> Flags:
+            return (when_ns >= from_ns) & (when_ns < to_ns)
+
+        keep = within(self.swings.start_ns)
+        renumbered = np.cumsum(keep) - 1
+        of_touch, of_alarm = keep[self.touches.swing], keep[self.alarm_swing]
+        touches = TouchTable._make(column[of_touch] for column in self.touches)
+        return dataclasses.replace(
+            self,
+            swings=SwingTable._make(column[keep] for column in self.swings),
+            touches=touches._replace(swing=renumbered[touches.swing]),
+            alarms_ns=self.alarms_ns[of_alarm],
+            alarm_swing=renumbered[self.alarm_swing[of_alarm]],
+            outside_ns=self.outside_ns[within(self.outside_ns)],
+            unjudged_ns=self.unjudged_ns[within(self.unjudged_ns)],
+            span_ns=(max(self.span_ns[0], from_ns), min(self.span_ns[1], to_ns)),
+        )

@@ -1,0 +1,123 @@
+"""A recording, scored: every leg's events against its truth.
+
+The composition of this package for those who have messages; those who have arrays call
+:func:`~adaptive_contact.score.matching.match` and
+:func:`~adaptive_contact.score.summary.summarise` themselves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+
+from adaptive_contact.errors import RecordingError
+from adaptive_contact.robot import Robot
+from adaptive_contact.score.matching import match
+from adaptive_contact.score.outcome import LegOutcome
+from adaptive_contact.score.streams import Gatherer, Received
+from adaptive_contact.score.summary import Summary, summarise
+from adaptive_contact.wire import ContactEvent
+
+__all__ = ["Score", "score_messages"]
+
+_NS_PER_S = 1_000_000_000
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Score:
+    """A scored recording.
+
+    Attributes:
+        outcomes: every judged leg, in order of appearance.
+        total: all legs together.
+        legs: each leg alone.
+        rejects: messages that could not be used, by reason.
+        notes: what a reader of the figures should know, one line each.
+    """
+
+    outcomes: tuple[LegOutcome, ...]
+    total: Summary
+    legs: dict[str, Summary]
+    rejects: dict[str, int]
+    notes: tuple[str, ...]
+
+
+def score_messages(
+    messages: Iterable[Received],
+    robot: Robot,
+    events: Iterable[ContactEvent] | None = None,
+    *,
+    from_s: float = 0.0,
+    to_s: float = math.inf,
+) -> Score:
+    """Score a recording that holds samples and truth.
+
+    Args:
+        messages: of the recording.
+        robot: whose geometry tells swings and lifts.
+        events: scored instead of those in the recording.
+        from_s: judge the swings that begin this long after the first sample, s, or later.
+        to_s: and before this.
+
+    Returns:
+        The score.
+
+    Raises:
+        RecordingError: samples, truth or events are missing, or runs overlap in time.
+        ConfigurationError: swings cannot be told (see :meth:`Gatherer.stream`).
+    """
+    gathered = Gatherer(robot)
+    for message in messages:
+        gathered.take(message)
+    if not gathered.legs:
+        raise RecordingError(
+            "no servo samples (robot/leg/*/servo) in the recording; record with "
+            "--key 'robot/**' while the source runs"
+        )
+    if not gathered.legs_with_truth:
+        raise RecordingError(
+            "no truth (robot/leg/*/truth) in the recording; only recordings of the simulator, "
+            "which knows when a foot touches, can be scored"
+        )
+    if events is not None:
+        gathered.replace_events(events)
+    elif not gathered.legs_with_events:
+        raise RecordingError(
+            "no contact events (robot/leg/*/contact) in the recording; make them with "
+            "`adaptive-contact replay RECORDING --events OUT.jsonl` and give them with --events"
+        )
+    outcomes = tuple(
+        match(gathered.stream(leg), gathered.events(leg)) for leg in gathered.legs_with_truth
+    )
+    start_ns = min(outcome.span_ns[0] for outcome in outcomes)
+    if from_s > 0.0 or to_s < math.inf:
+        from_ns = start_ns + round(from_s * _NS_PER_S)
+        # One past the last sample, so that an open end takes in all.
+        end_ns = max(outcome.span_ns[1] for outcome in outcomes) + 1
+        to_ns = end_ns if math.isinf(to_s) else start_ns + round(to_s * _NS_PER_S)
+        outcomes = tuple(outcome.between(from_ns, to_ns) for outcome in outcomes)
+    return Score(
+        outcomes=outcomes,
+        total=summarise(outcomes),
+        legs={outcome.leg: summarise([outcome]) for outcome in outcomes},
+        rejects={reason.value: n for reason, n in sorted(gathered.rejects.items()) if n},
+        notes=_notes(gathered, outcomes),
+    )
+
+
+def _notes(gathered: Gatherer, outcomes: tuple[LegOutcome, ...]) -> tuple[str, ...]:
+    notes = []
+    blind = [leg for leg in gathered.legs if leg not in gathered.legs_with_truth]
+    if blind:
+        notes.append(f"no truth of {', '.join(blind)}: left out")
+    unseen = sorted(set(gathered.legs_with_events) - set(gathered.legs))
+    if unseen:
+        notes.append(f"events of {', '.join(unseen)}, which sent no samples: left out")
+    if not any(len(outcome.swings.start_ns) for outcome in outcomes):
+        notes.append("no swing in the recording: nothing could be judged")
+    refused = sum(gathered.rejects.values())
+    if refused:
+        reasons = ", ".join(f"{r.value} {n}" for r, n in sorted(gathered.rejects.items()) if n)
+        notes.append(f"{refused} messages could not be used: {reasons}")
+    return tuple(notes)

@@ -1,0 +1,177 @@
+"""A score as a table for a person, and as JSON for a program."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from adaptive_contact.score.intervals import Interval
+from adaptive_contact.score.outcome import Row
+from adaptive_contact.score.score import Score
+from adaptive_contact.score.summary import RowFigures, Summary
+
+__all__ = ["JSON_VERSION", "as_json", "as_table"]
+
+JSON_VERSION: Final = 1
+
+_MEANING: Final = {
+    Row.HEADLINE: "headline: hard, 0.2 m/s and more",
+    Row.MID: "hard, 0.1 to 0.2 m/s",
+    Row.SLOW: "slow, 0.02 to 0.1 m/s *",
+    Row.CREEP: "slower still *",
+    Row.SOFT: "soft ground *",
+    Row.GRAZING: "grazing",
+    Row.LIFT: "in the lift",
+    Row.LATE: "late: under 3 swing samples left",
+    Row.UNKNOWN: "speed not told",
+}
+
+
+def as_json(score: Score) -> dict[str, Any]:
+    """Everything in a score, as a tree of numbers and texts; what is not known is None."""
+    return {
+        "v": JSON_VERSION,
+        **_summary(score.total),
+        "legs": {leg: _summary(summary) for leg, summary in score.legs.items()},
+        "rejects": score.rejects,
+        "notes": list(score.notes),
+    }
+
+
+def as_table(score: Score) -> RenderableType:
+    """Rows, totals and legs as tables, with the notes below."""
+    parts: list[RenderableType] = [_rows_table(score.total), _totals(score.total)]
+    if sum(summary.swings > 0 for summary in score.legs.values()) > 1:
+        parts.append(_legs_table(score))
+    parts.extend(Text(f"note: {note}", style="yellow") for note in score.notes)
+    return Group(*parts)
+
+
+def _summary(summary: Summary) -> dict[str, Any]:
+    return {
+        "rows": {row.value: _row(figures) for row, figures in summary.rows.items()},
+        "counted": _row(summary.counted),
+        "precision": summary.precision,
+        "precision_interval": _interval(summary.precision_interval),
+        "detections": summary.detections,
+        "false_alarms": summary.false_alarms,
+        "judged_ticks": summary.judged_ticks,
+        "robot_hours": summary.robot_hours,
+        "false_alarms_per_robot_hour": summary.per_hour,
+        "false_alarms_per_robot_hour_interval": _interval(summary.per_hour_interval),
+        "swings": summary.swings,
+        "swings_with_errors": summary.lost_swings,
+        "neutral_events": summary.neutral,
+        "events_outside_swings": summary.outside,
+        "touches_outside_swings": summary.unjudged,
+    }
+
+
+def _row(figures: RowFigures) -> dict[str, Any]:
+    latency = figures.latency
+    return {
+        "touches": figures.touches,
+        "found": figures.found,
+        "recall": figures.recall,
+        "recall_interval": _interval(figures.interval),
+        "latency_median_ms": latency.median_ms if latency else None,
+        "latency_p95_ms": latency.p95_ms if latency else None,
+        "latency_p99_ms": latency.p99_ms if latency else None,
+        "onset_error_median_ms": figures.onset_error_ms,
+    }
+
+
+def _interval(interval: Interval) -> list[float | None]:
+    return [end if math.isfinite(end) else None for end in interval]
+
+
+def _rows_table(summary: Summary) -> Table:
+    table = Table(title="Touches in swings", title_justify="left")
+    table.add_column("row")
+    for name in ("touches", "found", "recall", "95 %", "median", "p95", "p99 ms"):
+        table.add_column(name, justify="right")
+    for row, figures in summary.rows.items():
+        style = "bold" if row is Row.HEADLINE else None
+        table.add_row(_MEANING[row], *_cells(figures), style=style)
+    if len(summary.rows) > 1:
+        table.add_section()
+        table.add_row("all but creep, grazing, lift, late", *_cells(summary.counted))
+    if {Row.SLOW, Row.CREEP, Row.SOFT} & summary.rows.keys():
+        table.caption = "* found within 500 ms; the others within 120 ms"
+        table.caption_justify = "left"
+    return table
+
+
+def _cells(figures: RowFigures) -> tuple[str, ...]:
+    latency = figures.latency
+    times = (latency.median_ms, latency.p95_ms, latency.p99_ms) if latency else (None,) * 3
+    return (
+        str(figures.touches),
+        str(figures.found),
+        _percent(figures.recall),
+        _range(figures.interval, figures.touches),
+        *("-" if value is None else f"{value:.0f}" for value in times),
+    )
+
+
+def _totals(summary: Summary) -> Table:
+    table = Table(show_header=False, box=None, padding=(0, 1))
+    table.add_column(style="bold")
+    table.add_column()
+    rate = "-" if summary.per_hour is None else f"{summary.per_hour:.2f}"
+    low, high = summary.per_hour_interval
+    alarms = f"{summary.false_alarms}, {rate} per robot-hour"
+    if summary.per_hour is not None:
+        alarms += f" (95 % {low:.2f} to {high:.2f})"
+    table.add_row("false alarms", alarms)
+    told = summary.detections + summary.false_alarms
+    interval = _range(summary.precision_interval, told)
+    share = f"{_percent(summary.precision)} of {told} alarms (95 % {interval})" if told else "-"
+    table.add_row("precision", share)
+    table.add_row(
+        "judged",
+        f"{summary.swings} swings, {summary.judged_ticks} ticks, "
+        f"{summary.robot_hours:.3f} robot-hours; {summary.lost_swings} swings with an error",
+    )
+    table.add_row(
+        "not judged",
+        f"{summary.neutral} alarms while still loaded, {summary.outside} outside swings; "
+        f"{summary.unjudged} touches outside swings",
+    )
+    return table
+
+
+def _legs_table(score: Score) -> Table:
+    table = Table(title="Legs", title_justify="left")
+    table.add_column("leg")
+    for name in ("swings", "touches", "found", "recall", "median ms", "false alarms", "/ hour"):
+        table.add_column(name, justify="right")
+    for leg, summary in score.legs.items():
+        if summary.swings == 0:
+            continue  # the legs that stand in `sim pose`
+        figures = summary.counted
+        table.add_row(
+            leg,
+            str(summary.swings),
+            str(figures.touches),
+            str(figures.found),
+            _percent(figures.recall),
+            f"{figures.latency.median_ms:.0f}" if figures.latency else "-",
+            str(summary.false_alarms),
+            "-" if summary.per_hour is None else f"{summary.per_hour:.1f}",
+        )
+    return table
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def _range(interval: Interval, trials: int) -> str:
+    if trials == 0:
+        return "-"
+    return f"{100 * interval.low:.1f} to {100 * interval.high:.1f} %"

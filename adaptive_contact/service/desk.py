@@ -1,0 +1,122 @@
+"""One leg's place in the service: its publishers, its token, and when it last spoke.
+
+A leg is ``silent`` when no usable sample came for half a second; that is the service's word,
+not the learner's, for a learner that gets no samples knows of no time passing.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from adaptive_contact.service.link import Declared, Link
+from adaptive_contact.service.ports import Learner
+from adaptive_contact.service.settings import leg_token
+from adaptive_contact.wire import (
+    ContactEvent,
+    LearnerStatus,
+    Rejected,
+    Status,
+    contact_key,
+    learner_key,
+)
+
+__all__ = ["SILENT_AFTER_S", "STATUS_PERIOD_S", "Desk"]
+
+SILENT_AFTER_S: Final = 0.5
+STATUS_PERIOD_S: Final = 1.0
+
+_SILENT_AFTER_NS: Final = int(SILENT_AFTER_S * 1e9)
+_STATUS_PERIOD_NS: Final = int(STATUS_PERIOD_S * 1e9)
+_REFUSAL_SHOWN_NS: Final = 5_000_000_000
+
+
+class Desk:
+    """What the service keeps per leg; all calls from the worker.
+
+    Args:
+        link: where to publish.
+        leg: its id.
+        learner: the leg's.
+        now_ns: monotonic.
+    """
+
+    def __init__(self, link: Link, leg: str, learner: Learner, now_ns: int) -> None:
+        self.leg = leg
+        self.learner = learner
+        self._link = link
+        self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
+        self._status = link.publisher(learner_key(leg))
+        self._token: Declared | None = None
+        self._since_ns = now_ns
+        self._seen_ns: int | None = None
+        self._refused: Rejected | None = None
+        self._refused_ns = 0
+        self._published: Status | None = None
+        self._published_ns = now_ns
+
+    def heard(self, now_ns: int) -> None:
+        """Note a usable sample."""
+        self._seen_ns = now_ns
+        if self._token is None:
+            self._token = self._link.token(leg_token(self.leg))
+
+    def refused(self, why: Rejected, now_ns: int) -> None:
+        """Count a payload that could not be read."""
+        self.learner.count(why.reason)
+        self._refused = why
+        self._refused_ns = now_ns
+
+    @property
+    def ever_heard(self) -> bool:
+        """Whether any usable sample has come."""
+        return self._seen_ns is not None
+
+    def silent(self, now_ns: int) -> bool:
+        """Tell whether the leg has not been heard for too long."""
+        return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
+
+    def publish_event(self, event: ContactEvent) -> None:
+        """Send a change of contact; blocks up to 0.25 s when a subscriber hangs."""
+        self._contact.put(event)
+
+    def publish_status(self, now_ns: int) -> Status | None:
+        """Send the status if a second has passed or it has changed.
+
+        Returns:
+            The new status where it has changed, otherwise None.
+        """
+        status = self.status(now_ns)
+        changed = status.status != self._published
+        if not changed and now_ns - self._published_ns < _STATUS_PERIOD_NS:
+            return None
+        self._status.put(status)
+        if self._token is not None and status.status == "silent":
+            self._token.close()
+            self._token = None
+        self._published = status.status
+        self._published_ns = now_ns
+        return status.status if changed else None
+
+    def status(self, now_ns: int) -> LearnerStatus:
+        """The learner's status, with what only the service can know put in."""
+        status = self.learner.status
+        notes = [] if status.note is None else [status.note]
+        if self._refused is not None and now_ns - self._refused_ns < _REFUSAL_SHOWN_NS:
+            why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))
+            notes.insert(0, f"payload refused: {why}")
+        quiet = self.silent(now_ns)
+        if quiet:
+            spoken = self._seen_ns
+            since = _seconds(now_ns - (self._since_ns if spoken is None else spoken))
+            notes.insert(0, f"no sample {'yet, after' if spoken is None else 'for'} {since}")
+        if not quiet and len(notes) == (status.note is not None):
+            return status
+        return msgspec.structs.replace(
+            status, status="silent" if quiet else status.status, note="; ".join(notes)
+        )
+
+
+def _seconds(duration_ns: int) -> str:
+    return f"{duration_ns / 1e9:.1f} s"

@@ -1,0 +1,89 @@
+"""Feeds a :class:`~adaptive_contact.service.watch.Watch` from a link."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Final
+
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.settings import SERVICE_TOKEN
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.watch import View, Watch
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ALL_LEARNER,
+    ALL_TRUTH,
+    ContactEvent,
+    ContactTruth,
+    LearnerStatus,
+    Rejected,
+    decode,
+    leg_of_key,
+)
+
+__all__ = ["Feed"]
+
+_KEPT: Final = 20_000
+
+
+class Feed:
+    """Subscribes to what a :class:`Watch` shows; call :meth:`view` as often as it is shown.
+
+    Args:
+        link: open; closed by its owner.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._watch = Watch()
+        # Zenoh's thread appends, the reader pops; should nobody read, the oldest go.
+        self._waiting: deque[Received] = deque(maxlen=_KEPT)
+        self._alive = False
+        self.unreadable = 0
+        link.watch_tokens(SERVICE_TOKEN, self._token)
+        link.subscribe(SERVICE_STATUS, self._waiting.append, history=True)
+        link.subscribe(ALL_CONTACT, self._waiting.append, history=True)
+        link.subscribe(ALL_LEARNER, self._waiting.append)
+        link.subscribe(ALL_TRUTH, self._waiting.append)
+
+    def view(self, now_ns: int) -> View:
+        """Take in what has arrived, and give what is known now; ``now_ns`` is monotonic."""
+        for _ in range(len(self._waiting)):
+            self._take(self._waiting.popleft())
+        return self._watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
+
+    def _take(self, received: Received) -> None:
+        kind = received.key.rsplit("/", 1)[-1]
+        message = (
+            decode(received.payload, ServiceStatus, received.encoding)
+            if received.key == SERVICE_STATUS
+            else decode(received.payload, ContactEvent, received.encoding)
+            if kind == "contact"
+            else decode(received.payload, LearnerStatus, received.encoding)
+            if kind == "learner"
+            else decode(received.payload, ContactTruth, received.encoding)
+        )
+        leg = leg_of_key(received.key)
+        if isinstance(message, Rejected):
+            self.unreadable += 1
+        elif isinstance(message, ServiceStatus):
+            self._watch.service(message)
+        elif isinstance(message, ContactEvent):
+            self._watch.event(message, received.arrival_ns, _age_ns(received))
+        elif isinstance(message, LearnerStatus):
+            self._watch.learner(message, received.arrival_ns)
+        elif leg is not None:
+            self._watch.truth(leg, message)
+
+    def _token(self, key: str, alive: bool) -> None:
+        self._alive = alive
+
+
+def _age_ns(received: Received) -> int:
+    """How old a sample was on arrival, by the publisher's wall clock (0 where it has none)."""
+    if received.published_ns is None:
+        return 0
+    arrived_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
+    return max(0, arrived_ns - received.published_ns)

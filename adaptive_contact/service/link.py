@@ -1,0 +1,394 @@
+"""The Zenoh session.  Only this module and :mod:`transport` import zenoh.
+
+Delivery, as measured on 1.10.2: streams go with DROP and without express; contact events are
+rare and must arrive, so they go express with BLOCK, ahead of the streams, and the last one is
+kept for late joiners (an advanced publisher's cache for those who subscribe with history, a
+queryable for those who ask with a plain ``get``).
+
+Callbacks run on Zenoh's threads behind a 256-deep queue; one that works starves every other
+subscription of the session.  A sink only enqueues.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zenoh
+import zenoh.ext
+
+from adaptive_contact.errors import LinkError
+from adaptive_contact.service.probe import Finding, NoRouterError, Reach, probe
+from adaptive_contact.service.settings import (
+    DEFAULT_ENDPOINT,
+    LinkSettings,
+    client_settings,
+    endpoint,
+    router_settings,
+)
+from adaptive_contact.service.traffic import Received, Reply
+from adaptive_contact.service.transport import Facts, configure, first_line, listen_failure
+from adaptive_contact.wire import Message, encode
+
+__all__ = [
+    "DEFAULT_ENDPOINT",
+    "Declared",
+    "Finding",
+    "Link",
+    "LinkSettings",
+    "NoRouterError",
+    "Publisher",
+    "Reach",
+    "Received",
+    "Reply",
+    "Request",
+    "client_settings",
+    "endpoint",
+    "router_settings",
+]
+
+_RETRY_S: Final = 0.25
+_CLOSE_TIMEOUT_S: Final = 1.0
+_NOTHING_ASKED: Final = Finding(Reach.UNKNOWN, "")
+
+
+class Request:
+    """A query to be answered, here or later on another thread; answer or close it once."""
+
+    def __init__(self, query: zenoh.Query, encoding: str) -> None:
+        self._query = query
+        self._encoding = encoding
+        payload = query.payload
+        self.key = str(query.key_expr)
+        self.payload = b"" if payload is None else payload.to_bytes()
+        self.encoding = "" if query.encoding is None else str(query.encoding)
+
+    def covers(self, key: str) -> bool:
+        """Tell whether the query asks for ``key`` (it may hold wildcards)."""
+        return bool(self._query.key_expr.intersects(zenoh.KeyExpr(key)))
+
+    def reply(self, message: Message, key: str | None = None) -> None:
+        """Answer; ``key`` is needed where the query holds wildcards."""
+        self.reply_raw(encode(message, self._encoding), self._encoding, key)
+
+    def reply_raw(self, payload: bytes, encoding: str, key: str | None = None) -> None:
+        """Answer with bytes."""
+        self._query.reply(key or self.key, payload, encoding=encoding)
+
+    def refuse(self, reason: str) -> None:
+        """Answer with an error and finish; ``reason`` is one line."""
+        self._query.reply_err(reason, encoding="text/plain")
+        self.close()
+
+    def close(self) -> None:
+        """Finish: until then the asker waits for more answers, up to its timeout."""
+        self._query.drop()  # type: ignore[no-untyped-call]
+
+
+class Declared:
+    """A subscription, queryable or token; in force until closed, or until the link is."""
+
+    def __init__(self, declared: Any, held: set[Declared]) -> None:
+        self._declared = declared
+        self._held = held  # tokens and queryables end with their last reference
+        held.add(self)
+
+    def close(self) -> None:
+        """Withdraw it."""
+        self._held.discard(self)
+        self._declared.undeclare()
+
+
+class Publisher:
+    """Where messages of one key are put; made by :meth:`Link.publisher`."""
+
+    def __init__(self, declared: Any, key: str, encoding: str, *, keep: bool) -> None:
+        self._declared = declared
+        self._put: Callable[..., Any] = declared.put
+        self._last: tuple[bytes, str] | None = None
+        self._keep = keep
+        self.key = key
+        self.encoding = encoding
+
+    @property
+    def matched(self) -> bool:
+        """Whether anybody subscribes; always True with history, where Zenoh does not tell."""
+        return self._keep or bool(self._declared.matching_status.matching)
+
+    def put(self, message: Message) -> None:
+        """Publish; blocks only on a reliable publisher with a subscriber that hangs.
+
+        Raises:
+            LinkError: the link is closed.
+        """
+        self.put_raw(encode(message, self.encoding), self.encoding)
+
+    def put_raw(self, payload: bytes, encoding: str) -> None:
+        """Publish bytes as they are.
+
+        Raises:
+            LinkError: the link is closed.
+        """
+        if self._keep:
+            self._last = (payload, encoding)
+        try:
+            self._put(payload, encoding=encoding)
+        except zenoh.ZError as error:
+            raise LinkError(f"{self.key} cannot be published: {first_line(error)}") from error
+
+    def answer(self, query: zenoh.Query) -> None:
+        """Answer a plain ``get`` with the last payload."""
+        if self._last is not None:
+            query.reply(self.key, self._last[0], encoding=self._last[1])
+
+
+class Link:
+    """A session; made by :meth:`open`, closed by :meth:`close` or at the end of ``with``."""
+
+    def __init__(self, session: zenoh.Session, settings: LinkSettings, facts: Facts) -> None:
+        self._session = session
+        self._faults_before = _faults.count
+        self._held: set[Declared] = set()
+        self.settings = settings
+        self.endpoints = facts.listen
+        self._connect = facts.connect
+
+    @classmethod
+    def open(
+        cls,
+        settings: LinkSettings,
+        *,
+        on_wait: Callable[[Finding], None] | None = None,
+        stop: threading.Event | None = None,
+    ) -> Self:
+        """Join the network.
+
+        A client with ``settings.wait`` tries until its router lets it in; afterwards Zenoh
+        reconnects by itself, for as long as the link is open.
+
+        Args:
+            settings: how.
+            on_wait: called with what stands in the way, at first and whenever it changes.
+            stop: ends the waiting when set.
+
+        Raises:
+            NoRouterError: the router is unreachable or refuses, and ``wait`` is False or
+                ``stop`` was set.
+            LinkError: an address cannot be listened on.
+            ConfigurationError: the Zenoh configuration file cannot be used.
+        """
+        stop = stop or threading.Event()
+        told: Finding | None = None
+        while True:
+            config, facts = configure(settings)
+            finding = probe(facts.connect) if settings.mode == "client" else _NOTHING_ASKED
+            try:
+                if not finding.certain:
+                    return cls(zenoh.open(config), settings, facts)
+            except zenoh.ZError as error:
+                if settings.mode == "router":
+                    raise LinkError(listen_failure(facts.listen, error)) from error
+            if not settings.wait:
+                raise NoRouterError(finding)
+            if finding != told:
+                told = finding
+                if on_wait is not None:
+                    on_wait(finding)
+            if stop.wait(_RETRY_S):
+                raise NoRouterError(finding, "stopped while waiting for a router; ")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> bool:
+        """End the session; everything declared on it ends with it.
+
+        Returns:
+            False where Zenoh did not finish within a second (a subscriber hangs).
+        """
+        closer = threading.Thread(target=self._session.close, name="zenoh-close", daemon=True)
+        closer.start()
+        closer.join(_CLOSE_TIMEOUT_S)
+        return not closer.is_alive()
+
+    def publisher(self, key: str, *, reliable: bool = False, history: int = 0) -> Publisher:
+        """Declare a publisher.
+
+        Args:
+            key: without wildcards.
+            reliable: express and BLOCK, for rare messages that must arrive; otherwise DROP.
+            history: how many samples late joiners get: those who subscribe with ``history``
+                from a cache, those who ask with a plain ``get`` the last one.
+        """
+        quality: dict[str, Any] = {"encoding": self.settings.encoding}
+        if reliable:
+            quality |= {
+                "congestion_control": zenoh.CongestionControl.BLOCK,
+                "express": True,
+                "priority": zenoh.Priority.INTERACTIVE_HIGH,
+            }
+        if history == 0:
+            plain = self._session.declare_publisher(key, **quality)
+            return Publisher(plain, key, self.settings.encoding, keep=False)
+        advanced = zenoh.ext.declare_advanced_publisher(
+            self._session,
+            key,
+            cache=zenoh.ext.CacheConfig(history),
+            sample_miss_detection=zenoh.ext.MissDetectionConfig(
+                heartbeat=None, sporadic_heartbeat=None
+            ),
+            publisher_detection=True,
+            **quality,
+        )
+        publisher = Publisher(advanced, key, self.settings.encoding, keep=True)
+        # Zenoh's thread answers; the reply is made of bytes that are there already.
+        Declared(self._session.declare_queryable(key, publisher.answer), self._held)
+        return publisher
+
+    def subscribe(
+        self, key_expr: str, sink: Callable[[Received], None], *, history: bool = False
+    ) -> Declared:
+        """Hand every sample that matches to a sink.
+
+        Args:
+            key_expr: may hold wildcards.
+            sink: called on Zenoh's thread; it must only enqueue.
+            history: ask publishers with a history for it, those that come later too.
+        """
+
+        def callback(sample: zenoh.Sample) -> None:
+            arrival_ns = time.monotonic_ns()
+            if sample.kind == zenoh.SampleKind.DELETE:
+                return
+            stamp = sample.timestamp
+            sink(
+                Received(
+                    str(sample.key_expr),
+                    sample.payload.to_bytes(),
+                    str(sample.encoding),
+                    arrival_ns,
+                    None if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
+                )
+            )
+
+        if history:
+            return Declared(
+                zenoh.ext.declare_advanced_subscriber(
+                    self._session,
+                    key_expr,
+                    callback,
+                    history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                ),
+                self._held,
+            )
+        return Declared(self._session.declare_subscriber(key_expr, callback), self._held)
+
+    def queryable(self, key_expr: str, sink: Callable[[Request], None]) -> Declared:
+        """Hand every query that matches to a sink.
+
+        Args:
+            key_expr: may hold wildcards.
+            sink: called on Zenoh's thread; answers at once, or enqueues the request for a
+                thread that will.  A sink that raises makes the asker see no answer at all.
+        """
+        encoding = self.settings.encoding
+        declared = self._session.declare_queryable(
+            key_expr, lambda query: sink(Request(query, encoding))
+        )
+        return Declared(declared, self._held)
+
+    def query(
+        self, selector: str, message: Message | None = None, *, timeout_s: float = 1.0
+    ) -> list[Reply]:
+        """Ask, and wait for the answers.
+
+        Returns:
+            All answers within ``timeout_s``; empty where nobody is there to answer.
+        """
+        encoding = self.settings.encoding
+        payload = None if message is None else encode(message, encoding)
+        replies = []
+        for reply in self._session.get(
+            selector,
+            timeout=timeout_s,
+            payload=payload,
+            encoding=encoding if payload is not None else None,
+        ):
+            if reply.ok is not None:
+                sample = reply.ok
+                key, bytes_ = str(sample.key_expr), sample.payload.to_bytes()
+                replies.append(Reply(key, bytes_, str(sample.encoding)))
+            elif reply.err is not None:
+                text = reply.err.payload.to_bytes()
+                reason = text.decode(errors="replace")
+                replies.append(Reply(selector, text, str(reply.err.encoding), reason))
+        return replies
+
+    def token(self, key: str) -> Declared:
+        """Declare a liveliness token: others see it for as long as this link is up."""
+        token = self._session.liveliness().declare_token(key)
+        return Declared(token, self._held)
+
+    def alive(self, key_expr: str, *, timeout_s: float = 1.0) -> set[str]:
+        """Tokens that are alive now."""
+        replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
+        return {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+
+    def watch_tokens(self, key_expr: str, sink: Callable[[str, bool], None]) -> Declared:
+        """Hand (key, alive) to a sink at each change, and at once for those alive already."""
+        liveliness = self._session.liveliness()
+        declared = liveliness.declare_subscriber(
+            key_expr,
+            lambda sample: sink(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
+            history=True,
+        )
+        return Declared(declared, self._held)
+
+    def routers(self) -> tuple[str, ...]:
+        """Ids of the routers this session is connected to."""
+        return tuple(str(zid) for zid in self._session.info.routers_zid())
+
+    def is_connected(self) -> bool:
+        """Tell whether messages can pass: always for a router, else while one is joined."""
+        return self.settings.mode == "router" or bool(self.routers())
+
+    def diagnose(self) -> Finding:
+        """What stands between this client and its router, at this moment."""
+        if self.is_connected():
+            return Finding(Reach.CONNECTED, "connected")
+        return probe(self._connect)
+
+    @property
+    def callback_faults(self) -> int:
+        """Exceptions raised in callbacks since this link was opened (by any link here)."""
+        return _faults.count - self._faults_before
+
+
+class _CallbackFaults(logging.Handler):
+    """Counts exceptions in callbacks; Zenoh logs them and goes on."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.count += 1
+
+
+_faults = _CallbackFaults()
+logging.getLogger("zenoh.handlers").addHandler(_faults)
+if "RUST_LOG" in os.environ:
+    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]

@@ -1,0 +1,45 @@
+"""Structured logs on stderr: ``key=value`` lines for people, JSON lines for machines."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import Any, TextIO
+
+import structlog
+
+__all__ = ["configure_logs"]
+
+
+def configure_logs(
+    level: str = "info", *, json: bool = False, stream: TextIO | None = None
+) -> None:
+    """Set up the process's logging.
+
+    Args:
+        level: least level that is logged, such as ``info``.
+        json: one JSON object per line.
+        stream: where to; stderr unless given.
+    """
+    stream = stream or sys.stderr
+    processors: list[Any] = [
+        structlog.contextvars.merge_contextvars,
+        structlog.processors.add_log_level,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+    ]
+    if json:
+        processors += [
+            structlog.processors.format_exc_info,
+            structlog.processors.EventRenamer("message"),
+            structlog.processors.JSONRenderer(),
+        ]
+    else:
+        processors.append(structlog.dev.ConsoleRenderer(colors=stream.isatty(), pad_event_to=0))
+    structlog.configure(
+        processors=processors,
+        wrapper_class=structlog.make_filtering_bound_logger(
+            logging.getLevelNamesMapping()[level.upper()]
+        ),
+        logger_factory=structlog.PrintLoggerFactory(stream),
+        cache_logger_on_first_use=False,
+    )

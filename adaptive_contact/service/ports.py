@@ -1,0 +1,63 @@
+"""What the service asks of the learners and of a query: the edges tests can stand in for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from adaptive_contact.wire import (
+    ContactEvent,
+    LearnerStatus,
+    Message,
+    ModelReport,
+    Reject,
+    ServoSample,
+)
+
+__all__ = ["Bank", "Learner", "Question"]
+
+
+class Learner(Protocol):
+    """One leg's learner, as :class:`adaptive_contact.adapt.learner.ContactLearner` is."""
+
+    @property
+    def status(self) -> LearnerStatus:
+        """How the learner is, now."""
+
+    @property
+    def model_report(self) -> ModelReport | None:
+        """The model in force, None before there is one."""
+
+    def count(self, reason: Reject, times: int = 1) -> None:
+        """Count payloads that were refused before they became samples."""
+
+
+class Bank(Protocol):
+    """All legs at once, as :class:`adaptive_contact.adapt.bank.LearnerBank` is."""
+
+    def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+        """Take at most one sample per leg; bad ones are refused by value and counted."""
+
+    def learner(self, leg: str, joints: int | None = None) -> Learner | None:
+        """The leg's learner, made if need be; None where the bank is full.
+
+        ``joints`` is how many its samples have, for a leg that robot.toml lacks.
+        """
+
+
+class Question(Protocol):
+    """A query that waits for an answer, as :class:`adaptive_contact.service.link.Request` is."""
+
+    key: str
+
+    def covers(self, key: str) -> bool:
+        """Tell whether the query asks for ``key``."""
+
+    def reply(self, message: Message, key: str | None = None) -> None:
+        """Answer for one key."""
+
+    def refuse(self, reason: str) -> None:
+        """Answer that it cannot be answered, and finish."""
+
+    def close(self) -> None:
+        """Finish."""

@@ -1,0 +1,20 @@
+"""Recordings: what went over the wire, in an MCAP file.  The only package that imports mcap.
+
+Channel topic = Zenoh key; message encoding ``msgpack`` or ``json`` (another Zenoh encoding is kept
+under its own name); payloads are the raw bytes, whatever they hold.  A channel of the wire
+contract carries the JSON Schema of its message, so that tools which know nothing of this project
+can name the fields.
+
+The file is made of small compressed chunks, each written out when it is full or a second old, so
+that a recorder that is killed loses about a second.  Reading needs no index: the records are walked
+from the front, and whatever stops the walk (the end of a cut file, a damaged chunk) ends it
+quietly, with all that came before already given out and the reason in :attr:`Recording.damage`.
+"""
+
+from __future__ import annotations
+
+from adaptive_contact.service.recording.format import Record
+from adaptive_contact.service.recording.reader import Recording, read_recording
+from adaptive_contact.service.recording.writer import RecordingWriter
+
+__all__ = ["Record", "Recording", "RecordingWriter", "read_recording"]

@@ -1,0 +1,38 @@
+"""What writer and reader agree on: the record, and the names of encodings.
+
+Reference: the MCAP format, https://mcap.dev/spec, and its registry of message encodings.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from adaptive_contact.wire import JSON, MSGPACK
+
+__all__ = ["ABOUT", "ENCODING", "TO_MCAP", "TO_ZENOH", "Record"]
+
+# Name of the metadata record that says what the recording is of.
+ABOUT: Final = "adaptive-contact"
+# Metadata of a channel: the Zenoh encoding, where MCAP's name of it says less.
+ENCODING: Final = "zenoh_encoding"
+
+TO_MCAP: Final = {MSGPACK: "msgpack", JSON: "json"}
+TO_ZENOH: Final = {name: encoding for encoding, name in TO_MCAP.items()}
+
+
+class Record(NamedTuple):
+    """One message of a recording.
+
+    Attributes:
+        key: Zenoh key it was seen on.
+        payload: the bytes as they were.
+        encoding: Zenoh encoding, ``application/msgpack`` or ``application/json`` as a rule.
+        log_time_ns: when it was recorded, on the recorder's clock.
+        publish_time_ns: when it was published, where that was known, else the log time.
+    """
+
+    key: str
+    payload: bytes
+    encoding: str
+    log_time_ns: int
+    publish_time_ns: int

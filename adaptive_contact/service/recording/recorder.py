@@ -1,0 +1,106 @@
+"""From the wire into a recording: everything that matches a key expression, as it comes."""
+
+from __future__ import annotations
+
+import collections
+import queue
+import re
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.link import Link, Received
+from adaptive_contact.service.recording.writer import RecordingWriter
+
+__all__ = ["Recorder", "check_key_expression"]
+
+# How long a stop may go unnoticed while nothing arrives.
+_LOOK_S: Final = 0.1
+_PROGRESS_S: Final = 0.5
+
+# Chunks between single slashes, of any text without the characters that Zenoh keeps for itself;
+# '$*' stands for any part of a chunk, '*' for a whole one, '**' for any number, and comes last of
+# several wildcards (Zenoh takes only this spelling).
+_TEXT: Final = r"[^/*$#?]+"
+_CHUNK: Final = rf"(?:\*|(?:\$\*)?{_TEXT}(?:\$\*{_TEXT})*(?:\$\*)?)"
+_KEY_EXPRESSION = re.compile(rf"(?:{_CHUNK}|\*\*(?!/\*))(?:/(?:{_CHUNK}|\*\*(?!/\*)))*")
+
+
+def check_key_expression(text: str) -> str:
+    """Return a key expression that Zenoh will take.
+
+    Raises:
+        ConfigurationError: it will not.
+    """
+    if _KEY_EXPRESSION.fullmatch(text) is None:
+        raise ConfigurationError(
+            f"key expression '{text}' cannot be used; expected chunks between single slashes, "
+            "'*' for any one, '**' for any number, '$*' inside one, such as 'robot/leg/*/servo'"
+        )
+    return text
+
+
+class Recorder:
+    """Writes what a subscription hears.
+
+    The subscription only queues, on Zenoh's thread; the thread that calls :meth:`run` writes.
+    Log time is the arrival on this machine's wall clock, publish time the publisher's, where the
+    network stamps samples.
+
+    Args:
+        link: open session.
+        writer: open recording; closed by its owner.
+        key_expr: what to record.
+
+    Attributes:
+        counts: messages so far, by key.
+    """
+
+    def __init__(self, link: Link, writer: RecordingWriter, key_expr: str) -> None:
+        self.counts: collections.Counter[str] = collections.Counter()
+        self._writer = writer
+        self._queue: queue.SimpleQueue[Received] = queue.SimpleQueue()
+        # One offset for the whole recording: a clock that is set meanwhile bends no interval.
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._subscription = link.subscribe(check_key_expression(key_expr), self._queue.put)
+
+    def run(
+        self,
+        stop: threading.Event,
+        seconds: float | None = None,
+        on_progress: Callable[[], None] | None = None,
+    ) -> None:
+        """Record until ``stop`` is set or the time is over; then write what is still queued.
+
+        Args:
+            stop: is noticed within a tenth of a second.
+            seconds: how long, None for no end.
+            on_progress: called about twice a second.
+        """
+        now_s = time.monotonic()
+        end_s = None if seconds is None else now_s + seconds
+        progress_s = now_s + _PROGRESS_S
+        while not stop.is_set() and (end_s is None or now_s < end_s):
+            wait_s = _LOOK_S if end_s is None else min(_LOOK_S, end_s - now_s)
+            self._take(wait_s)
+            now_s = time.monotonic()
+            if on_progress is not None and now_s >= progress_s:
+                progress_s = now_s + _PROGRESS_S
+                on_progress()
+        self._subscription.close()
+        while not self._queue.empty():
+            self._take(0.0)
+
+    def _take(self, wait_s: float) -> None:
+        """Write what is queued, waiting for the first."""
+        try:
+            received = self._queue.get(timeout=wait_s) if wait_s > 0 else self._queue.get_nowait()
+        except queue.Empty:
+            return
+        log_ns = received.arrival_ns + self._offset_ns
+        self._writer.write(
+            received.key, received.payload, received.encoding, log_ns, received.published_ns
+        )
+        self.counts[received.key] += 1

@@ -1,0 +1,193 @@
+"""Writing a recording: any key, any bytes, in small chunks."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final
+
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+from adaptive_contact.errors import RecordingError
+from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_MCAP, TO_ZENOH
+from adaptive_contact.wire import (
+    MSGPACK,
+    Command,
+    ContactEvent,
+    ContactTruth,
+    Drift,
+    LearnerStatus,
+    Message,
+    ServoSample,
+    encode,
+)
+
+__all__ = ["RecordingWriter"]
+
+# 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough that a
+# damaged chunk costs little, large enough that zstd still halves it.
+CHUNK_BYTES: Final = 32 * 1024
+# A slow stream fills no chunk; it is written out once its oldest message is this old (log time).
+FLUSH_NS: Final = 1_000_000_000
+MAX_TIME_NS: Final = (1 << 64) - 1
+MAX_CHANNELS: Final = (1 << 16) - 1
+
+# Last part of a key of the contract -> its message, for the channel's schema.
+_KINDS: Final[dict[str, type[Message]]] = {
+    "servo": ServoSample,
+    "contact": ContactEvent,
+    "learner": LearnerStatus,
+    "truth": ContactTruth,
+    "command": Command,
+    "drift": Drift,
+}
+
+
+class RecordingWriter:
+    """Write a recording.  A context manager; not for several threads at once.
+
+    Args:
+        path: the file; an old one of that name is replaced.
+        about: what the recording is of (scenario, seed, robot), kept in the file as text.
+
+    Raises:
+        RecordingError: the file cannot be written; also from every method.
+    """
+
+    def __init__(self, path: str | Path, about: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self.messages = 0
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[type[Message], int] = {}
+        self._flush_at: int | None = None
+        try:
+            self._file: IO[bytes] | None = self.path.open("wb")
+        except OSError as error:
+            raise self._failed(error) from error
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        try:
+            self._writer.start(profile="", library="adaptive-contact")
+            self._writer.add_metadata(ABOUT, {"v": "1", **(about or {})})
+            self._file.flush()
+        except OSError as error:
+            self._abandon()
+            raise self._failed(error) from error
+
+    def write(
+        self,
+        key: str,
+        payload: bytes,
+        encoding: str,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+    ) -> None:
+        """Append one message.
+
+        Args:
+            key: Zenoh key.
+            payload: any bytes.
+            encoding: Zenoh encoding (``application/msgpack``), or MCAP's name of it.
+            log_time_ns: when it was seen, ns since any epoch, 0 to 2^64 - 1.
+            publish_time_ns: when it was sent; the log time where it is not known.
+        """
+        if self._file is None:
+            raise RecordingError(f"{self.path}: already closed; nothing more can be recorded")
+        sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+        if not (0 <= log_time_ns <= MAX_TIME_NS and 0 <= sent_ns <= MAX_TIME_NS):
+            raise RecordingError(
+                f"{self.path}: time {log_time_ns} or {sent_ns} ns on '{key}' does not fit; "
+                "expected 0 to 2^64 - 1"
+            )
+        try:
+            channel = self._channels.get((key, encoding)) or self._open_channel(key, encoding)
+            self._writer.add_message(channel, log_time_ns, payload, sent_ns)
+            if self._flush_at is None:
+                self._flush_at = log_time_ns + FLUSH_NS
+            elif log_time_ns >= self._flush_at:
+                self._writer.flush()  # type: ignore[no-untyped-call]
+                self._flush_at = log_time_ns + FLUSH_NS
+        except OSError as error:
+            self._abandon()
+            raise self._failed(error) from error
+        self.messages += 1
+
+    def write_message(
+        self,
+        key: str,
+        message: Message,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        encoding: str = MSGPACK,
+    ) -> None:
+        """Append one message of the wire contract, encoded here."""
+        self.write(key, encode(message, encoding), encoding, log_time_ns, publish_time_ns)
+
+    def close(self) -> None:
+        """Write the last chunk and the index, and close the file.  A second call does nothing."""
+        if self._file is None:
+            return
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise self._failed(error) from error
+        finally:
+            self._abandon()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open_channel(self, key: str, encoding: str) -> int:
+        if len(self._channels) >= MAX_CHANNELS:
+            raise RecordingError(
+                f"{self.path}: more than {MAX_CHANNELS} keys; record a narrower key expression"
+            )
+        zenoh_encoding = TO_ZENOH.get(encoding, encoding)
+        name = TO_MCAP.get(zenoh_encoding.split(";")[0], zenoh_encoding)
+        channel = self._writer.register_channel(
+            topic=key,
+            message_encoding=name,
+            schema_id=self._schema_of(key),
+            metadata={} if TO_ZENOH.get(name) == zenoh_encoding else {ENCODING: zenoh_encoding},
+        )
+        self._channels[key, encoding] = channel
+        return channel
+
+    def _schema_of(self, key: str) -> int:
+        """Id of the schema of a key of the contract; 0 is MCAP's "none"."""
+        kind = _KINDS.get(key.rpartition("/")[2]) if key.startswith("robot/") else None
+        if kind is None:
+            return 0
+        if kind not in self._schemas:
+            self._schemas[kind] = self._writer.register_schema(
+                name=f"adaptive_contact.{kind.__name__}",
+                encoding="jsonschema",
+                data=msgspec.json.encode(msgspec.json.schema(kind)),
+            )
+        return self._schemas[kind]
+
+    def _abandon(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            # Closing flushes; on a full disk that fails again, and the first failure is reported.
+            with contextlib.suppress(OSError):
+                file.close()
+
+    def _failed(self, error: OSError) -> RecordingError:
+        return RecordingError(
+            f"{self.path}: cannot be written ({error.strerror}); "
+            "give a path in a folder that exists, is writable and has room"
+        )

@@ -1,0 +1,272 @@
+"""The service: servo samples in, contact events out.
+
+One worker does all the work: it takes a round from the intake (at most one sample per leg),
+hands it to the learners, publishes the events, and looks after the statuses in between.
+Everything but :meth:`Service.run` gets its time as an argument.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from importlib import metadata
+from typing import Final
+
+import structlog
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.desk import Desk
+from adaptive_contact.service.intake import Intake, Raw, Round, read
+from adaptive_contact.service.link import Link, Request
+from adaptive_contact.service.meters import Brake, Latency
+from adaptive_contact.service.ports import Bank, Question
+from adaptive_contact.service.settings import SERVICE_TOKEN
+from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.wire import ALL_SERVO, Reject, Rejected, ServoSample, model_key
+
+__all__ = ["Service"]
+
+_log = structlog.get_logger()
+
+# How often each status is looked at for a change, and the longest a stop goes unnoticed.
+_LOOK_NS: Final = 100_000_000
+_SERVICE_STATUS_NS: Final = 1_000_000_000
+_ROUTER_LOOK_NS: Final = 1_000_000_000
+_LATENCY_LOG_NS: Final = 60_000_000_000
+
+
+class Service:
+    """Learners behind a link.
+
+    Args:
+        link: open; closed by its owner.
+        bank: the learners.
+        robot: what they were made for.
+        baseline: where their models come from, for people to read.
+        now_ns: monotonic.
+    """
+
+    def __init__(
+        self, link: Link, bank: Bank, robot: Robot, *, baseline: str | None, now_ns: int
+    ) -> None:
+        self._link = link
+        self._bank = bank
+        self._robot = robot
+        self._baseline = baseline
+        self._started_ns = now_ns
+        self._intake: Intake[Question] = Intake(robot.leg_ids)
+        self._desks: dict[str, Desk] = {}
+        self._order: list[Desk] = []  # the same, to be visited one by one
+        self._facts: dict[str, LegFacts] = {}
+        self._samples = 0
+        self._events = 0
+        self._rejects: Counter[str] = Counter()
+        self._ticks_latency = Latency()
+        self._event_latency = Latency()
+        self._brake = Brake()
+        self._status = link.publisher(SERVICE_STATUS, history=1)
+        self._look_ns = self._status_ns = self._router_ns = now_ns
+        self._latency_ns = now_ns + _LATENCY_LOG_NS
+        self._connected = True
+        self._visited = 0
+        for leg in robot.leg_ids:
+            self._desk(leg, now_ns)
+        link.subscribe(ALL_SERVO, self._intake.offer)
+        link.queryable(model_key("*"), self._ask)
+        link.token(SERVICE_TOKEN)
+
+    def run(self, stop: threading.Event) -> None:
+        """Work until ``stop`` is set; it is noticed within 0.1 s."""
+        while not stop.is_set():
+            wait_ns = self._look_ns - time.monotonic_ns()
+            round_ = self._intake.take(min(max(wait_ns, 0), _LOOK_NS) / 1e9)
+            if round_:
+                self.work(round_, time.monotonic_ns())
+            self.look(time.monotonic_ns())
+
+    def work(self, round_: Round[Question], now_ns: int) -> None:
+        """Process one round."""
+        for leg, dropped in round_.overflow.items():
+            self._overflow(leg, dropped, now_ns)
+        if round_.strangers:
+            self._stranger(round_.stranger, round_.strangers, now_ns)
+        samples: dict[str, ServoSample] = {}
+        for leg, raw in round_.samples.items():
+            sample = self._sample(leg, raw, now_ns)
+            if sample is not None:
+                samples[leg] = sample
+        if samples:
+            self._update(samples, round_.samples)
+        for request in round_.requests:
+            self._answer(request)
+
+    def look(self, now_ns: int) -> None:
+        """Publish the statuses that are due, and watch the router; cheap when nothing is."""
+        # One leg at a time: a status takes 0.1 ms, and an event must not wait for six of them.
+        pause_ns = _LOOK_NS // max(1, len(self._desks))
+        for _ in range(len(self._desks)):
+            if now_ns < self._look_ns:
+                break
+            self._look_ns += pause_ns
+            self._look_at(self._visited, now_ns)
+            self._visited = (self._visited + 1) % len(self._desks)
+        self._look_ns = max(self._look_ns, now_ns)
+        if now_ns >= self._status_ns:
+            self._status_ns = now_ns + _SERVICE_STATUS_NS
+            self._status.put(self.status(now_ns))
+        if now_ns >= self._router_ns:
+            self._router_ns = now_ns + _ROUTER_LOOK_NS
+            self._look_at_router(now_ns)
+        if now_ns >= self._latency_ns:
+            self._latency_ns = now_ns + _LATENCY_LOG_NS
+            self.log_figures()
+
+    def status(self, now_ns: int) -> ServiceStatus:
+        """How the service is."""
+        return ServiceStatus(
+            version=_version(),
+            robot=self._robot.name,
+            period_s=self._robot.period_s,
+            baseline=self._baseline,
+            legs=dict(self._facts),
+            uptime_s=(now_ns - self._started_ns) / 1e9,
+            samples=self._samples,
+            events=self._events,
+            rejects=dict(self._rejects),
+            callback_faults=self._link.callback_faults,
+            tick_latency=self._ticks_latency.quantiles(),
+            event_latency=self._event_latency.quantiles(),
+        )
+
+    def log_figures(self) -> None:
+        """Log what was done and how fast."""
+        figures: dict[str, object] = {"samples": self._samples, "events": self._events}
+        for name, latency in (("tick", self._ticks_latency), ("event", self._event_latency)):
+            found = latency.quantiles()
+            if found is not None:
+                figures[f"{name}_ms"] = f"p50 {found.p50:.2f} p99 {found.p99:.2f}"
+        _log.info("figures", **figures)
+
+    # -- one round ------------------------------------------------------------------------
+
+    def _sample(self, leg: str, raw: Raw, now_ns: int) -> ServoSample | None:
+        self._samples += 1
+        read_ = read(raw)
+        desk = self._desks.get(leg)
+        if isinstance(read_, Rejected):
+            if desk is None:
+                # A leg is made by its first good sample, not by noise on a key.
+                self._refuse(read_.reason, now_ns, leg=leg, detail=read_.detail)
+            else:
+                desk.refused(read_, now_ns)
+                self._warn("payload refused", read_.reason, now_ns, leg=leg, detail=read_.detail)
+            return None
+        if desk is None:
+            desk = self._desk(leg, now_ns, len(read_.measured))
+            if desk is None:
+                self._refuse(
+                    Reject.UNKNOWN_LEG, now_ns, leg=leg, detail="no room for another learner"
+                )
+                return None
+            _log.info("new leg", leg=leg, joints=len(read_.measured))
+        if leg not in self._facts:
+            joints = [f"joint {i + 1}" for i in range(len(read_.measured))]
+            self._facts[leg] = LegFacts(joints=joints, described=False)
+        desk.heard(now_ns)
+        return read_
+
+    def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
+        for event in self._bank.update(samples):
+            self._desks[event.leg].publish_event(event)
+            self._events += 1
+            self._event_latency.add(time.monotonic_ns() - raws[event.leg].arrival_ns)
+            _log.debug(
+                "contact" if event.contact else "release",
+                leg=event.leg,
+                seq=event.seq,
+                score=round(event.score, 2),
+            )
+        done_ns = time.monotonic_ns()
+        for leg in samples:
+            self._ticks_latency.add(done_ns - raws[leg].arrival_ns)
+
+    def _answer(self, request: Question) -> None:
+        asked = [leg for leg in self._desks if request.covers(model_key(leg))]
+        reports = {leg: self._desks[leg].learner.model_report for leg in asked}
+        found = {leg: report for leg, report in reports.items() if report is not None}
+        if not asked:
+            known = ", ".join(self._desks) or "none yet"
+            request.refuse(f"no such leg in {request.key}; legs are {known}")
+            return
+        if not found:
+            request.refuse(f"{', '.join(asked)}: no model yet, still learning")
+            return
+        for leg, report in found.items():
+            request.reply(report, model_key(leg))
+        request.close()
+
+    # -- what belongs to no round ---------------------------------------------------------
+
+    def _desk(self, leg: str, now_ns: int, joints: int | None = None) -> Desk | None:
+        learner = self._bank.learner(leg, joints)
+        if learner is None:
+            return None
+        desk = self._desks[leg] = Desk(self._link, leg, learner, now_ns)
+        self._order.append(desk)
+        if leg in self._robot.leg_ids:
+            described = self._robot.leg(leg)
+            self._facts[leg] = LegFacts(
+                joints=list(described.joints), lengths=described.lengths_m is not None
+            )
+        return desk
+
+    def _look_at(self, at: int, now_ns: int) -> None:
+        desk = self._order[at]
+        changed = desk.publish_status(now_ns)
+        if changed is not None and desk.ever_heard:
+            _log.info("leg status", leg=desk.leg, status=changed)
+
+    def _ask(self, request: Request) -> None:
+        if not self._intake.ask(request):
+            request.refuse("too many queries at once; ask again")
+
+    def _overflow(self, leg: str, dropped: int, now_ns: int) -> None:
+        desk = self._desks.get(leg)
+        if desk is None:
+            self._rejects[Reject.OVERFLOW] += dropped
+        else:
+            desk.learner.count(Reject.OVERFLOW, dropped)
+        self._warn("samples dropped", Reject.OVERFLOW, now_ns, times=dropped, leg=leg)
+
+    def _stranger(self, key: str | None, times: int, now_ns: int) -> None:
+        self._refuse(Reject.UNKNOWN_LEG, now_ns, times, key=repr(key)[:120])
+
+    def _refuse(self, reason: Reject, now_ns: int, times: int = 1, **facts: str) -> None:
+        """Count what belongs to no leg."""
+        self._rejects[reason] += times
+        self._warn("payload refused", reason, now_ns, times=times, **facts)
+
+    def _warn(
+        self, what: str, reason: Reject, now_ns: int, *, times: int = 1, **facts: str
+    ) -> None:
+        stands_for = self._brake.passes((what, reason, facts.get("leg")), now_ns, times)
+        if stands_for is not None:
+            _log.warning(what, reason=reason.value, times=stands_for, **facts)
+
+    def _look_at_router(self, now_ns: int) -> None:
+        connected = self._link.is_connected()
+        if connected and not self._connected:
+            _log.info("router is back")
+        if not connected:
+            stands_for = self._brake.passes("router", now_ns)
+            if self._connected or stands_for is not None:
+                _log.warning("router lost, reconnecting", why=self._link.diagnose().line)
+        self._connected = connected
+
+
+def _version() -> str:
+    try:
+        return metadata.version("adaptive-contact")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        return "source"

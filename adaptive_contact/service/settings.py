@@ -1,0 +1,205 @@
+"""How a process joins the Zenoh network: endpoints, namespace, encoding.  Imports no zenoh.
+
+The service embeds a router on loopback; every other command is a client of it.  Peers do not
+relay for one another behind a hub (measured, ``docs/decisions``), so ``peer`` is not offered.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import JSON, MSGPACK
+
+__all__ = [
+    "ALL_TOKENS",
+    "DEFAULT_ENDPOINT",
+    "SERVICE_TOKEN",
+    "LinkSettings",
+    "client_settings",
+    "endpoint",
+    "is_loopback",
+    "leg_token",
+    "router_settings",
+    "tcp_address",
+]
+
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+
+# Liveliness tokens live in a key space of their own; these do not collide with the wire's keys.
+SERVICE_TOKEN: Final = "robot/service"
+ALL_TOKENS: Final = "robot/**"
+
+# One chunk or several of a key, without Zenoh's wildcards and without anything a shell or a
+# person would stumble over.
+_NAMESPACE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}(/[A-Za-z0-9][A-Za-z0-9_.-]{0,63}){0,7}\Z")
+_PROTOCOLS: Final = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "vsock", "serial")
+_OVER_TCP: Final = ("tcp", "tls", "ws")
+_HOST_PORT = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%a-z]+\]|[^\[\]:/\s]+):(?P<port>\d{1,5})\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSettings:
+    """How to join the network; checked when made.
+
+    Attributes:
+        mode: ``router`` embeds one (the service), ``client`` joins one (everything else).
+        listen: endpoints of the embedded router; port 0 takes a free one.
+        connect: endpoints of the routers to join.
+        namespace: prefix of every key outside this process, None for none.
+        encoding: of what this process publishes, MSGPACK or JSON.
+        wait: whether a client waits for its router, or raises when it is not there.
+        zenoh_config: a Zenoh configuration file (JSON5) merged under these settings.
+        insecure: listen beyond loopback although nobody has to authenticate.
+
+    Raises:
+        ConfigurationError: in one line, what was found and what is expected.
+    """
+
+    mode: Literal["router", "client"] = "client"
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    namespace: str | None = None
+    encoding: str = MSGPACK
+    wait: bool = True
+    zenoh_config: Path | None = None
+    insecure: bool = False
+
+    def __post_init__(self) -> None:
+        if self.namespace is not None and _NAMESPACE.match(self.namespace) is None:
+            raise ConfigurationError(
+                f"namespace '{self.namespace}' cannot be part of a key; expected letters, digits, "
+                "'_', '.' or '-' and single slashes in between, such as hexapod1 or lab/hexapod1"
+            )
+        if self.encoding not in (MSGPACK, JSON):
+            raise ConfigurationError(
+                f"encoding '{self.encoding}' is unknown; expected {MSGPACK} or {JSON}"
+            )
+        if self.mode == "client" and self.listen:
+            raise ConfigurationError("a client does not listen; leave --listen out")
+
+
+def router_settings(
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    *,
+    namespace: str | None = None,
+    json: bool = False,
+    zenoh_config: Path | None = None,
+    insecure: bool = False,
+) -> LinkSettings:
+    """Settings of the service: an embedded router, or a client where only ``connect`` is given.
+
+    Endpoints are as typed (see :func:`endpoint`); no ``listen`` means loopback, port 7447.
+
+    Raises:
+        ConfigurationError: an endpoint or the namespace cannot be used.
+    """
+    joins_only = bool(connect) and not listen
+    default = () if joins_only or zenoh_config is not None else (DEFAULT_ENDPOINT,)
+    return LinkSettings(
+        mode="client" if joins_only else "router",
+        listen=tuple(endpoint(text) for text in listen) or default,
+        connect=tuple(endpoint(text) for text in connect),
+        namespace=namespace,
+        encoding=JSON if json else MSGPACK,
+        zenoh_config=zenoh_config,
+        insecure=insecure,
+    )
+
+
+def client_settings(
+    connect: Sequence[str] = (),
+    *,
+    namespace: str | None = None,
+    json: bool = False,
+    wait: bool = True,
+    zenoh_config: Path | None = None,
+) -> LinkSettings:
+    """Settings of everything but the service: a client, of the local router unless told.
+
+    Raises:
+        ConfigurationError: an endpoint or the namespace cannot be used.
+    """
+    default = () if zenoh_config is not None else (DEFAULT_ENDPOINT,)
+    return LinkSettings(
+        mode="client",
+        connect=tuple(endpoint(text) for text in connect) or default,
+        namespace=namespace,
+        encoding=JSON if json else MSGPACK,
+        wait=wait,
+        zenoh_config=zenoh_config,
+    )
+
+
+def endpoint(text: str) -> str:
+    """Complete an endpoint as a person types it.
+
+    Args:
+        text: ``tcp/192.168.1.7:7447``, or without the protocol, or without the port.
+
+    Returns:
+        A Zenoh endpoint, ``protocol/address``.
+
+    Raises:
+        ConfigurationError: it cannot be read as one.
+    """
+    text = text.strip()
+    protocol, slash, address = text.partition("/")
+    if not slash:
+        protocol, address = "tcp", text
+    if protocol not in _PROTOCOLS:
+        raise ConfigurationError(
+            f"endpoint '{text}': unknown protocol '{protocol}'; expected one of "
+            f"{', '.join(_PROTOCOLS)}, such as {DEFAULT_ENDPOINT}"
+        )
+    if protocol in _OVER_TCP or protocol in ("udp", "quic"):
+        # Zenoh's own options follow '?' or '#'; they are its business.
+        plain = re.split(r"[?#]", address, maxsplit=1)[0]
+        if re.fullmatch(r"[^\[\]:/\s]+|\[[0-9A-Fa-f:.%a-z]+\]", plain):
+            address = f"{plain}:7447{address[len(plain) :]}"
+            plain = f"{plain}:7447"
+        match = _HOST_PORT.match(plain)
+        if match is None or int(match["port"]) > 65535:
+            raise ConfigurationError(
+                f"endpoint '{text}' is not HOST:PORT; expected something like {DEFAULT_ENDPOINT}"
+            )
+    elif not address:
+        raise ConfigurationError(f"endpoint '{text}' has no address after '{protocol}/'")
+    return f"{protocol}/{address}"
+
+
+def tcp_address(locator: str) -> tuple[str, int] | None:
+    """Host and port of an endpoint that runs over TCP, None for other protocols."""
+    protocol, _, address = locator.partition("/")
+    match = _HOST_PORT.match(re.split(r"[?#]", address, maxsplit=1)[0])
+    if protocol not in _OVER_TCP or match is None:
+        return None
+    return match["host"].strip("[]"), int(match["port"])
+
+
+def is_loopback(locator: str) -> bool:
+    """Tell whether an endpoint can be reached from this machine only."""
+    protocol, _, address = locator.partition("/")
+    if protocol in ("unixsock-stream", "serial"):
+        return True
+    match = _HOST_PORT.match(re.split(r"[?#]", address, maxsplit=1)[0])
+    if match is None:
+        return False
+    host = match["host"].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:  # a name: it may resolve to anything
+        return False
+
+
+def leg_token(leg: str) -> str:
+    """Liveliness token of a leg that the service follows."""
+    return f"robot/leg/{leg}"

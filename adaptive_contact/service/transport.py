@@ -1,0 +1,185 @@
+"""The Zenoh configuration of a link.
+
+A configuration file comes first; ``DEFAULTS`` hold where it says nothing; our own settings
+(mode, endpoints, namespace) always hold.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import zenoh
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.settings import (
+    DEFAULT_ENDPOINT,
+    LinkSettings,
+    is_loopback,
+    tcp_address,
+)
+
+__all__ = ["DEFAULTS", "MAX_MESSAGE_BYTES", "Facts", "configure", "first_line", "listen_failure"]
+
+# Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
+# is Zenoh's own and cannot be interrupted.
+CONNECT_TIMEOUT_MS: Final = 1000
+
+# Larger messages are dropped before they are put together, and the link stays up (measured); an
+# honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
+MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
+
+DEFAULTS: Final[Mapping[str, object]] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # A router otherwise waits half a second for scouting replies that cannot come.
+    "scouting/delay": 0,
+    # The advanced publisher's cache orders samples by time, or does not answer at all.
+    "timestamping/enabled": True,
+    "transport/shared_memory/enabled": False,
+    "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+    # A subscriber that hangs blocks a contact event this long (us), and with it every leg, then
+    # its link is dropped.  It is seconds behind by then; Zenoh's own 5 s would fell the robot, and
+    # half a second would make the legs look silent.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
+    "connect/timeout_ms": CONNECT_TIMEOUT_MS,
+    # Reconnects go on for ever at this pace; an outage of 4 s was over 0.34 s after its end.
+    "connect/retry": {
+        "period_init_ms": 100,
+        "period_max_ms": 500,
+        "period_increase_factor": 1.5,
+    },
+}
+
+_SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
+
+
+class Facts(NamedTuple):
+    """The endpoints a configuration ended up with."""
+
+    listen: tuple[str, ...]
+    connect: tuple[str, ...]
+
+
+def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
+    """Make Zenoh's configuration.
+
+    Raises:
+        ConfigurationError: the file cannot be used, a port cannot be had, or the doors would be
+            open to strangers.
+    """
+    blank = zenoh.Config()
+    config = _from_file(settings.zenoh_config) if settings.zenoh_config else zenoh.Config()
+    for path, value in DEFAULTS.items():
+        if config.get_json(path) == blank.get_json(path):
+            config.insert_json5(path, json.dumps(value))
+    listen = settings.listen
+    silent = config.get_json("listen/endpoints") == blank.get_json("listen/endpoints")
+    if settings.mode == "router" and not listen and silent:
+        # Zenoh's own default listens on every interface; ours does not.
+        listen = (DEFAULT_ENDPOINT,)
+    for path, value in _overrides(settings, _with_free_ports(listen)).items():
+        config.insert_json5(path, json.dumps(value))
+    if settings.mode == "client" and not _endpoints(config, "connect", "client"):
+        config.insert_json5("connect/endpoints", json.dumps([DEFAULT_ENDPOINT]))
+    facts = Facts(
+        _endpoints(config, "listen", "router") if settings.mode == "router" else (),
+        _endpoints(config, "connect", settings.mode),
+    )
+    open_doors = [text for text in facts.listen if not is_loopback(text)]
+    if open_doors and not settings.insecure and not _authenticates(config):
+        raise ConfigurationError(
+            f"listening on {open_doors[0]} would let anybody on that network in; give a "
+            "--zenoh-config FILE with users or mutual TLS, or say --insecure"
+        )
+    return config, facts
+
+
+def listen_failure(listen: tuple[str, ...], error: zenoh.ZError) -> str:
+    """Say in one line why a router could not be opened."""
+    where = ", ".join(listen)
+    if "Address already in use" in str(error):
+        return (
+            f"cannot listen on {where}: the address is in use, probably by another router; "
+            "join it with --connect, or give a free one with --listen"
+        )
+    return f"cannot listen on {where}: {first_line(error)}"
+
+
+def first_line(error: zenoh.ZError) -> str:
+    """Zenoh's words without the source paths it appends."""
+    return _SOURCE_PATH.sub("", " ".join(str(error).split()))[:300]
+
+
+def _from_file(path: Path) -> zenoh.Config:
+    try:
+        return zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise ConfigurationError(
+            f"{path}: not a usable Zenoh configuration: {first_line(error)}"
+        ) from error
+
+
+def _endpoints(config: zenoh.Config, side: str, mode: str) -> tuple[str, ...]:
+    """Endpoints of one side; the configuration holds a list, or one list per mode."""
+    value = json.loads(config.get_json(f"{side}/endpoints"))
+    if isinstance(value, dict):
+        value = value.get(mode, [])
+    flat = [item for part in value for item in (part if isinstance(part, list) else [part])]
+    return tuple(str(text) for text in flat)
+
+
+def _authenticates(config: zenoh.Config) -> bool:
+    """Whether clients must show who they are: user and password, a known key, or mutual TLS."""
+    asks = ("auth/usrpwd/dictionary_file", "auth/pubkey/known_keys_file", "link/tls/enable_mtls")
+    return any(json.loads(config.get_json(f"transport/{path}")) for path in asks)
+
+
+def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, object]:
+    """What our settings decide; ``listen`` are their endpoints with free ports filled in."""
+    table: dict[str, object] = {"mode": settings.mode}
+    if listen:
+        table["listen/endpoints"] = list(listen)
+    if settings.connect:
+        table["connect/endpoints"] = list(settings.connect)
+    if settings.namespace is not None:
+        table["namespace"] = settings.namespace
+    # A router runs without the routers it joins; a client that is not let in must hear of it.
+    table["connect/exit_on_failure"] = settings.mode == "client"
+    return table
+
+
+def _with_free_ports(listen: tuple[str, ...]) -> tuple[str, ...]:
+    """Replace port 0 by a port that is free now.
+
+    Zenoh takes 0 but tells nobody which port it got once a namespace is set (its admin space is
+    hidden then), so the port is chosen here.  Between the two somebody else may take it; the
+    listener then fails and says so.
+
+    Raises:
+        ConfigurationError: port 0 with a host or protocol that cannot be bound here.
+    """
+    return tuple(_with_free_port(text) for text in listen)
+
+
+def _with_free_port(text: str) -> str:
+    address = tcp_address(text)
+    if address is None or address[1] != 0:
+        return text
+    host = address[0]
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_STREAM) as bound:
+            bound.bind((host, 0))
+            port: int = bound.getsockname()[1]
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot listen on {text}: {(error.strerror or str(error)).lower()}; "
+            "give an address of this machine, such as tcp/127.0.0.1:0"
+        ) from error
+    head, _, tail = text.rpartition(":0")
+    return f"{head}:{port}{tail}"

@@ -1,0 +1,234 @@
+"""What ``watch`` knows of a running service, from its messages alone.
+
+Truth, where a simulator publishes it, is matched to events by the rule of ``docs/messages.md``:
+a touch counts after 60 ms in the air, an event detects it within 120 ms, an event while the
+foot is loaded anyway is neither right nor wrong, any other is a false alarm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import msgspec
+
+from adaptive_contact.service.status import ServiceStatus
+from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, Status
+
+__all__ = ["LegView", "View", "Watch"]
+
+_AIR_NS: Final = 60_000_000
+_DETECTION_NS: Final = 120_000_000
+# Truth and events travel on different keys; an event is judged when truth had time to arrive.
+_JUDGE_AFTER_NS: Final = 250_000_000
+_STALE_NS: Final = 2_500_000_000
+_RATE_OVER_S: Final = 5.0
+
+
+class LegView(msgspec.Struct, frozen=True, kw_only=True):
+    """One row: a leg as it is now.
+
+    Attributes:
+        contact: None before the first word of the service.
+        contact_age_s: since the last change to contact.
+        latency_ms: of the last detection, with its median; None without truth.
+        touches, seen, false_alarms: since ``watch`` began; None without truth.
+        residual_rms, noise_floor: (J,) rad.
+        rate_hz: accepted samples per second.
+        stale: the service has not spoken of this leg for a while.
+    """
+
+    leg: str
+    contact: bool | None = None
+    status: Status | None = None
+    contact_age_s: float | None = None
+    contacts: int = 0
+    latency_ms: float | None = None
+    median_latency_ms: float | None = None
+    touches: int | None = None
+    seen: int | None = None
+    false_alarms: int | None = None
+    residual_rms: list[float] = msgspec.field(default_factory=list)
+    noise_floor: list[float] = msgspec.field(default_factory=list)
+    model_version: int | None = None
+    drift: float | None = None
+    ticks: int = 0
+    rate_hz: float | None = None
+    missed: int = 0
+    rejects: dict[str, int] = msgspec.field(default_factory=dict)
+    note: str | None = None
+    stale: bool = False
+
+
+class View(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything on the screen."""
+
+    legs: list[LegView]
+    service: ServiceStatus | None = None
+    alive: bool = False
+    connected: bool = True
+
+
+@dataclass(slots=True)
+class _Touch:
+    onset_ns: int
+    matched: bool = False
+
+
+@dataclass(slots=True)
+class _Truth:
+    """Truth of one leg, and its events as judged by it."""
+
+    loaded_since_ns: int | None = None
+    released_ns: int | None = None
+    touches: list[_Touch] = field(default_factory=list)
+    loads: list[tuple[int, int | None]] = field(default_factory=list)
+    count: int = 0
+    latencies_ms: list[float] = field(default_factory=list)
+    false_alarms: int = 0
+
+    def change(self, truth: ContactTruth) -> None:
+        if truth.contact:
+            if self.loaded_since_ns is not None:
+                return
+            self.loaded_since_ns = truth.t_ns
+            self.loads = [*self.loads[-20:], (truth.t_ns, None)]
+            in_air = self.released_ns
+            if in_air is None or truth.t_ns - in_air >= _AIR_NS:
+                self.touches = [*self.touches[-20:], _Touch(truth.t_ns)]
+                self.count += 1
+        elif self.loaded_since_ns is not None:
+            self.loads[-1] = (self.loaded_since_ns, truth.t_ns)
+            self.loaded_since_ns = None
+            self.released_ns = truth.t_ns
+
+    def judge(self, event: ContactEvent) -> None:
+        for touch in self.touches:
+            late_ns = event.t_ns - touch.onset_ns
+            if not touch.matched and 0 < late_ns <= _DETECTION_NS:
+                touch.matched = True
+                self.latencies_ms.append(late_ns / 1e6)
+                return
+        loaded = any(
+            start <= event.t_ns and (end is None or event.t_ns <= end) for start, end in self.loads
+        )
+        if not loaded:
+            self.false_alarms += 1
+
+
+@dataclass(slots=True)
+class _Leg:
+    status: LearnerStatus | None = None
+    status_ns: int = 0
+    contact: bool | None = None
+    contact_ns: int | None = None
+    truth: _Truth | None = None
+    pending: list[tuple[int, ContactEvent]] = field(default_factory=list)
+    ticks: list[tuple[int, int]] = field(default_factory=list)
+
+
+class Watch:
+    """Takes messages in, gives a :class:`View`; times are monotonic ns of this process."""
+
+    def __init__(self) -> None:
+        self._legs: dict[str, _Leg] = {}
+        self._service: ServiceStatus | None = None
+
+    def event(self, event: ContactEvent, now_ns: int, age_ns: int = 0) -> None:
+        """Take an event in; ``age_ns`` is how old it was when it arrived (a late joiner's)."""
+        leg = self._leg(event.leg)
+        leg.contact = event.contact
+        if event.contact:
+            leg.contact_ns = now_ns - age_ns
+            if age_ns < _JUDGE_AFTER_NS:
+                leg.pending.append((now_ns, event))
+
+    def learner(self, status: LearnerStatus, now_ns: int) -> None:
+        """Take a leg's status in."""
+        leg = self._leg(status.leg)
+        leg.status, leg.status_ns = status, now_ns
+        leg.contact = status.contact
+        if leg.ticks and status.ticks < leg.ticks[-1][1]:  # the service was restarted
+            leg.ticks = []
+        oldest_ns = now_ns - int(_RATE_OVER_S * 1e9)
+        leg.ticks = [pair for pair in leg.ticks if pair[0] >= oldest_ns]
+        leg.ticks.append((now_ns, status.ticks))
+
+    def truth(self, leg: str, truth: ContactTruth) -> None:
+        """Take the simulator's word in."""
+        view = self._leg(leg)
+        if view.truth is None:
+            view.truth = _Truth()
+        view.truth.change(truth)
+
+    def service(self, status: ServiceStatus) -> None:
+        """Take the service's own status in."""
+        self._service = status
+        for leg in status.legs:
+            self._leg(leg)
+
+    def view(self, now_ns: int, *, alive: bool = True, connected: bool = True) -> View:
+        """What is known now, legs in the order of the service's robot.toml."""
+        known = list(self._service.legs) if self._service is not None else []
+        order = [*known, *sorted(leg for leg in self._legs if leg not in known)]
+        return View(
+            legs=[self._row(name, self._legs[name], now_ns) for name in order],
+            service=self._service,
+            alive=alive,
+            connected=connected,
+        )
+
+    def _leg(self, name: str) -> _Leg:
+        return self._legs.setdefault(name, _Leg())
+
+    def _row(self, name: str, leg: _Leg, now_ns: int) -> LegView:
+        self._judge(leg, now_ns)
+        status, truth = leg.status, leg.truth
+        row = LegView(
+            leg=name,
+            contact=leg.contact,
+            contact_age_s=None if leg.contact_ns is None else (now_ns - leg.contact_ns) / 1e9,
+        )
+        if truth is not None:
+            ordered = sorted(truth.latencies_ms)
+            row = msgspec.structs.replace(
+                row,
+                latency_ms=truth.latencies_ms[-1] if ordered else None,
+                median_latency_ms=ordered[len(ordered) // 2] if ordered else None,
+                touches=truth.count,
+                seen=len(ordered),
+                false_alarms=truth.false_alarms,
+            )
+        if status is None:
+            return row
+        return msgspec.structs.replace(
+            row,
+            status=status.status,
+            contacts=status.contacts,
+            residual_rms=status.residual_rms,
+            noise_floor=status.noise_floor,
+            model_version=status.model_version,
+            drift=status.drift.level,
+            ticks=status.ticks,
+            rate_hz=_rate(leg.ticks),
+            missed=status.missed,
+            rejects=status.rejects,
+            note=status.note,
+            stale=now_ns - leg.status_ns > _STALE_NS,
+        )
+
+    def _judge(self, leg: _Leg, now_ns: int) -> None:
+        if leg.truth is None:
+            # Without truth there is nothing to judge by; only the newest events may yet get it.
+            leg.pending = leg.pending[-4:]
+            return
+        ripe = [pair for pair in leg.pending if now_ns - pair[0] >= _JUDGE_AFTER_NS]
+        leg.pending = [pair for pair in leg.pending if now_ns - pair[0] < _JUDGE_AFTER_NS]
+        for _, event in ripe:
+            leg.truth.judge(event)
+
+
+def _rate(ticks: list[tuple[int, int]]) -> float | None:
+    if len(ticks) < 2 or ticks[-1][0] == ticks[0][0]:
+        return None
+    return (ticks[-1][1] - ticks[0][1]) / ((ticks[-1][0] - ticks[0][0]) / 1e9)

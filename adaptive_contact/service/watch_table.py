@@ -1,0 +1,157 @@
+"""A :class:`~adaptive_contact.service.watch.View` as a table for a terminal."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from adaptive_contact.service.watch import LegView, View
+from adaptive_contact.wire import Status
+
+__all__ = ["headline", "table"]
+
+_COLOURS: Final[dict[Status, str]] = {
+    "valid": "green",
+    "learning": "cyan",
+    "adapting": "yellow",
+    "ambiguous": "magenta",
+    "silent": "red",
+}
+# Residuals this far above the model's own level are worth a glance, and a look.
+_HIGH, _VERY_HIGH = 1.5, 2.5
+
+
+def headline(view: View) -> Text:
+    """One line over the table: the service, and what is wrong with it as a whole."""
+    if not view.connected:
+        return Text("router lost, reconnecting", style="bold red")
+    service = view.service
+    if service is None:
+        return Text(
+            "waiting for the service"
+            if view.alive
+            else "no service is running here; start "
+            "`adaptive-contact serve`, or check --connect and --namespace",
+            style="yellow",
+        )
+    line = Text(f"{service.robot}  up {_duration(service.uptime_s)}  {service.events} events")
+    if service.event_latency is not None:
+        delay = service.event_latency
+        line.append(f"  in to out {delay.p50:.2f} ms (p99 {delay.p99:.2f})")
+    if not view.alive:
+        line.append("  service gone", style="bold red")
+    if service.rejects:
+        line.append(f"  refused: {_counts(service.rejects)}", style="yellow")
+    if service.callback_faults:
+        line.append(f"  {service.callback_faults} callback faults", style="bold red")
+    return line
+
+
+def table(view: View) -> Table:
+    """One row per leg; columns that need truth only where there is some."""
+    with_truth = any(leg.touches is not None for leg in view.legs)
+    shown = Table(title=headline(view), title_justify="left", title_style="", box=box.SIMPLE_HEAD)
+    shown.add_column("leg")
+    shown.add_column("state")
+    shown.add_column("status")
+    shown.add_column("last contact", justify="right")
+    if with_truth:
+        shown.add_column("latency", justify="right")
+        shown.add_column("seen", justify="right")
+        shown.add_column("false", justify="right")
+    shown.add_column("residual", justify="right")
+    shown.add_column("× floor", justify="right")
+    shown.add_column("model", justify="right")
+    shown.add_column("Hz", justify="right")
+    shown.add_column("missed", justify="right")
+    shown.add_column("rejects")
+    shown.add_column("note", overflow="fold")
+    for leg in view.legs:
+        cells = [
+            Text(leg.leg, style="bold"),
+            _state(leg.contact),
+            _status(leg),
+            _age(leg.contact_age_s),
+        ]
+        if with_truth:
+            cells += _against_truth(leg)
+        cells += _model(leg)
+        cells += [
+            Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}"),
+            Text(str(leg.missed), style="yellow" if leg.missed else "dim"),
+            Text(_counts(leg.rejects) or "-", style="yellow" if leg.rejects else "dim"),
+            Text(leg.note or "", style="yellow"),
+        ]
+        shown.add_row(*cells, style="dim" if leg.stale else "")
+    return shown
+
+
+def _state(contact: bool | None) -> Text:
+    if contact is None:
+        return Text("?", style="dim")
+    return Text("CONTACT", style="bold reverse") if contact else Text("free")
+
+
+def _status(leg: LegView) -> Text:
+    if leg.status is None:
+        return Text("?", style="dim")
+    if leg.stale:
+        return Text(f"{leg.status}, stale", style="red")
+    return Text(leg.status, style=_COLOURS[leg.status])
+
+
+def _age(age_s: float | None) -> Text:
+    return Text("-", style="dim") if age_s is None else Text(f"{_duration(max(age_s, 0.0))} ago")
+
+
+def _against_truth(leg: LegView) -> list[Text]:
+    if leg.touches is None:
+        return [Text("-", style="dim")] * 3
+    if leg.latency_ms is None or leg.median_latency_ms is None:
+        latency = Text("-", style="dim")
+    else:
+        latency = Text(f"{leg.latency_ms:.0f} ms ({leg.median_latency_ms:.0f})")
+    alarms = leg.false_alarms or 0
+    return [
+        latency,
+        Text(f"{leg.seen}/{leg.touches}"),
+        Text(str(alarms), style="bold red" if alarms else "green"),
+    ]
+
+
+def _model(leg: LegView) -> list[Text]:
+    version = Text("-" if leg.model_version is None else f"v{leg.model_version}")
+    if not leg.residual_rms or leg.model_version == 0:
+        return [Text("-", style="dim"), Text("-", style="dim"), version]
+    worst = math.degrees(max(leg.residual_rms))
+    ratios = [
+        rms / floor
+        for rms, floor in zip(leg.residual_rms, leg.noise_floor, strict=False)
+        if floor > 0
+    ]
+    ratio = max(ratios, default=math.nan)
+    style = "red" if ratio > _VERY_HIGH else "yellow" if ratio > _HIGH else "green"
+    return [
+        Text(f"{worst:.2f}°"),
+        Text("-", style="dim") if math.isnan(ratio) else Text(f"{ratio:.1f}", style=style),
+        version,
+    ]
+
+
+def _counts(counts: dict[str, int]) -> str:
+    """Reasons by number, the largest first, three at most."""
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
+    shown = ", ".join(f"{reason} {number}" for reason, number in ordered[:3] if number)
+    return f"{shown}, …" if len(ordered) > 3 else shown
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    if seconds < 3600:
+        return f"{seconds / 60:.1f} min"
+    return f"{seconds / 3600:.1f} h"

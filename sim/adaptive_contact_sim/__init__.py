@@ -1,0 +1,65 @@
+"""MuJoCo simulator of an AX-12A hexapod: servo law, gaits, terrain, contact truth, drift.
+
+The only package of the project that imports mujoco (extra ``sim``).  For science, the shortest
+way is :func:`record_arrays`; for control loops, :class:`Simulation`; for the wire and files,
+:func:`run`.
+"""
+
+from __future__ import annotations
+
+from adaptive_contact_sim.arrays import LegArrays, Onset, Run, record_arrays
+from adaptive_contact_sim.benchmark import Speed, real_time_factor
+from adaptive_contact_sim.drift import KINDS, Injection, Kind
+from adaptive_contact_sim.drift_spec import drift_from, parse_drift
+from adaptive_contact_sim.elements import JOINTS, LEGS
+from adaptive_contact_sim.encoder import EncoderSettings
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.recorder import record_file
+from adaptive_contact_sim.scenario import (
+    Scenario,
+    load_scenario,
+    parse_scenario,
+    shipped_scenarios,
+)
+from adaptive_contact_sim.servo import ServoParameters, manufactured
+from adaptive_contact_sim.session import Report, RunPlan, describe, run
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick, Truth
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+
+__all__ = [
+    "JOINTS",
+    "KINDS",
+    "LEGS",
+    "EncoderSettings",
+    "Injection",
+    "Kind",
+    "LegArrays",
+    "ObstacleSettings",
+    "Onset",
+    "PoseSettings",
+    "Report",
+    "Run",
+    "RunPlan",
+    "Scenario",
+    "ServoParameters",
+    "Simulation",
+    "SimulationSettings",
+    "Speed",
+    "TerrainSettings",
+    "Tick",
+    "Truth",
+    "WalkSettings",
+    "describe",
+    "drift_from",
+    "load_scenario",
+    "manufactured",
+    "parse_drift",
+    "parse_scenario",
+    "real_time_factor",
+    "record_arrays",
+    "record_file",
+    "run",
+    "shipped_scenarios",
+]

@@ -1,0 +1,214 @@
+"""Changes of the robot over time: what can drift, how far, and what holds now.
+
+A value is always absolute against nominal: saying the same again changes nothing, and nominal
+takes a drift back.  A new drift takes its joints over from whatever drifted there before, from the
+value they have at that moment: a ramp starts there, a pulse returns there.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterable
+from typing import Final, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import Drift, DriftKind, DriftShape
+from adaptive_contact_sim.elements import JOINTS, LEGS, servo_indices
+
+__all__ = ["KINDS", "DriftSchedule", "Injection", "Kind", "check"]
+
+Array = NDArray[np.float64]
+
+# A random walk takes a step this often, s.
+_WALK_STEP_S: Final = 0.1
+
+
+class Kind(NamedTuple):
+    """One kind of drift.
+
+    Attributes:
+        unit: of its value.
+        nominal, low, high: the value without drift, and what is accepted.
+        usual: the range seen or assumed in the field, docs/simulator.md.
+        meaning: one line.
+    """
+
+    unit: str
+    nominal: float
+    low: float
+    high: float
+    usual: str
+    meaning: str
+
+
+KINDS: Final[dict[DriftKind, Kind]] = {
+    "mass": Kind("kg", 0.0, 0.0, 0.5, "0-0.1", "mud or payload at the foot"),
+    "friction": Kind("factor", 1.0, 0.1, 10.0, "1-6", "Coulomb friction, stiction"),
+    "viscous": Kind("factor", 1.0, 0.1, 50.0, "1-10", "viscous friction"),
+    "supply": Kind("V", 12.0, 7.0, 14.0, "9-12", "supply voltage"),
+    "compliance": Kind("factor", 1.0, 0.125, 8.0, "1-4", "compliance slope, of 32 steps"),
+    "winding": Kind("factor", 1.0, 0.7, 2.0, "1-1.16", "winding resistance, +0.4 %/K"),
+    "backlash": Kind("rad", 0.0, 0.0, 0.07, "0-0.026", "play of the gear"),
+    "offset": Kind("rad", 0.0, -0.2, 0.2, "+-0.015", "horn turned on its shaft"),
+    "dropout": Kind("share", 0.0, 0.0, 0.5, "0.0003-0.03", "readings that do not come"),
+}
+
+
+class Injection(NamedTuple):
+    """A drift, and when it begins, s of simulated time."""
+
+    drift: Drift
+    at_s: float = 0.0
+
+
+def check(drift: Drift) -> None:
+    """Check that a drift can be made.
+
+    Raises:
+        ConfigurationError: what was found, and what is expected.
+    """
+    if drift.kind not in KINDS:
+        raise ConfigurationError(f"no drift '{drift.kind}'; kinds are {', '.join(KINDS)}")
+    kind = KINDS[drift.kind]
+    servo_indices(drift.leg, drift.joint)
+    if drift.kind == "mass" and drift.joint is not None:
+        raise ConfigurationError("mass hangs at the foot, not at a joint; leave out the joint")
+    if not kind.low <= drift.value <= kind.high:
+        raise ConfigurationError(
+            f"{drift.kind} of {drift.value:g} {kind.unit}; expected {kind.low:g} to {kind.high:g} "
+            f"{kind.unit} ({kind.nominal:g} is nominal, {kind.usual} usual)"
+        )
+    if drift.shape not in get_args(DriftShape):
+        raise ConfigurationError(
+            f"no shape '{drift.shape}'; shapes are {', '.join(get_args(DriftShape))}"
+        )
+    if not 0.0 <= drift.duration_s <= 1e6:
+        raise ConfigurationError(f"drift lasting {drift.duration_s} s; expected 0 to 1000000 s")
+    if drift.shape != "step" and drift.duration_s == 0.0:
+        raise ConfigurationError(
+            f"a {drift.shape} needs a duration above 0 s; give duration=SECONDS"
+        )
+    if drift.seed < 0:
+        raise ConfigurationError(f"drift seed is {drift.seed}; expected 0 or more")
+
+
+class _Course:
+    """A drift under way, on the joints it took."""
+
+    def __init__(self, injection: Injection, before: Array) -> None:
+        drift = injection.drift
+        self.kind = drift.kind
+        self.joints = servo_indices(drift.leg, drift.joint)
+        self._start_s = injection.at_s
+        self._drift = drift
+        self._before = before[self.joints]
+        self._walk = _walk(drift) if drift.shape == "walk" else None
+
+    def release(self, joints: NDArray[np.intp]) -> None:
+        """Give up joints that another drift takes."""
+        keep = ~np.isin(self.joints, joints)
+        self.joints, self._before = self.joints[keep], self._before[keep]
+
+    def over(self, t_s: float) -> bool:
+        """Whether its value will not change any more."""
+        return self._drift.shape == "step" or t_s - self._start_s >= self._drift.duration_s
+
+    def at(self, t_s: float) -> Array:
+        """Value of every joint it took."""
+        drift, since = self._drift, t_s - self._start_s
+        target = np.full(self.joints.size, drift.value)
+        if drift.shape == "step":
+            return target
+        if drift.shape == "pulse":
+            return target if since < drift.duration_s else self._before
+        if self._walk is None:
+            share = min(since / drift.duration_s, 1.0)
+        else:
+            share = float(self._walk[min(int(since / _WALK_STEP_S), self._walk.size - 1)])
+        return np.asarray(self._before + share * (target - self._before))
+
+
+class DriftSchedule:
+    """All drifts of a run: those to come, those under way, what holds.
+
+    Args:
+        injections: known from the start.
+        dropout: probability of dropped readings that the run has anyway.
+    """
+
+    def __init__(self, injections: Iterable[Injection] = (), *, dropout: float = 0.0) -> None:
+        size = len(LEGS) * len(JOINTS)
+        self._nominal: dict[str, float] = {name: kind.nominal for name, kind in KINDS.items()}
+        self._nominal["dropout"] = dropout
+        self._values: dict[str, Array] = {
+            name: np.full(size, self._nominal[name]) for name in KINDS
+        }
+        self._pending: list[Injection] = []
+        self.begun: list[Injection] = []  # in order of time
+        self._courses: list[_Course] = []
+        for injection in injections:
+            self.add(injection)
+
+    def add(self, injection: Injection) -> None:
+        """Schedule a drift.
+
+        Raises:
+            ConfigurationError: it cannot be made.
+        """
+        check(injection.drift)
+        if not 0.0 <= injection.at_s < float("inf"):
+            raise ConfigurationError(f"a drift begins at {injection.at_s} s; expected 0 s or later")
+        bisect.insort(self._pending, injection, key=lambda i: i.at_s)
+
+    def due(self, t_s: float) -> bool:
+        """Whether something begins or changes at this time."""
+        return bool(self._courses) or bool(self._pending and self._pending[0].at_s <= t_s)
+
+    def values(self, t_s: float) -> dict[str, Array]:
+        """Move on to a time, which never goes back.
+
+        Returns:
+            Per kind, (6, 3) values now in force.
+        """
+        self._advance(t_s)
+        while self._pending and self._pending[0].at_s <= t_s:
+            injection = self._pending.pop(0)
+            self.begun.append(injection)
+            # What was under way there goes on to this moment, and ends.
+            self._advance(injection.at_s)
+            course = _Course(injection, self._values[injection.drift.kind])
+            for other in self._courses:
+                if other.kind == course.kind:
+                    other.release(course.joints)
+            self._courses = [c for c in self._courses if c.joints.size]
+            self._courses.append(course)
+            self._advance(t_s)
+        return {name: value.reshape(len(LEGS), -1) for name, value in self._values.items()}
+
+    def holds(self) -> dict[str, dict[str, dict[str, float]]]:
+        """What holds now, kind by leg by joint, nominal values left out."""
+        found: dict[str, dict[str, dict[str, float]]] = {}
+        for name, values in self._values.items():
+            for k in np.flatnonzero(np.abs(values - self._nominal[name]) > 1e-12):
+                leg, joint = LEGS[k // len(JOINTS)], JOINTS[k % len(JOINTS)]
+                found.setdefault(name, {}).setdefault(leg, {})[joint] = float(values[k])
+        return found
+
+    def _advance(self, t_s: float) -> None:
+        for course in self._courses:
+            self._values[course.kind][course.joints] = course.at(t_s)
+        self._courses = [c for c in self._courses if not c.over(t_s)]
+
+
+def _walk(drift: Drift) -> Array:
+    """Shares of the way to the value, a random walk held between 0 and 1 by reflection.
+
+    Its standard deviation over the whole duration is that of the way itself.
+    """
+    n = max(1, round(drift.duration_s / _WALK_STEP_S))
+    rng = np.random.default_rng([drift.seed, 0xD41F7])
+    path = np.abs(np.cumsum(rng.standard_normal(n)) / np.sqrt(n)) % 2.0
+    return np.asarray(np.where(path > 1.0, 2.0 - path, path))

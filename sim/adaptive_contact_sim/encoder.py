@@ -1,0 +1,110 @@
+"""What the bus reports: 10-bit positions with noise, and now and then a bad reading.
+
+A reading is the joint's angle in the servo's own frame (the link's plus the horn's offset) with
+noise, rounded to whole steps.  Real buses add, about once in 3,000 reads or more: a reading that
+did not come (the last value again, marked invalid), one that is stale but looks fine, and one of
+exactly minus pi.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.elements import N_SERVOS
+from adaptive_contact_sim.servo import QUANTUM_RAD
+
+__all__ = ["Encoder", "EncoderSettings", "Reading"]
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_BOGUS_RAD: Final = -math.pi
+
+
+@dataclass(frozen=True)
+class EncoderSettings:
+    """Noise and faults of position readings.
+
+    Attributes:
+        noise_steps: standard deviation before rounding, in steps.
+        dropped: probability that a reading does not come: the last value, ``valid`` False.
+        repeated: probability that the last value comes again, silently.
+        bogus: probability of a reading of -pi.
+    """
+
+    noise_steps: float = 0.5
+    dropped: float = 0.0
+    repeated: float = 0.0
+    bogus: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("dropped", "repeated", "bogus"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 0.5:
+                raise ConfigurationError(
+                    f"probability of {name} readings is {value}; expected 0 to 0.5"
+                )
+        if not 0.0 <= self.noise_steps <= 10.0:
+            raise ConfigurationError(
+                f"reading noise is {self.noise_steps} steps; expected 0 to 10 (a servo has 0.5)"
+            )
+
+
+class Reading(NamedTuple):
+    """One tick's positions: (18,) rad, and (18,) whether each is known to be good."""
+
+    angle_rad: Array
+    valid: BoolArray
+
+
+class Encoder:
+    """Reads all positions once a tick.
+
+    Every tick draws the same amount of randomness, so that a fault's probability changes
+    nothing but the faults.
+
+    Args:
+        settings: noise and faults.
+        rng: source of both.
+    """
+
+    def __init__(self, settings: EncoderSettings, rng: np.random.Generator) -> None:
+        self.settings = settings
+        self.dropped = np.full(N_SERVOS, settings.dropped)
+        self._rng = rng
+        self._last = np.zeros(N_SERVOS)
+        self._started = False
+
+    def read(self, angle_rad: Array) -> Reading:
+        """Read positions.
+
+        Args:
+            angle_rad: (18,) rad, in the servos' own frames.
+
+        Returns:
+            What the bus reports.
+        """
+        noise = self._rng.standard_normal(N_SERVOS)
+        chance = self._rng.random((3, N_SERVOS))
+        steps = np.rint(angle_rad / QUANTUM_RAD + self.settings.noise_steps * noise)
+        fresh = np.asarray(steps * QUANTUM_RAD)
+        valid = np.ones(N_SERVOS, dtype=np.bool_)
+        if not self._started:
+            self._started = True
+            self._last = fresh
+            return Reading(fresh, valid)
+        dropped = chance[0] < self.dropped
+        stale = dropped | (chance[1] < self.settings.repeated)
+        bogus = ~stale & (chance[2] < self.settings.bogus)
+        reading = np.where(stale, self._last, fresh)
+        # The bus buffer keeps the last true value, so a stale reading never repeats a bogus one.
+        self._last = reading.copy()
+        reading[bogus] = _BOGUS_RAD
+        self._last[bogus] = fresh[bogus]
+        return Reading(reading, valid & ~dropped)

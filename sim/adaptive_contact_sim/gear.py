@@ -1,0 +1,148 @@
+r"""Backlash: gears with play between motor and link.
+
+A joint without play is one rigid body: rotor inertia, back-EMF and friction sit on the joint in
+the engine.  With play :math:`b`, rotor and link become two masses.  The rotor,
+:math:`(\theta_m, \omega_m)`, is integrated here; the teeth couple them only outside the play,
+
+.. math:: \delta = \theta_m - \theta, \quad
+          \tau_c = k\,[\delta - \operatorname{clip}(\delta, \pm b/2)] + d\,(\omega_m - \omega),
+
+and never pull (the damping cannot turn the force around).  The potentiometer sits on the output
+shaft, so the servo regulates the link and hunts inside the play, as worn servos do.
+
+The rotor's step is semi-implicit: damping implicit, Coulomb friction solved exactly (a rotor
+that friction can stop within the step stops).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact_sim.servo import ServoBank
+
+__all__ = ["GearTrain"]
+
+Array = NDArray[np.float64]
+
+# Teeth: 1.5 N*m bends them by 0.6 degrees (assumed).  Link and rotor on this spring swing at
+# 470 rad/s at most (tibia), well inside what a 1 ms symplectic step follows.
+_STIFFNESS_NM: Final = 150.0
+_DAMPING_NMS: Final = 0.15
+# Beyond the teeth: output gear and horn (assumed shares of the whole).
+OUTPUT_ARMATURE_KGM2: Final = 1e-4
+OUTPUT_FRICTION_SHARE: Final = 0.1
+OUTPUT_DAMPING_NMS: Final = 0.001
+
+
+class GearTrain:
+    """The joints that have play, and their rotors.
+
+    Args:
+        servos: the servo bank; its damping, friction and armature are taken over for the joints
+            with play.
+        position, velocity, torque, friction, damping, armature: (18,) views of the engine's
+            joint state, motor torques and joint constants.
+        period_s: physics step.
+    """
+
+    def __init__(
+        self,
+        servos: ServoBank,
+        *,
+        position: Array,
+        velocity: Array,
+        torque: Array,
+        friction: Array,
+        damping: Array,
+        armature: Array,
+        period_s: float,
+    ) -> None:
+        self._servos = servos
+        self._position = position
+        self._velocity = velocity
+        self._torque = torque
+        self._friction = friction
+        self._damping = damping
+        self._armature = armature
+        self._period_s = period_s
+        self._index = np.zeros(0, dtype=np.intp)
+        self._half_play = np.zeros(0)
+        self.rotor_angle = np.zeros(0)
+        self.rotor_velocity = np.zeros(0)
+
+    @property
+    def active(self) -> bool:
+        """Whether any joint has play."""
+        return bool(self._index.size)
+
+    @property
+    def joints(self) -> NDArray[np.intp]:
+        """Indices of the joints that have play."""
+        return self._index
+
+    def set_backlash(self, backlash_rad: Array) -> bool:
+        """Give the joints their play.
+
+        Rotors that keep having play keep their state; new ones start in the middle of it, at
+        the link's speed.
+
+        Args:
+            backlash_rad: (18,) total play, 0 for none.
+
+        Returns:
+            Whether the set of joints with play changed, and with it the joints' armature.
+        """
+        index = np.flatnonzero(backlash_rad > 0.0)
+        changed = not np.array_equal(index, self._index)
+        if changed:
+            angle = self._position.copy()
+            velocity = self._velocity.copy()
+            angle[self._index] = self.rotor_angle
+            velocity[self._index] = self.rotor_velocity
+            self.rotor_angle = angle[index]
+            self.rotor_velocity = velocity[index]
+            self._armature[self._index] = self._servos.parameters.armature_kgm2[self._index]
+            self._armature[index] = OUTPUT_ARMATURE_KGM2
+            self._index = index
+        self._half_play = backlash_rad[index] / 2.0
+        self.refresh()
+        return changed
+
+    def refresh(self) -> None:
+        """Take over the joints' damping, after the servos' condition changed."""
+        self._damping[:] = self._servos.back_emf + self._servos.viscous
+        self._damping[self._index] = OUTPUT_DAMPING_NMS
+
+    def step(self) -> None:
+        """Advance the rotors by one physics step; replaces motor torque by the teeth's.
+
+        To be called after the servos' ``drive`` and before the engine's step.
+        """
+        i, h = self._index, self._period_s
+        servos = self._servos
+        motor = self._torque[i]
+        link_velocity = self._velocity[i]
+
+        gap = self.rotor_angle - self._position[i]
+        bite = gap - np.clip(gap, -self._half_play, self._half_play)
+        push = _STIFFNESS_NM * bite + _DAMPING_NMS * (self.rotor_velocity - link_velocity)
+        teeth = np.where(
+            bite > 0.0, np.maximum(push, 0.0), np.where(bite < 0.0, np.minimum(push, 0.0), 0.0)
+        )
+
+        inertia = servos.parameters.armature_kgm2[i]
+        bound = servos.friction_bound(i, self.rotor_velocity, np.abs(teeth))
+        effective = inertia + h * (servos.back_emf[i] + servos.viscous[i])
+        free = (inertia * self.rotor_velocity + h * (motor - teeth)) / effective
+        stopped = np.maximum(np.abs(free) - h * bound / effective, 0.0)
+        self.rotor_velocity = np.copysign(stopped, free)
+        self.rotor_angle = self.rotor_angle + h * self.rotor_velocity
+        self._torque[i] = teeth
+
+    def rub(self) -> None:
+        """Leave the joints with play only the friction beyond the teeth."""
+        i = self._index
+        self._friction[i] = OUTPUT_FRICTION_SHARE * self._servos.sliding[i]

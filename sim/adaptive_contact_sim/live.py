@@ -1,0 +1,162 @@
+"""A simulation on the wire: samples and truth out, drifts and contact events in.
+
+Callbacks only enqueue; one loop makes ticks, answers drifts between them, and keeps time.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Event
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    SIM_DRIFT,
+    ContactEvent,
+    Drift,
+    DriftReply,
+    Rejected,
+    decode,
+    leg_of_key,
+    servo_key,
+    truth_key,
+)
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.pace import Pace
+from adaptive_contact_sim.simulation import Simulation, Tick
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.link import Link, Request
+    from adaptive_contact.service.traffic import Received
+
+__all__ = ["Outcome", "run_live", "run_offline"]
+
+T = TypeVar("T")
+
+# Waiting events and requests; more than that has lost touch with the present anyway.
+_QUEUE: Final = 1024
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run went: simulated and wall clock time, ticks, and those that came late."""
+
+    simulated_s: float
+    elapsed_s: float
+    ticks: int
+    late: int
+
+
+def run_offline(
+    sim: Simulation,
+    *,
+    seconds: float | None,
+    pace: Pace,
+    stop: Event,
+    on_tick: Callable[[Tick], None],
+) -> Outcome:
+    """Run without a network.
+
+    Args:
+        sim: what to run.
+        seconds: of simulated time, None for until stopped.
+        pace: how fast.
+        stop: ends the run when set.
+        on_tick: gets every tick.
+    """
+    while not _over(sim, seconds) and not stop.is_set():
+        on_tick(sim.tick())
+        if not pace.wait(stop):
+            break
+    return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
+
+
+def run_live(
+    sim: Simulation,
+    link: Link,
+    *,
+    seconds: float | None,
+    pace: Pace,
+    stop: Event,
+    listen: bool,
+    on_tick: Callable[[Tick], None],
+) -> Outcome:
+    """Run on an open link.
+
+    Args:
+        sim: what to run.
+        link: where to publish; stays open.
+        seconds: of simulated time, None for until stopped.
+        pace: how fast.
+        stop: ends the run when set.
+        listen: pass the service's contact events on to the gait.
+        on_tick: gets every tick, after it was published.
+    """
+    servo = {leg: link.publisher(servo_key(leg)) for leg in LEGS}
+    truth = {leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in LEGS}
+    requests: queue.Queue[Request] = queue.Queue(_QUEUE)
+    events: queue.Queue[Received] = queue.Queue(_QUEUE)
+    declared = [link.queryable(SIM_DRIFT, lambda request: _offer(requests, request))]
+    if listen:
+        declared.append(link.subscribe(ALL_CONTACT, lambda sample: _offer(events, sample)))
+    try:
+        while not _over(sim, seconds) and not stop.is_set():
+            _answer(sim, requests)
+            _hear(sim, events)
+            tick = sim.tick()
+            for leg, sample in tick.samples.items():
+                servo[leg].put(sample)
+            for change in tick.truth:
+                truth[change.leg].put(change.message)
+            on_tick(tick)
+            if not pace.wait(stop):
+                break
+    finally:
+        for item in declared:
+            item.close()
+    return Outcome(sim.time_s, pace.elapsed_s, sim.ticks, pace.late)
+
+
+def _over(sim: Simulation, seconds: float | None) -> bool:
+    return seconds is not None and sim.ticks >= round(seconds / sim.settings.period_s)
+
+
+def _offer(waiting: queue.Queue[T], item: T) -> None:
+    try:
+        waiting.put_nowait(item)
+    except queue.Full:
+        return  # the asker's own timeout tells it
+
+
+def _hear(sim: Simulation, events: queue.Queue[Received]) -> None:
+    """Pass contact events on to the gait."""
+    while not events.empty():
+        received = events.get_nowait()
+        event = decode(received.payload, ContactEvent, received.encoding)
+        leg = leg_of_key(received.key)
+        if leg is not None and not isinstance(event, Rejected):
+            sim.notify_contact(leg, event.contact)
+
+
+def _answer(sim: Simulation, requests: queue.Queue[Request]) -> None:
+    """Take drifts, and answer with what now holds."""
+    while not requests.empty():
+        request = requests.get_nowait()
+        error = None
+        if request.payload:  # without one, somebody only asks what holds
+            drift = decode(request.payload, Drift, request.encoding)
+            if isinstance(drift, Rejected):
+                error = f"not a drift: {drift.detail}; expected a Drift message"
+            else:
+                try:
+                    sim.inject(drift)
+                except ConfigurationError as refused:
+                    error = str(refused)
+        request.reply(
+            DriftReply(ok=error is None, t_ns=sim.t_ns, holds=sim.now_holds(), error=error),
+            SIM_DRIFT,
+        )
+        request.close()

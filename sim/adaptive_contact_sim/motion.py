@@ -1,0 +1,66 @@
+"""What a controller of the simulated robot sees, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.wire import Phase
+
+__all__ = ["Goal", "Motion", "World"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """What is known at the start of a control tick.
+
+    Attributes:
+        tick: control ticks made so far.
+        step, step_s: physics steps made so far, and their length.
+        measured_rad: (6, 3), what the servos reported this tick.
+        position_m, rotation: (3,) and (3, 3), the body in the world.
+        touch_step: per leg, the physics step at which it last came down; None in the air.
+        feet_m: (6, 3), the true feet in the world: for those who set the stage, not for gaits.
+        told_tick: per leg, the tick at which someone else (the service) last said that it
+            touches; None when taken back.
+    """
+
+    tick: int
+    step: int
+    step_s: float
+    measured_rad: Array
+    position_m: Array
+    rotation: Array
+    feet_m: Array
+    touch_step: tuple[int | None, ...]
+    told_tick: tuple[int | None, ...]
+
+
+class Goal(NamedTuple):
+    """A controller's answer: (6, 3) rad, and each leg's phase."""
+
+    joints_rad: Array
+    phase: tuple[Phase, ...]
+
+
+class Motion(Protocol):
+    """A controller: goals for all legs, one tick at a time."""
+
+    @property
+    def start_joints(self) -> Array:
+        """(6, 3) rad, where the robot stands at first."""
+
+    @property
+    def start_height_m(self) -> float:
+        """Height of the body over the ground at first."""
+
+    def step(self, world: World) -> Goal:
+        """Goals to be written in this tick."""
+
+    def preview(self, ticks: int) -> Array:
+        """(6, ticks, 3) rad, goals now planned for the ticks after this one."""

@@ -1,0 +1,177 @@
+"""Obstacles put in a leg's way, and taken out of it.
+
+One obstacle at a time, on a mocap body.  Where a point of the foot's path is to be the place of
+the touch, the obstacle's surface passes through that point; the true touch comes near it, not on
+it, as a leg under load lags and its body tilts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.plant import Plant
+from adaptive_contact_sim.scene import OBSTACLE_TOP_M, PARKED_M, expose
+from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
+
+__all__ = ["Approach", "ObstacleCourse", "ObstacleSettings"]
+
+Array = NDArray[np.float64]
+
+Approach = Literal["descent", "slow", "forward", "graze"]
+_SHAPES: Final = ("plate", "sphere", "edge")
+_HARD_SOLIMP: Final = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
+# Share of its velocity that points into a surface the foot is to graze.
+_GRAZE_COSINE: Final = (0.08, 0.25)
+# Height of the foot sphere's centre over the sole, m: surfaces are put against the sole.
+_SOLE_M: Final = 0.008
+
+
+@dataclass(frozen=True)
+class ObstacleSettings:
+    """What stands in the way of descents.
+
+    Attributes:
+        probability: that a descent meets an obstacle.
+        shapes: drawn from for each: ``plate``, ``sphere``, ``edge``.
+        soft: probability that the obstacle yields.
+        stiffness_n_m: lowest and highest of those that yield, drawn log-uniformly.
+        where: earliest and latest place on the commanded descent, as shares of it; the foot
+            comes there three to four ticks after the command.
+    """
+
+    probability: float = 0.0
+    shapes: tuple[str, ...] = _SHAPES
+    soft: float = 0.0
+    stiffness_n_m: tuple[float, float] = (300.0, 3000.0)
+    where: tuple[float, float] = (0.05, 0.6)
+
+    def __post_init__(self) -> None:
+        for name, value in (("obstacle", self.probability), ("soft obstacle", self.soft)):
+            if not 0.0 <= value <= 1.0:
+                raise ConfigurationError(f"{name} probability is {value}; expected 0 to 1")
+        if not self.shapes or any(shape not in _SHAPES for shape in self.shapes):
+            raise ConfigurationError(
+                f"obstacle shapes are {list(self.shapes)}; expected some of {', '.join(_SHAPES)}"
+            )
+        low, high = self.where
+        if not 0.0 < low <= high <= 1.0:
+            raise ConfigurationError(
+                f"obstacles at {low} to {high} of a descent; expected shares in 0..1, rising"
+            )
+
+
+class ObstacleCourse:
+    """Moves the obstacles of one scene.
+
+    Args:
+        settings: which, how often, where.
+        plant: the scene; built with obstacles.
+        rng: what to draw from.
+    """
+
+    def __init__(self, settings: ObstacleSettings, plant: Plant, rng: np.random.Generator) -> None:
+        self.settings = settings
+        self._plant = plant
+        self._rng = rng
+        self._inverse_mass = float(plant.model.body_invweight0[plant.model.body("lf_tibia").id, 0])
+        self.standing: str | None = None
+        self.surface: Literal["hard", "soft"] = "hard"
+
+    def assign(self, leg: int | None) -> None:
+        """Let obstacles collide with this leg only."""
+        expose(self._plant.model, self._plant.elements, None if leg is None else LEGS[leg])
+
+    def wanted(self) -> bool:
+        """Draw whether the next descent meets an obstacle."""
+        return bool(self._rng.random() < self.settings.probability)
+
+    def share(self) -> float:
+        """Draw where on a descent, as a share of it."""
+        return float(self._rng.uniform(*self.settings.where))
+
+    def place(self, point_m: Array, motion_m: Array, inward: Array, approach: Approach) -> None:
+        """Put an obstacle where the foot will pass.
+
+        Args:
+            point_m: (3,) m in the world, of the foot point at the wanted touch.
+            motion_m: (3,) direction of the foot there.
+            inward: (3,) unit vector from the foot towards the body, level.
+            approach: how the leg comes.
+        """
+        if approach not in get_args(Approach):
+            raise ConfigurationError(
+                f"no approach '{approach}'; approaches are {', '.join(get_args(Approach))}"
+            )
+        rng = self._rng
+        along = motion_m / max(float(np.linalg.norm(motion_m)), 1e-9)
+        yaw = rng.uniform(-np.pi, np.pi)
+        quaternion = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+        if approach == "graze":
+            name = "plate"
+            cosine = rng.uniform(*_GRAZE_COSINE)
+            # Facing the body: the shin leans inwards, away from the block.
+            across = inward - (inward @ along) * along
+            across /= max(float(np.linalg.norm(across)), 1e-9)
+            normal = np.sqrt(1.0 - cosine**2) * across - cosine * along
+            centre = point_m - normal * (OBSTACLE_TOP_M[name] + _SOLE_M)
+            quaternion = _turn_z_to(normal)
+        elif approach == "forward":
+            name = "post"
+            level = np.array([along[0], along[1], 0.0])
+            level /= max(float(np.linalg.norm(level)), 1e-9)
+            # Half a post's thickness and the shin's radius beyond the point; the post's middle
+            # at the height of the foot, so that shin or foot meets it.
+            centre = point_m + 0.0175 * level
+            half = 0.5 * np.arctan2(level[1], level[0])
+            quaternion = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        else:
+            name = str(rng.choice(self.settings.shapes))
+            centre = point_m - np.array([0.0, 0.0, OBSTACLE_TOP_M[name]])
+            if name == "edge":  # a capsule lies along its z axis
+                quaternion = np.array(
+                    [np.cos(yaw / 2), np.sin(yaw / 2), np.cos(yaw / 2), np.sin(yaw / 2)]
+                ) / np.sqrt(2.0)
+        self._soften(name)
+        self._move(name, centre, quaternion)
+        self.standing = name
+
+    def clear(self) -> None:
+        """Take the standing obstacle away."""
+        if self.standing is not None:
+            self._move(self.standing, np.array(PARKED_M), np.array([1.0, 0.0, 0.0, 0.0]))
+            self.standing = None
+
+    def _soften(self, name: str) -> None:
+        model, settings = self._plant.model, self.settings
+        geom = model.geom(f"obstacle_{name}").id
+        if self._rng.random() < settings.soft:
+            low, high = np.log(settings.stiffness_n_m)
+            stiffness = float(np.exp(self._rng.uniform(low, high)))
+            model.geom_solref[geom], model.geom_solimp[geom] = soft_contact(
+                stiffness, self._inverse_mass
+            )
+            self.surface = "soft"
+        else:
+            model.geom_solref[geom] = HARD_SOLREF
+            model.geom_solimp[geom] = _HARD_SOLIMP
+            self.surface = "hard"
+
+    def _move(self, name: str, centre: Array, quaternion: Array) -> None:
+        model, data = self._plant.model, self._plant.data
+        mocap = int(model.body_mocapid[model.body(f"obstacle_{name}").id])
+        data.mocap_pos[mocap] = centre
+        data.mocap_quat[mocap] = quaternion
+
+
+def _turn_z_to(direction: Array) -> Array:
+    """Quaternion that turns the z axis to a unit vector."""
+    quaternion = np.zeros(4)
+    mujoco.mju_quatZ2Vec(quaternion, direction)
+    return quaternion

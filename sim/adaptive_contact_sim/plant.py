@@ -1,0 +1,302 @@
+"""The robot's physics: 20 engine steps per control tick, with the servos' law in each.
+
+The plant knows joints, servos and contacts; it knows nothing of gaits, drifts or messages.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+from adaptive_contact_sim.elements import LEGS, PARTS, Elements
+from adaptive_contact_sim.gear import GearTrain
+from adaptive_contact_sim.servo import ServoBank, ServoParameters
+
+__all__ = ["GRAZING_COSINE", "Plant", "Touch"]
+
+Array = NDArray[np.float64]
+
+# Faster than any part of the robot can be: five times a servo's no-load speed, and free fall
+# from several metres.  Beyond it the integration has blown up.
+_ABSURD_JOINT_RAD_S: Final = 60.0
+_ABSURD_BODY: Final = 20.0
+# A touch is grazing when less than this share of the velocity points into the surface.
+GRAZING_COSINE: Final = 0.35
+# Radius of gyration of a lump of mud, m: a ball of 2.5 cm radius.
+_MUD_GYRATION_M: Final = 0.0158
+_TOUCHES_KEPT: Final = 16
+
+
+class Touch(NamedTuple):
+    """A part of a leg coming into contact.
+
+    Attributes:
+        step: physics step at which the contact appeared.
+        part: index into :data:`~adaptive_contact_sim.elements.PARTS`.
+        speed_m_s: of the touching point, just before.
+        grazing: the motion was nearly tangent to the surface.
+        other: id of the geom that was touched.
+    """
+
+    step: int
+    part: int
+    speed_m_s: float
+    grazing: bool
+    other: int
+
+
+class Plant:
+    """Engine, servos and touch sensing of one robot.
+
+    Args:
+        model: compiled scene.
+        parameters: the servos.
+        period_s: control tick; a whole number of physics steps.
+        supply_resistance_ohm: of battery and wiring.
+
+    Raises:
+        ConfigurationError: the period is not a whole number of physics steps.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        parameters: ServoParameters,
+        *,
+        period_s: float = 0.02,
+        supply_resistance_ohm: float = 0.1,
+    ) -> None:
+        ratio = period_s / model.opt.timestep
+        self.substeps = round(ratio)
+        if self.substeps < 1 or abs(ratio - self.substeps) > 1e-9:
+            raise ConfigurationError(
+                f"control period {period_s} s is {ratio:.4f} physics steps of "
+                f"{model.opt.timestep} s; expected a whole number"
+            )
+        _silence_engine()
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.elements = Elements.resolve(model)
+        self.period_s = period_s
+        self.step_s = float(model.opt.timestep)
+        self.steps = 0
+
+        e = self.elements
+        self._supply_resistance_ohm = supply_resistance_ohm
+        self._scratch = mujoco.MjData(model)  # mj_setConst overwrites the state of its data
+        self._joint_angles = self.data.qpos[e.qpos]
+        self._joint_speeds = self.data.qvel[e.dof]
+        model.dof_armature[e.dof] = parameters.armature_kgm2
+        self._mass_kg = np.zeros(len(LEGS))
+        self.servos = ServoBank(
+            parameters,
+            position=self._joint_angles,
+            velocity=self._joint_speeds,
+            acceleration=self.data.qacc[e.dof],
+            torque=self.data.ctrl[e.ctrl],
+            friction=model.dof_frictionloss[e.dof],
+            damping=model.dof_damping[e.dof],
+        )
+        self.gears = GearTrain(
+            self.servos,
+            position=self._joint_angles,
+            velocity=self._joint_speeds,
+            torque=self.data.ctrl[e.ctrl],
+            friction=model.dof_frictionloss[e.dof],
+            damping=model.dof_damping[e.dof],
+            armature=model.dof_armature[e.dof],
+            period_s=self.step_s,
+        )
+        self._hang_payload()
+
+        # Forces of the last tick's physics steps, and when parts came into contact.
+        self._sensed = np.zeros((self.substeps, model.nsensordata))
+        self.forces = np.zeros((self.substeps, len(LEGS)))
+        self.touches: tuple[deque[Touch], ...] = tuple(deque(maxlen=_TOUCHES_KEPT) for _ in LEGS)
+        self._touching = [False] * len(LEGS)
+        self._contacts = 0
+        self._velocity6 = np.zeros(6)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time."""
+        return self.steps * self.step_s
+
+    @property
+    def joint_angles(self) -> Array:
+        """(18,) rad, true joint angles; a view of the engine's state."""
+        return np.asarray(self._joint_angles)
+
+    @property
+    def joint_speeds(self) -> Array:
+        """(18,) rad/s, true joint speeds; a view of the engine's state."""
+        return np.asarray(self._joint_speeds)
+
+    def place(self, position_m: Array, quaternion: Array, joints_rad: Array) -> None:
+        """Put the robot somewhere, at rest.
+
+        Args:
+            position_m: (3,) of the body.
+            quaternion: (4,) w first.
+            joints_rad: (18,).
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:3] = position_m
+        self.data.qpos[3:7] = quaternion
+        self._joint_angles[:] = joints_rad
+        mujoco.mj_forward(self.model, self.data)
+        self.steps = 0
+        self._contacts = 0
+        self._touching = [False] * len(LEGS)
+
+    def start_clock(self) -> None:
+        """Call this moment step 0, and forget what was touched before."""
+        self.steps = 0
+        for touches in self.touches:
+            touches.clear()
+
+    def advance(self) -> None:
+        """Make one control tick's physics steps, the goals being written before.
+
+        Raises:
+            SimulationDiverged: the state is no longer finite, or absurdly fast.
+        """
+        try:
+            # A NaN shows first where a position becomes a number of steps.
+            with np.errstate(invalid="raise", over="raise"):
+                self._substeps()
+        except FloatingPointError as error:
+            raise self._diverged("positions are no longer finite") from error
+        self._check()
+        touch = self._sensed[:, self.elements.touch]
+        touch.reshape(self.substeps, len(LEGS), len(PARTS)).sum(axis=2, out=self.forces)
+        self.servos.sag(self._supply_resistance_ohm)
+
+    def _substeps(self) -> None:
+        model, data = self.model, self.data
+        drive, rub = self.servos.drive, self.servos.rub
+        step, sensed, sensors = mujoco.mj_step, self._sensed, data.sensordata
+        gears = self.gears if self.gears.active else None
+        for i in range(self.substeps):
+            drive()
+            if gears is not None:
+                gears.step()
+            step(model, data)
+            rub()
+            if gears is not None:
+                gears.rub()
+            sensed[i] = sensors
+            self.steps += 1
+            if data.ncon != self._contacts:
+                self._note_contacts()
+
+    def foot_positions(self) -> Array:
+        """(6, 3) m, the true feet in the world."""
+        return np.asarray(self.data.site_xpos[self.elements.foot_sites])
+
+    def body_pose(self) -> tuple[Array, Array]:
+        """True position (3,) m and rotation (3, 3) of the body in the world."""
+        return self.data.xpos[self.elements.body], self.data.xmat[self.elements.body].reshape(3, 3)
+
+    def set_servos(self, name: str, values: Array) -> None:
+        """Set one of the servo bank's conditions, (18,), such as ``friction_factor``."""
+        current = getattr(self.servos, name)
+        if np.array_equal(current, values):
+            return
+        current[:] = values
+        self.servos.refresh()
+        self.gears.refresh()
+
+    def set_backlash(self, backlash_rad: Array) -> None:
+        """Give the joints play, (18,) rad."""
+        if self.gears.set_backlash(backlash_rad):
+            self._set_const()
+
+    def set_payload(self, mass_kg: Array) -> None:
+        """Set what hangs at the feet, absolute.
+
+        Args:
+            mass_kg: (6,) kg at the foot end of each tibia.
+        """
+        if np.array_equal(mass_kg, self._mass_kg):
+            return
+        self._mass_kg[:] = mass_kg
+        self._hang_payload()
+
+    def _hang_payload(self) -> None:
+        # Always from nothing, so that repeating a value changes nothing.  The engine wants
+        # masses above zero.
+        mass = np.maximum(self._mass_kg, 1e-9)
+        self.model.body_mass[self.elements.payloads] = mass
+        self.model.body_inertia[self.elements.payloads] = mass[:, None] * _MUD_GYRATION_M**2
+        self._set_const()
+
+    def _set_const(self) -> None:
+        mujoco.mj_setConst(self.model, self._scratch)
+
+    def _note_contacts(self) -> None:
+        """Remember which parts of which legs came into contact in the step just made."""
+        data, e = self.data, self.elements
+        self._contacts = data.ncon
+        now = [False] * len(LEGS)
+        if self._contacts:
+            pairs = data.contact.geom
+            for k in range(self._contacts):
+                first, second = int(pairs[k, 0]), int(pairs[k, 1])
+                geom, other = (first, second) if e.geom_leg[first] >= 0 else (second, first)
+                leg = int(e.geom_leg[geom])
+                if leg < 0:
+                    continue
+                if not now[leg] and not self._touching[leg]:
+                    self.touches[leg].append(self._touch(k, geom, other))
+                now[leg] = True
+        self._touching = now
+
+    def _touch(self, contact: int, geom: int, other: int) -> Touch:
+        data = self.data
+        # The engine's velocities are those before the step, so before the impact.
+        mujoco.mj_objectVelocity(
+            self.model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, self._velocity6, 0
+        )
+        arm = data.contact.pos[contact] - data.geom_xpos[geom]
+        velocity = self._velocity6[3:] + np.cross(self._velocity6[:3], arm)
+        speed = float(np.linalg.norm(velocity))
+        normal = data.contact.frame[contact, :3]
+        into = abs(float(velocity @ normal))
+        return Touch(
+            step=self.steps,
+            part=int(self.elements.geom_part[geom]),
+            speed_m_s=speed,
+            grazing=speed > 0.0 and into < GRAZING_COSINE * speed,
+            other=other,
+        )
+
+    def _check(self) -> None:
+        fastest = float(np.abs(self._joint_speeds).max())
+        body = float(np.abs(self.data.qvel[:6]).max())
+        # Written so that NaN, which compares false, is caught.
+        if not (fastest < _ABSURD_JOINT_RAD_S and body < _ABSURD_BODY):
+            raise self._diverged(
+                f"joints turn at up to {fastest:.3g} rad/s, the body moves at {body:.3g}; expected "
+                f"below {_ABSURD_JOINT_RAD_S:.0f} and {_ABSURD_BODY:.0f}"
+            )
+
+    def _diverged(self, what: str) -> SimulationDiverged:
+        return SimulationDiverged(
+            f"at {self.time_s:.3f} s {what}; try a milder drift, or report the command and seed"
+        )
+
+
+def _silence_engine() -> None:
+    """Keep the engine from writing its warnings to a file in the working folder.
+
+    What it warns of (a state that is not finite) is raised here instead.
+    """
+    log = mujoco.MjLogConfig.get()
+    log.logto_file = log.logto_console = False
+    log.set()

@@ -1,0 +1,350 @@
+"""The paper's set-up: the body stands on five legs, one leg moves in the air or onto obstacles.
+
+A trial is one ascent from the lower to the upper subspace and one descent back, each between
+random points and 10 control ticks long, then a hold of 3 ticks that counts as stance.  Segments
+are straight lines of the foot in the leg's frame (or of the joints, with ``path="joint"``), cut
+into equal steps, each written as a goal for one tick, as in the paper's section 4.1.
+
+The subspaces are layers 5 cm high with 5 cm between them, in the coxa's frame: reach 13 to 22 cm
+from the coxa axis and yaw within 30 degrees (assumed; the paper draws them without figures).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.motion import Goal, World
+from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
+
+__all__ = ["PoseMotion", "PoseSettings", "Space"]
+
+Array = NDArray[np.float64]
+
+PERIOD_S: Final = 0.02
+# Standing: feet under the knees, body high enough for the lower subspace to hang free.
+_STANDING_M: Final = (0.115, 0.0, -0.165)
+# A leg taking its turn: ticks for lifting off or setting down, and how high.
+_TURN_TICKS: Final = 40
+_TURN_LIFT_M: Final = 0.05
+# An obstacle comes when the foot is this clear of it, m: above it, or (forward) before it.
+_CLEARANCE_M: Final = {False: 0.008, True: 0.03}
+_WAIT_TICKS: Final = 5
+_SLOW_M_S: Final = (0.02, 0.10)
+
+
+@dataclass(frozen=True)
+class Space:
+    """A part of the leg's workspace: yaw, reach and height in the coxa's frame."""
+
+    yaw_rad: tuple[float, float]
+    reach_m: tuple[float, float]
+    height_m: tuple[float, float]
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Draw a point, (3,) m, uniform in yaw, reach and height."""
+        yaw, reach = rng.uniform(*self.yaw_rad), rng.uniform(*self.reach_m)
+        height = rng.uniform(*self.height_m)
+        return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
+
+
+# Lower and upper subspace, by name of the workspace.
+WORKSPACES: Final = {
+    "paper": (
+        Space((-math.radians(30), math.radians(30)), (0.13, 0.22), (-0.125, -0.075)),
+        Space((-math.radians(30), math.radians(30)), (0.13, 0.22), (-0.025, 0.025)),
+    ),
+    "whole": (
+        Space((-math.radians(50), math.radians(50)), (0.09, 0.24), (-0.13, -0.03)),
+        Space((-math.radians(50), math.radians(50)), (0.09, 0.25), (-0.03, 0.12)),
+    ),
+}
+# Where the two subspaces touch each other, an ascent still has to be one.
+_LEAST_RISE_M: Final = 0.04
+
+
+@dataclass(frozen=True)
+class PoseSettings:
+    """What the moving leg does.
+
+    Attributes:
+        legs: which legs move, in turn.
+        trials_per_turn: ascents and descents before the next leg's turn.
+        segment_ticks: length of an ascent or a descent.
+        hold_ticks: rest after a descent, marked stance.
+        path: ``cartesian`` or ``joint``, what is straight.
+        workspace: ``paper`` or ``whole``.
+        approach: ``descent``; ``slow`` (2 to 10 cm/s); ``forward`` (a level swing against a
+            post); ``graze`` (along a steep face).
+        react_ms: how long the command goes on after a touch; None for the whole segment.
+        obstacles: what is in the way.
+    """
+
+    legs: tuple[str, ...] = ("rf",)
+    trials_per_turn: int = 20
+    segment_ticks: int = 10
+    hold_ticks: int = 3
+    path: Literal["cartesian", "joint"] = "cartesian"
+    workspace: Literal["paper", "whole"] = "paper"
+    approach: Approach = "descent"
+    react_ms: float | None = None
+    obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)
+
+    def __post_init__(self) -> None:
+        unknown = [leg for leg in self.legs if leg not in LEGS]
+        if not self.legs or unknown:
+            raise ConfigurationError(
+                f"legs to move are {list(self.legs)}; expected some of {', '.join(LEGS)}"
+            )
+        if self.workspace not in WORKSPACES:
+            raise ConfigurationError(
+                f"no workspace '{self.workspace}'; workspaces are {', '.join(WORKSPACES)}"
+            )
+        if self.approach not in get_args(Approach):
+            raise ConfigurationError(
+                f"no approach '{self.approach}'; approaches are {', '.join(get_args(Approach))}"
+            )
+        if not 4 <= self.segment_ticks <= 500 or not 1 <= self.hold_ticks <= 500:
+            raise ConfigurationError(
+                f"segments of {self.segment_ticks} ticks with holds of {self.hold_ticks}; expected "
+                "4 to 500, and 1 to 500"
+            )
+        if self.trials_per_turn < 1:
+            raise ConfigurationError(f"{self.trials_per_turn} trials per turn; expected at least 1")
+
+
+@dataclass(eq=False)
+class _Plan:
+    """What the moving leg does next: goals, tick by tick, and where it is in them."""
+
+    joints: Array  # (n, 3) rad
+    points: Array  # (n, 3) m, leg frame
+    ascent: int  # ticks of ascent
+    swing: int  # ticks of swing; the rest is hold
+    obstacle: float | None = None  # share of the descent at which to touch
+    tick: int = 0
+    touched_step: int | None = None
+    frozen: Array | None = None
+
+
+class PoseMotion:
+    """Goals of the pose set-up.
+
+    Args:
+        settings: what to do.
+        geometry: the legs.
+        course: obstacles.
+        rng: of the points.
+    """
+
+    def __init__(
+        self,
+        settings: PoseSettings,
+        geometry: LegGeometry,
+        course: ObstacleCourse,
+        rng: np.random.Generator,
+    ) -> None:
+        self.settings = settings
+        self._geometry = geometry
+        self._course = course
+        self._rng = rng
+        self._standing = geometry.joints(np.tile(np.array(_STANDING_M), (len(LEGS), 1)))
+        self._goals = self._standing.copy()
+        self._lower, self._upper = WORKSPACES[settings.workspace]
+        self._turn = 0
+        self._trials_left = settings.trials_per_turn
+        self._point = np.array(_STANDING_M)
+        self._side = 1.0
+        self._plan = self._step_up()
+
+    @property
+    def start_joints(self) -> Array:
+        """(6, 3) rad, where the robot stands at first."""
+        return self._standing
+
+    @property
+    def start_height_m(self) -> float:
+        """Height of the body over flat ground at first."""
+        return -_STANDING_M[2]
+
+    @property
+    def leg(self) -> int:
+        """Index of the leg that moves."""
+        return LEGS.index(self.settings.legs[self._turn % len(self.settings.legs)])
+
+    def step(self, world: World) -> Goal:
+        """Goals for this tick."""
+        if self._plan.tick >= len(self._plan.joints):
+            self._plan = self._next_plan()
+        plan, leg = self._plan, self.leg
+        if plan.tick == 0:
+            self._course.assign(leg)
+        swinging = plan.tick < plan.swing
+        descending = plan.ascent <= plan.tick < plan.swing
+        if descending and plan.obstacle is not None:
+            self._raise_obstacle(plan, world)
+        if not descending and swinging and world.touch_step[leg] is None and plan.tick >= 1:
+            self._course.clear()
+        goal = self._goals.copy()
+        goal[leg] = plan.joints[plan.tick]
+        if descending and self.settings.react_ms is not None:
+            self._react(plan, world, leg)
+        if plan.frozen is not None:
+            goal[leg] = plan.frozen
+            swinging = False
+        self._goals = goal
+        plan.tick += 1
+        phase: list[Literal["swing", "stance"]] = ["stance"] * len(LEGS)
+        if swinging:
+            phase[leg] = "swing"
+        return Goal(goal, tuple(phase))
+
+    def preview(self, ticks: int) -> Array:
+        """(6, ticks, 3) rad, goals planned after this tick; the last repeats where none are."""
+        ahead = np.repeat(self._goals[:, None, :], ticks, axis=1)
+        rest = self._plan.joints[self._plan.tick : self._plan.tick + ticks]
+        if len(rest) and self._plan.frozen is None:
+            ahead[self.leg, : len(rest)] = rest
+            ahead[self.leg, len(rest) :] = rest[-1]
+        return ahead
+
+    def _react(self, plan: _Plan, world: World, leg: int) -> None:
+        """Stop the leg some time after a touch; the command until then goes on."""
+        assert self.settings.react_ms is not None
+        touched = world.touch_step[leg]
+        if touched is not None and plan.touched_step is None:
+            plan.touched_step = touched
+        if plan.touched_step is not None and plan.frozen is None:
+            since = (world.step - plan.touched_step) * world.step_s
+            if since >= self.settings.react_ms / 1000.0:
+                plan.frozen = self._goals[leg].copy()
+
+    def _raise_obstacle(self, plan: _Plan, world: World) -> None:
+        """Put an obstacle on a descent, given where body and foot really are.
+
+        The foot lags the command: it is still rising when its descent is commanded.  The
+        obstacle comes once the foot is clear of it, or not at all.
+        """
+        assert plan.obstacle is not None
+        leg = self.leg
+        descent = plan.points[plan.ascent : plan.swing]
+        where = plan.obstacle * (len(descent) - 1)
+        at = int(where)
+        after = min(at + 1, len(descent) - 1)
+        point = descent[at] + (where - at) * (descent[after] - descent[at])
+        motion = descent[after] - descent[max(at - 1, 0)]
+        turn = world.rotation @ self._geometry.rotations[leg]
+        mount = world.position_m + world.rotation @ self._geometry.mounts_m[leg]
+        place = mount + turn @ point
+        forward = self.settings.approach == "forward"
+        ahead = turn @ motion / np.linalg.norm(motion) if forward else np.array([0.0, 0.0, -1.0])
+        if float((place - world.feet_m[leg]) @ ahead) < _CLEARANCE_M[forward]:
+            if plan.tick - plan.ascent >= _WAIT_TICKS:
+                plan.obstacle = None
+            return
+        plan.obstacle = None
+        inward = turn @ np.array([-point[0], -point[1], 0.0])
+        inward[2] = 0.0
+        self._course.place(
+            place,
+            turn @ motion,
+            inward / np.linalg.norm(inward),
+            self.settings.approach,
+        )
+
+    # -- plans ---------------------------------------------------------------------------------
+
+    def _next_plan(self) -> _Plan:
+        if self._plan.frozen is not None:
+            self._point = self._geometry.feet(self._plan.frozen)
+        if self._trials_left > 0:
+            self._trials_left -= 1
+            return self._trial()
+        if len(self.settings.legs) == 1:
+            self._trials_left = self.settings.trials_per_turn - 1
+            return self._trial()
+        standing = np.array(_STANDING_M)
+        if not np.array_equal(self._point, standing):
+            return self._step_down()
+        self._turn += 1
+        self._trials_left = self.settings.trials_per_turn
+        return self._step_up()
+
+    def _trial(self) -> _Plan:
+        """One ascent, one descent, one hold."""
+        n = self.settings.segment_ticks
+        forward = self.settings.approach == "forward"
+        self._side = -self._side
+        while True:
+            top = self._upper.draw(self._rng)
+            end = self._lower.draw(self._rng)
+            down = n
+            if forward:
+                # From one side to the other at one height, low enough for foot or shin to meet
+                # the post; back on the next trial.
+                yaw = self._side * self._rng.uniform(0.25, 0.5)
+                reach = float(np.hypot(top[0], top[1]))
+                height = self._rng.uniform(-0.09, -0.03)
+                top = np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
+                end = np.array([top[0], -top[1], height])
+            elif self.settings.approach == "slow":
+                drop = self._rng.uniform(0.05, 0.08)
+                end = top - np.array([0.0, 0.0, drop])
+                down = round(drop / self._rng.uniform(*_SLOW_M_S) / PERIOD_S)
+            elif top[2] - end[2] < _LEAST_RISE_M:
+                continue
+            up_points, up = self._line(self._point, top, n)
+            down_points, fall = self._line(top, end, down)
+            if self._geometry.reachable(np.concatenate([up_points, down_points])).all():
+                break
+        hold = self.settings.hold_ticks
+        self._point = end
+        return _Plan(
+            joints=np.concatenate([up, fall, np.repeat(fall[-1:], hold, axis=0)]),
+            points=np.concatenate([up_points, down_points, np.repeat(end[None], hold, axis=0)]),
+            ascent=n,
+            swing=n + down,
+            obstacle=self._course.share() if self._course.wanted() else None,
+        )
+
+    def _line(self, start: Array, end: Array, ticks: int) -> tuple[Array, Array]:
+        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, 3) rad."""
+        share = (np.arange(1, ticks + 1) / ticks)[:, None]
+        if self.settings.path == "joint":
+            first, last = self._geometry.joints(start), self._geometry.joints(end)
+            joints = first + share * (last - first)
+            return self._geometry.feet(joints), joints
+        points = start + share * (end - start)
+        return points, self._geometry.joints(points)
+
+    def _step_up(self) -> _Plan:
+        """From standing to the lower subspace; no swing to be judged."""
+        while True:
+            end = self._lower.draw(self._rng)
+            if self._geometry.reachable(end):
+                break
+        points = _arc(np.array(_STANDING_M), end)
+        self._point = end
+        return _Plan(self._geometry.joints(points), points, ascent=0, swing=0)
+
+    def _step_down(self) -> _Plan:
+        """From wherever the leg is back to standing; no swing to be judged."""
+        points = _arc(self._point, np.array(_STANDING_M))
+        self._point = np.array(_STANDING_M)
+        return _Plan(self._geometry.joints(points), points, ascent=0, swing=0)
+
+
+def _arc(start: Array, end: Array) -> Array:
+    """A lifted, gentle way from one foot point to another, (n, 3) m, with a rest at the end."""
+    s = np.arange(1, _TURN_TICKS + 1) / _TURN_TICKS
+    smooth = s**3 * (10 - 15 * s + 6 * s**2)
+    points = start + smooth[:, None] * (end - start)
+    points[:, 2] += _TURN_LIFT_M * np.sin(np.pi * smooth)
+    return np.concatenate([points, np.repeat(points[-1:], _TURN_TICKS // 4, axis=0)])

@@ -1,0 +1,132 @@
+"""The robot's MJCF put on a ground, with obstacles that can be moved.
+
+An obstacle sits on a mocap body: a static geom that is moved at run time keeps its old bounds in
+the broad phase.  Obstacles collide with one leg at a time (:func:`expose`), so that a wide plate
+under one leg never lifts its neighbours.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from adaptive_contact_sim.elements import LEGS, PARTS, Elements
+from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain
+
+__all__ = ["OBSTACLES", "OBSTACLE_TOP_M", "PARKED_M", "build", "expose", "robot_xml"]
+
+# Bits of contype and conaffinity: what collides with the ground, and with obstacles.
+_GROUND_BIT: Final = 1
+_OBSTACLE_BIT: Final = 2
+
+# Obstacles by name: geom type, half sizes in m.  ``plate`` is a block wide enough for any
+# foothold, ``sphere`` a round stone, ``edge`` a rail of 5 mm radius, ``post`` an upright.
+OBSTACLES: Final = {
+    "plate": (mujoco.mjtGeom.mjGEOM_BOX, (0.06, 0.06, 0.10)),
+    "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, (0.03, 0.0, 0.0)),
+    "edge": (mujoco.mjtGeom.mjGEOM_CAPSULE, (0.005, 0.06, 0.0)),
+    "post": (mujoco.mjtGeom.mjGEOM_BOX, (0.01, 0.05, 0.10)),
+}
+# From an obstacle's centre up to its top, upright.
+OBSTACLE_TOP_M: Final = {"plate": 0.10, "sphere": 0.03, "edge": 0.005, "post": 0.10}
+# Where obstacles wait: out of sight, far from everything.
+PARKED_M: Final = (0.0, 0.0, -3.0)
+
+
+def robot_xml() -> str:
+    """The hexapod's MJCF text, as shipped in ``adaptive_contact_models``."""
+    return (
+        resources.files("adaptive_contact_models")
+        .joinpath("hexapod", "hexapod.xml")
+        .read_text(encoding="utf-8")
+    )
+
+
+def build(terrain: Terrain, *, obstacles: bool = False) -> mujoco.MjModel:
+    """Compile the robot on a ground.
+
+    Args:
+        terrain: the ground.
+        obstacles: add the movable obstacles of :data:`OBSTACLES`, parked.
+
+    Returns:
+        The compiled model.
+    """
+    spec = mujoco.MjSpec.from_string(robot_xml())
+    _add_surroundings(spec)
+    terrain.add_to(spec)
+    if obstacles:
+        # The engine's body filter is the union of the geoms' bits as compiled: legs must start
+        # with both, or `expose` could never let them through.
+        for leg in LEGS:
+            for part in PARTS:
+                spec.geom(f"{leg}_{part}").contype = _GROUND_BIT | _OBSTACLE_BIT
+        for name, (kind, size) in OBSTACLES.items():
+            body = spec.worldbody.add_body(name=f"obstacle_{name}", mocap=True, pos=list(PARKED_M))
+            body.add_geom(
+                name=f"obstacle_{name}",
+                type=kind,
+                size=list(size),
+                contype=0,
+                conaffinity=_OBSTACLE_BIT,
+                priority=2,
+                friction=[0.9, 0.005, 0.0001],
+                solref=list(HARD_SOLREF),
+                material="obstacle",
+            )
+    model = spec.compile()
+    terrain.finish(model)
+    return model
+
+
+def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
+    """Let obstacles collide with one leg only, or with none."""
+    for i, name in enumerate(LEGS):
+        bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
+        model.geom_contype[elements.leg_geoms[i]] = bits
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Sky, floor pattern, lights: for pictures only."""
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.55, 0.70, 0.88],
+        rgb2=[0.93, 0.95, 0.97],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="checker",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.66, 0.63, 0.57],
+        rgb2=[0.58, 0.55, 0.50],
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        markrgb=[0.48, 0.46, 0.42],
+        width=256,
+        height=256,
+    )
+    for name, rgba in (("ground", [1.0, 1.0, 1.0, 1.0]), ("obstacle", [0.80, 0.42, 0.30, 1.0])):
+        material = spec.add_material(name=name, rgba=rgba, specular=0.1, shininess=0.1)
+        if name == "ground":
+            textures = material.textures
+            textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "checker"
+            material.textures = textures
+            material.texrepeat = np.array([5.0, 5.0])
+            material.texuniform = True
+    # On the robot, so that its shadow map goes with it; direction fixed in the world.
+    light = spec.body("body").add_light(
+        name="sun",
+        pos=[0.9, -1.3, 2.4],
+        dir=[-0.3, 0.45, -0.85],
+        diffuse=[0.65, 0.63, 0.60],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=True,
+    )
+    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    light.mode = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM

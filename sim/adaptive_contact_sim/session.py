@@ -1,0 +1,203 @@
+"""One run from beginning to end: simulation, link, recording, film and window together."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Any
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.live import Outcome, run_live, run_offline
+from adaptive_contact_sim.pace import Pace
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+from adaptive_contact_sim.walk import WalkSettings
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.link import LinkSettings
+    from adaptive_contact.service.probe import Finding
+
+__all__ = ["Report", "RunPlan", "describe", "run"]
+
+Look = Callable[[Tick], None]
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """What to run, and where it goes.
+
+    Attributes:
+        settings: what to simulate.
+        seconds: of simulated time, None for until stopped.
+        speed: times real time, None for as fast as possible.
+        link: how to join the network, None for a run without one.
+        record: MCAP file to write.
+        render: picture or film to make.
+        view: open a window.
+        encoding: of recorded payloads.
+    """
+
+    settings: SimulationSettings
+    seconds: float | None
+    speed: float | None
+    link: LinkSettings | None
+    record: Path | None = None
+    render: Path | None = None
+    view: bool = False
+
+    def __post_init__(self) -> None:
+        motion = self.settings.motion
+        if self.link is None:
+            if self.seconds is None:
+                raise ConfigurationError(
+                    "a run without a network would never end; give --seconds, or a scenario that "
+                    "has them"
+                )
+            if isinstance(motion, WalkSettings) and motion.stop_on == "service":
+                raise ConfigurationError(
+                    "legs cannot stop on the service's word without a network; leave out "
+                    "--offline, or take --stop-on truth"
+                )
+        if self.seconds is not None and not 0.0 < self.seconds <= 1e6:
+            raise ConfigurationError(f"a run of {self.seconds} s; expected above 0, to 1000000 s")
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a run went.
+
+    Attributes:
+        outcome: times and ticks.
+        touches: contacts begun per leg, standing at the start left out.
+        note: what a person should know, such as a film that had to be drawn.
+    """
+
+    outcome: Outcome
+    touches: dict[str, int]
+    note: str | None
+
+
+def run(
+    plan: RunPlan,
+    stop: Event,
+    *,
+    on_wait: Callable[[Finding], None] | None = None,
+    on_start: Callable[[str], None] | None = None,
+) -> Report:
+    """Run a plan to its end.
+
+    Args:
+        plan: what, and where to.
+        stop: ends the run when set.
+        on_wait: called with what stands in the way of the network.
+        on_start: called with one line when the run begins.
+
+    Raises:
+        AdaptiveContactError: in one line, what is wrong.
+    """
+    settings = plan.settings
+    if plan.link is not None:
+        # Live samples carry wall clock times, and a run number that grows from start to start.
+        now_ns = time.time_ns()
+        settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
+    sim = Simulation(settings)
+    touches: Counter[str] = Counter()
+    note: str | None = None
+    with ExitStack() as stack:
+        looks: list[Look] = []
+        if plan.record is not None:
+            from adaptive_contact.wire import MSGPACK
+            from adaptive_contact_sim.recorder import TickRecorder
+
+            encoding = MSGPACK if plan.link is None else plan.link.encoding
+            recorder = stack.enter_context(TickRecorder(plan.record, sim, encoding))
+            looks.append(recorder.write)
+        if plan.render is not None:
+            from adaptive_contact_sim.film import Film
+
+            film = stack.enter_context(Film(plan.render, sim))
+            looks.append(lambda _: film.look())
+            if film.fallback is not None:
+                note = f"{film.fallback}: {plan.render.name} is a drawn stick figure"
+        if plan.view:
+            looks.append(_window(sim, stack, stop))
+
+        def on_tick(tick: Tick) -> None:
+            for change in tick.truth:
+                if change.message.contact and sim.ticks > 1:
+                    touches[change.leg] += 1
+            for look in looks:
+                look(tick)
+
+        period_s = 0.0 if plan.speed is None else settings.period_s / plan.speed
+        if plan.link is None:
+            if on_start is not None:
+                on_start(f"{describe(settings)}; no network")
+            outcome = run_offline(
+                sim, seconds=plan.seconds, pace=Pace(period_s), stop=stop, on_tick=on_tick
+            )
+        else:
+            from adaptive_contact.service.link import Link
+
+            link = stack.enter_context(Link.open(plan.link, on_wait=on_wait, stop=stop))
+            if on_start is not None:
+                on_start(f"{describe(settings)}; publishing robot/leg/*/servo and truth")
+            outcome = run_live(
+                sim,
+                link,
+                seconds=plan.seconds,
+                pace=Pace(period_s),
+                stop=stop,
+                listen=isinstance(settings.motion, WalkSettings)
+                and settings.motion.stop_on == "service",
+                on_tick=on_tick,
+            )
+    return Report(outcome, {leg: touches[leg] for leg in LEGS}, note)
+
+
+def describe(settings: SimulationSettings) -> str:
+    """What a run is, in a few words."""
+    motion = settings.motion
+    if isinstance(motion, PoseSettings):
+        what = f"{' '.join(motion.legs)} in pose, {motion.workspace} workspace"
+        if motion.obstacles.probability:
+            what += f", {motion.obstacles.probability:.0%} obstacles"
+    else:
+        what = f"{motion.gait} walk on {settings.terrain.kind} ground, stop on {motion.stop_on}"
+    drifts = f", {len(settings.drift)} drifts" if settings.drift else ""
+    return f"{what}, seed {settings.seed}{drifts}"
+
+
+def _window(sim: Simulation, stack: ExitStack, stop: Event) -> Look:
+    """Open the engine's viewer, which draws in a thread of its own; closing it ends the run."""
+    try:
+        import mujoco.viewer
+
+        viewer: Any = stack.enter_context(
+            mujoco.viewer.launch_passive(
+                sim.plant.model, sim.plant.data, show_left_ui=False, show_right_ui=False
+            )
+        )
+    # The viewer raises RuntimeError or mujoco's FatalError for a missing display, ImportError
+    # without GLFW.
+    except (ImportError, RuntimeError, mujoco.FatalError) as error:
+        text = " ".join(str(error).split())[:120]
+        raise ConfigurationError(
+            f"no window can be opened ({text}); use --render FILE.gif, or run where a display is"
+        ) from error
+    viewer.cam.distance, viewer.cam.elevation, viewer.cam.azimuth = 1.2, -20.0, 128.0
+
+    def look(_: Tick) -> None:
+        if not viewer.is_running():
+            stop.set()
+            return
+        viewer.cam.lookat[:2] = sim.plant.body_pose()[0][:2]
+        viewer.sync()
+
+    return look

@@ -1,0 +1,314 @@
+"""One robot, one controller, one tick at a time.
+
+A control tick reads all positions, asks the controller for goals, writes them, and lets the
+physics run until the next.  Nothing here reads a clock or a socket: who wants real time or Zenoh
+wraps :meth:`Simulation.tick`.  The same settings give the same trajectory, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import ContactTruth, Drift, Phase, ServoSample
+from adaptive_contact_sim.drift import DriftSchedule, Injection
+from adaptive_contact_sim.elements import LEGS, N_SERVOS, PARTS
+from adaptive_contact_sim.encoder import Encoder, EncoderSettings, Reading
+from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.motion import Goal, Motion, World
+from adaptive_contact_sim.obstacles import ObstacleCourse
+from adaptive_contact_sim.plant import Plant
+from adaptive_contact_sim.pose import PoseMotion, PoseSettings
+from adaptive_contact_sim.scene import build
+from adaptive_contact_sim.servo import ServoParameters, manufactured
+from adaptive_contact_sim.terrain import Terrain, TerrainSettings
+from adaptive_contact_sim.truth import Change, TruthTracker
+from adaptive_contact_sim.walk import WalkMotion, WalkSettings
+
+__all__ = ["Simulation", "SimulationSettings", "Tick", "Truth"]
+
+Array = NDArray[np.float64]
+MotionSettings: TypeAlias = PoseSettings | WalkSettings
+
+# Standing still before time zero, so that a run does not start with a fall.
+_SETTLE_S: Final = 1.0
+# Above the ground at first, m: a height field is touched nowhere at the start.
+_DROP_M: Final = 0.01
+# Streams of randomness of one run.  Their order is part of what a seed means: only append.
+_STREAMS: Final = ("encoder", "motion", "obstacles", "drift")
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Everything that decides a run.
+
+    Attributes:
+        motion: pose or walk, and how.
+        seed: of the run: motion, obstacles, noise, faults.
+        robot_seed: which robot of its kind, see :func:`~adaptive_contact_sim.servo.manufactured`.
+        servo_spread: relative half-width of the differences between servos.
+        terrain: ground of a walk; a pose stands on flat ground.
+        encoder: reading noise and faults.
+        drift: what changes during the run.
+        preview_ticks: goals told ahead in every sample.
+        epoch_ns: time stamp of tick 0.
+        run: the ``run`` of the samples.
+        supply_resistance_ohm: of battery and wiring.
+    """
+
+    motion: MotionSettings = field(default_factory=PoseSettings)
+    seed: int = 0
+    robot_seed: int = 0
+    servo_spread: float = 0.12
+    terrain: TerrainSettings = field(default_factory=lambda: TerrainSettings(kind="flat"))
+    encoder: EncoderSettings = field(default_factory=EncoderSettings)
+    drift: tuple[Injection, ...] = ()
+    preview_ticks: int = 0
+    epoch_ns: int = 0
+    run: int | None = None
+    supply_resistance_ohm: float = 0.1
+    period_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.preview_ticks <= 50:
+            raise ConfigurationError(f"preview of {self.preview_ticks} ticks; expected 0 to 50")
+        if not 0.0 <= self.servo_spread <= 0.5:
+            raise ConfigurationError(
+                f"servo spread is {self.servo_spread}; expected 0 to 0.5 (0.12 is typical)"
+            )
+
+
+class Truth(NamedTuple):
+    """A change of a leg's contact."""
+
+    leg: str
+    message: ContactTruth
+
+
+class Tick(NamedTuple):
+    """What one control tick gave: a sample per leg, and changes of contact since the last."""
+
+    samples: dict[str, ServoSample]
+    truth: list[Truth]
+
+
+class Simulation:
+    """A running simulation.
+
+    Args:
+        settings: what to simulate.
+        parameters: the robot's servos; drawn from ``robot_seed`` where left out.
+
+    Raises:
+        ConfigurationError: the settings do not fit together.
+    """
+
+    def __init__(
+        self, settings: SimulationSettings, parameters: ServoParameters | None = None
+    ) -> None:
+        self.settings = settings
+        self.geometry = LegGeometry.of()
+        seeds = np.random.SeedSequence(settings.seed).spawn(len(_STREAMS))
+        rng = {name: np.random.default_rng(s) for name, s in zip(_STREAMS, seeds, strict=True)}
+
+        posing = isinstance(settings.motion, PoseSettings)
+        ground = TerrainSettings(kind="flat") if posing else settings.terrain
+        if ground.seed is None:
+            ground = replace(ground, seed=settings.seed)
+        self.terrain = Terrain(ground)
+        self.plant = Plant(
+            build(self.terrain, obstacles=posing),
+            parameters or manufactured(settings.robot_seed, spread=settings.servo_spread),
+            period_s=settings.period_s,
+            supply_resistance_ohm=settings.supply_resistance_ohm,
+        )
+        self.course: ObstacleCourse | None = None
+        self.motion: Motion
+        if isinstance(settings.motion, PoseSettings):
+            self.course = ObstacleCourse(settings.motion.obstacles, self.plant, rng["obstacles"])
+            self.motion = PoseMotion(settings.motion, self.geometry, self.course, rng["motion"])
+        else:
+            self.motion = WalkMotion(
+                settings.motion,
+                self.geometry,
+                rng["motion"],
+                field_m=self.terrain.settings.size_m,
+                period_s=settings.period_s,
+            )
+        self.encoder = Encoder(settings.encoder, rng["encoder"])
+        self.drift = DriftSchedule(settings.drift, dropout=settings.encoder.dropped)
+        self.truth = TruthTracker(self.plant.step_s, self.plant.substeps)
+        self.ticks = 0
+        self._told: list[int | None] = [None] * len(LEGS)
+        self._tick_ns = round(settings.period_s * 1e9)
+        self._step_ns = round(self.plant.step_s * 1e9)
+        self._opening = self._settle()
+        # What the last tick read and wrote, for who wants arrays instead of messages.
+        self.reading = Reading(np.zeros(N_SERVOS), np.ones(N_SERVOS, dtype=np.bool_))
+        self.desired = np.zeros(N_SERVOS)
+        self.phase: tuple[Phase, ...] = tuple("stance" for _ in LEGS)
+        self.changes: list[Change] = []
+
+    @property
+    def t_ns(self) -> int:
+        """Time stamp of the tick to come."""
+        return self.settings.epoch_ns + self.ticks * self._tick_ns
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since tick 0."""
+        return self.ticks * self.settings.period_s
+
+    def inject(self, drift: Drift) -> None:
+        """Let a drift begin now.
+
+        Raises:
+            ConfigurationError: it is of no known kind, leg or joint, or out of range.
+        """
+        self.drift.add(Injection(drift, self.time_s))
+
+    def now_holds(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Drifts in force at the tick to come, by kind, leg and joint; nominal left out."""
+        if self.drift.due(self.time_s):
+            self._apply_drift()
+        return self.drift.holds()
+
+    def notify_contact(self, leg: str, contact: bool = True) -> None:
+        """Tell the gait that someone (the service) says a leg touches."""
+        if leg in LEGS:
+            self._told[LEGS.index(leg)] = self.ticks if contact else None
+
+    def advance(self) -> None:
+        """Make one control tick, without composing messages."""
+        plant = self.plant
+        if self.drift.due(self.time_s):
+            self._apply_drift()
+        self.reading = self.encoder.read(plant.joint_angles + plant.servos.offset_rad)
+        goal = self._goal()
+        self.desired = plant.servos.write_goal(goal.joints_rad.reshape(-1))
+        self.phase = goal.phase
+        plant.advance()
+        self.changes = self._opening + self.truth.update(plant.forces, plant.touches, plant.steps)
+        self._opening = []
+        self.ticks += 1
+
+    def tick(self) -> Tick:
+        """Make one control tick.
+
+        Returns:
+            The samples read and written at its start, and the changes of contact that became
+            certain by its end.
+
+        Raises:
+            SimulationDiverged: the physics blew up.
+        """
+        t_ns, seq = self.t_ns, self.ticks
+        self.advance()
+        measured = self.reading.angle_rad.reshape(len(LEGS), -1).tolist()
+        desired = self.desired.reshape(len(LEGS), -1).tolist()
+        valid: list[list[bool]] | None = None
+        if not self.reading.valid.all():
+            valid = self.reading.valid.reshape(len(LEGS), -1).tolist()
+        preview: list[list[list[float]]] | None = None
+        if self.settings.preview_ticks:
+            preview = self.motion.preview(self.settings.preview_ticks).tolist()
+        samples = {
+            leg: ServoSample(
+                t_ns=t_ns,
+                seq=seq,
+                measured=measured[i],
+                desired=desired[i],
+                preview=None if preview is None else preview[i],
+                phase=self.phase[i],
+                valid=None if valid is None else valid[i],
+                run=self.settings.run,
+            )
+            for i, leg in enumerate(LEGS)
+        }
+        return Tick(samples, [self._message(change) for change in self.changes])
+
+    def run(self, seconds: float) -> Iterator[Tick]:
+        """Make the control ticks of some simulated time."""
+        for _ in range(round(seconds / self.settings.period_s)):
+            yield self.tick()
+
+    def time_of_step(self, step: int) -> int:
+        """Time stamp, ns, of a physics step."""
+        return self.settings.epoch_ns + step * self._step_ns
+
+    def surface_of(self, geom: int) -> Literal["hard", "soft"]:
+        """What kind of surface a geom is."""
+        name = self.plant.model.geom(geom).name
+        if self.course is not None and name.startswith("obstacle_"):
+            return self.course.surface
+        return self.terrain.surface
+
+    def _goal(self) -> Goal:
+        position, rotation = self.plant.body_pose()
+        return self.motion.step(
+            World(
+                tick=self.ticks,
+                step=self.plant.steps,
+                step_s=self.plant.step_s,
+                measured_rad=self.reading.angle_rad.reshape(len(LEGS), -1),
+                position_m=position,
+                rotation=rotation,
+                feet_m=self.plant.foot_positions(),
+                touch_step=tuple(self.truth.recent(i) for i in range(len(LEGS))),
+                told_tick=tuple(self._told),
+            )
+        )
+
+    def _settle(self) -> list[Change]:
+        """Stand up and come to rest before time zero."""
+        joints = self.motion.start_joints.reshape(-1)
+        plant, g = self.plant, self.geometry
+        feet = g.to_body(g.feet(self.motion.start_joints))
+        ground = float(self.terrain.height_at(feet[:, 0], feet[:, 1]).max())
+        height = ground + self.motion.start_height_m + _DROP_M
+        plant.place(np.array([0.0, 0.0, height]), np.array([1.0, 0.0, 0.0, 0.0]), joints)
+        plant.servos.write_goal(joints)
+        for _ in range(round(_SETTLE_S / self.settings.period_s)):
+            plant.advance()
+        plant.start_clock()
+        return self.truth.start(plant.forces.mean(axis=0), 0)
+
+    def _apply_drift(self) -> None:
+        values = self.drift.values(self.time_s)
+        plant = self.plant
+        for kind, name in _SERVO_CONDITIONS.items():
+            plant.set_servos(name, values[kind].reshape(-1))
+        plant.set_backlash(values["backlash"].reshape(-1))
+        plant.set_payload(values["mass"].max(axis=1))
+        self.encoder.dropped[:] = values["dropout"].reshape(-1)
+
+    def _message(self, change: Change) -> Truth:
+        touch = change.touch
+        return Truth(
+            LEGS[change.leg],
+            ContactTruth(
+                t_ns=self.time_of_step(change.step),
+                contact=change.contact,
+                force=change.force_n,
+                speed_m_s=None if touch is None else touch.speed_m_s,
+                surface=None if touch is None else self.surface_of(touch.other),
+                part=None if touch is None else PARTS[touch.part],
+                grazing=touch is not None and touch.grazing,
+            ),
+        )
+
+
+# Drift kinds that are a condition of the servos, and what each is called there.
+_SERVO_CONDITIONS: Final = {
+    "friction": "friction_factor",
+    "viscous": "viscous_factor",
+    "compliance": "compliance_factor",
+    "winding": "winding_factor",
+    "supply": "supply_v",
+    "offset": "offset_rad",
+}

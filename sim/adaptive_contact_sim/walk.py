@@ -1,0 +1,315 @@
+r"""A walking controller: gait, steering, reaction to touch, posture.
+
+It knows what a real one may know: its own commands, the positions its servos report, the body's
+attitude (as from an IMU), and contacts it is told of.  Only the steering uses the body's true
+place, as an operator would, to keep the robot on the field.
+
+All points are feet in the body's frame, :math:`p_i`.  With the wanted twist :math:`(v, \omega)` of
+the body, a stance foot moves by :math:`\dot p_i = -v - \omega \times p_i`; a swing foot goes to
+its neutral point plus half a stride ahead.  Posture: stance feet are moved up and down slowly, so
+that the body keeps its height over the mean of its feet, stays level, and loads its feet alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import Phase
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Swings
+from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.motion import Goal, World
+
+__all__ = ["StopOn", "WalkMotion", "WalkSettings"]
+
+Array = NDArray[np.float64]
+StopOn = Literal["truth", "service", "never"]
+
+# Waypoints keep this far from the field's rim, m: body and legs are 0.35 m from the centre, and
+# a turn takes some room.
+_RIM_M: Final = 0.9
+_ARRIVED_M: Final = 0.25
+_HEADING_GAIN: Final = 1.0  # rad/s per rad
+_OUTER_FOOT_M: Final = 0.22  # neutral feet from the body's centre; turning moves them by this
+# Time over which the wanted twist is smoothed.
+_TWIST_S: Final = 0.4
+# Posture: what part of an error is taken back per second.
+_HEIGHT_GAIN: Final = 3.0
+_LEVEL_GAIN: Final = 4.0
+_SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
+_FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
+# A foot that has come down presses this far below where it stands, enough to take its share of
+# the weight at once; what the command is lower still is taken back at this rate.
+_PRELOAD_M: Final = 0.012
+_RELAX_M_S: Final = 1.0
+
+
+@dataclass(frozen=True)
+class WalkSettings:
+    """How to walk.
+
+    Attributes:
+        gait: ``tripod``, ``ripple`` or ``wave``.
+        stride_m: length of a stance at full speed.
+        swing_s: time of a whole swing.
+        body_height_m: of the coxa axes over the feet.
+        clearance_m: of a foot in transfer over the ground one expects.
+        depth_m: how far below the expected ground descents aim, lowest and highest.
+        reach_m: of neutral feet from their coxa axes.
+        variability: relative half-width of the differences between cycles and swings.
+        stop_on: who tells a leg that it touches: ``truth``, ``service`` or ``never``.
+        react_ms: from a true touch to the leg's stop; the phase stays swing until then.
+    """
+
+    gait: GaitName = "tripod"
+    stride_m: float = 0.06
+    swing_s: float = 0.64
+    body_height_m: float = 0.10
+    clearance_m: float = 0.045
+    depth_m: tuple[float, float] = (0.025, 0.04)
+    reach_m: float = 0.135
+    variability: float = 0.15
+    stop_on: StopOn = "truth"
+    react_ms: float = 60.0
+
+    def __post_init__(self) -> None:
+        if self.gait not in GAITS:
+            raise ConfigurationError(f"no gait '{self.gait}'; gaits are {', '.join(GAITS)}")
+        if self.stop_on not in get_args(StopOn):
+            raise ConfigurationError(
+                f"stop-on '{self.stop_on}'; expected one of {', '.join(get_args(StopOn))}"
+            )
+        ranges = (
+            ("stride", self.stride_m, 0.0, 0.09, "m"),
+            ("swing time", self.swing_s, 0.3, 3.0, "s"),
+            ("body height", self.body_height_m, 0.07, 0.13, "m"),
+            ("clearance", self.clearance_m, 0.02, 0.07, "m"),
+            ("reach", self.reach_m, 0.11, 0.17, "m"),
+            ("variability", self.variability, 0.0, 0.4, ""),
+            ("reaction time", self.react_ms, 0.0, 1000.0, "ms"),
+        )
+        for name, value, low, high, unit in ranges:
+            if not low <= value <= high:
+                raise ConfigurationError(
+                    f"{name} is {value:g} {unit}; expected {low:g} to {high:g} {unit}".rstrip()
+                )
+        if not 0.02 <= self.depth_m[0] <= self.depth_m[1] <= 0.06:
+            raise ConfigurationError(
+                f"descents aim {self.depth_m[0]:g} to {self.depth_m[1]:g} m below the ground; "
+                "expected 0.02 to 0.06 m, rising"
+            )
+
+
+class _Ground(NamedTuple):
+    """A level plane in the body's frame: a point of it, and the vertical."""
+
+    point: Array
+    up: Array
+
+    def height(self, x: float, y: float) -> float:
+        """Height at a place, in the body's frame."""
+        point, up = self
+        slope = up[0] * (x - point[0]) + up[1] * (y - point[1])
+        return float(point[2] - slope / max(float(up[2]), 0.5))
+
+
+class WalkMotion:
+    """Goals of a walk.
+
+    Args:
+        settings: how to walk.
+        geometry: the legs.
+        rng: of the variability and the way.
+        field_m: edge of the square to stay on.
+        period_s: control tick.
+    """
+
+    def __init__(
+        self,
+        settings: WalkSettings,
+        geometry: LegGeometry,
+        rng: np.random.Generator,
+        *,
+        field_m: float,
+        period_s: float,
+    ) -> None:
+        self.settings = settings
+        self._geometry = geometry
+        self._rng = rng
+        self._period_s = period_s
+        self._bound_m = max(field_m / 2 - _RIM_M, 0.3)
+        gait = GAITS[settings.gait]
+        self._share = gait.share
+        self._offsets = np.array(gait.offsets)
+        self._nominal_cycle_s = settings.swing_s / gait.share
+        self._stance_s = self._nominal_cycle_s * (1.0 - gait.share)
+        neutral = np.tile([settings.reach_m, 0.0, -settings.body_height_m], (len(LEGS), 1))
+        self._neutral = geometry.to_body(neutral)
+        self._feet = self._neutral.copy()
+        self._swings = Swings.at(self._feet)
+        self._clock = gait.share
+        self._rate = 1.0 / self._nominal_cycle_s
+        # Swinging: in the air by command.  A leg whose swing would be under way at the start
+        # waits for its next.
+        self._swinging = np.zeros(len(LEGS), dtype=np.bool_)
+        self._own_before = self._own_clock()
+        self._twist = np.zeros(3)  # vx, vy m/s, wz rad/s
+        self._waypoint = self._draw_waypoint()
+
+    @property
+    def start_joints(self) -> Array:
+        """(6, 3) rad, where the robot stands at first."""
+        return self._geometry.joints(self._geometry.to_leg(self._neutral))
+
+    @property
+    def start_height_m(self) -> float:
+        """Height of the body over the ground at first."""
+        return self.settings.body_height_m
+
+    def step(self, world: World) -> Goal:
+        """Goals for this tick."""
+        self._steer(world)
+        measured = self._geometry.to_body(self._geometry.feet(world.measured_rad))
+        self._lift_off(world, measured)
+        self._stand(world, measured)
+        self._swing(world)
+        goal = self._geometry.joints(self._geometry.to_leg(self._feet))
+        phase: tuple[Phase, ...] = tuple("swing" if s else "stance" for s in self._swinging)
+        return Goal(goal, phase)
+
+    def preview(self, ticks: int) -> Array:
+        """(6, ticks, 3) rad, goals if nothing is touched: swings go on, stance feet stay."""
+        ahead = np.repeat(self._feet[:, None, :], ticks, axis=1)
+        own = self._own_clock()
+        for k in range(ticks):
+            progress = np.minimum((own + (k + 1) * self._rate * self._period_s) / self._share, 1.0)
+            ahead[self._swinging, k] = self._swings.feet(progress)[self._swinging]
+        return np.stack(
+            [self._geometry.joints(self._geometry.to_leg(ahead[:, k])) for k in range(ticks)],
+            axis=1,
+        )
+
+    # -- steering ------------------------------------------------------------------------------
+
+    def _draw_waypoint(self) -> Array:
+        return self._rng.uniform(-self._bound_m, self._bound_m, 2)
+
+    def _steer(self, world: World) -> None:
+        """Turn towards the waypoint, walk when roughly facing it."""
+        to = self._waypoint - world.position_m[:2]
+        if math.hypot(to[0], to[1]) < _ARRIVED_M:
+            self._waypoint = self._draw_waypoint()
+            to = self._waypoint - world.position_m[:2]
+        heading = math.atan2(world.rotation[1, 0], world.rotation[0, 0])
+        error = math.remainder(math.atan2(to[1], to[0]) - heading, 2 * math.pi)
+        speed = self.settings.stride_m / self._stance_s
+        # A stance foot's way is limited by what the leg reaches, turning included.
+        fastest = speed / _OUTER_FOOT_M
+        turn = max(-fastest, min(fastest, _HEADING_GAIN * error))
+        forward = speed * max(0.0, math.cos(error)) * (1.0 - 0.5 * abs(turn) / max(fastest, 1e-9))
+        wanted = np.array([forward, 0.0, turn])
+        self._twist += (wanted - self._twist) * (self._period_s / _TWIST_S)
+
+    def _velocity_of(self, points: Array) -> Array:
+        """Velocity (6, 2) m/s of the body at points of it; the ground's there is the opposite."""
+        vx, vy, wz = self._twist
+        return np.stack([vx - wz * points[:, 1], vy + wz * points[:, 0]], axis=1)
+
+    # -- the gait's clock ----------------------------------------------------------------------
+
+    def _own_clock(self) -> Array:
+        return (self._clock + self._offsets) % 1.0
+
+    def _lift_off(self, world: World, measured: Array) -> None:
+        """Advance the clock; let legs whose turn it is begin their swing."""
+        settings, rng = self.settings, self._rng
+        clock = self._clock + self._rate * self._period_s
+        if clock >= 1.0:
+            clock -= 1.0
+            spread = 1.0 + settings.variability * rng.uniform(-1.0, 1.0)
+            self._rate = 1.0 / (self._nominal_cycle_s * spread)
+        self._clock = clock
+        own = self._own_clock()
+        begin = np.flatnonzero(own < self._own_before)
+        self._own_before = own
+        if not begin.size:
+            return
+        ground = self._expected_ground(world, measured)
+        ahead = 0.5 * self._stance_s * self._velocity_of(self._neutral)
+        for leg in begin:
+            self._swinging[leg] = True
+            swings = self._swings
+            swings.start_m[leg] = self._feet[leg]
+            jitter = settings.variability * 0.06 * rng.uniform(-1.0, 1.0, 2)
+            target = self._neutral[leg, :2] + ahead[leg] + jitter
+            swings.target_m[leg, :2] = target
+            floor = ground.height(*target)
+            lift = settings.clearance_m * (1.0 + settings.variability * rng.uniform(-1.0, 1.0))
+            swings.top_m[leg] = floor + lift
+            swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
+            swings.began_tick[leg] = world.tick
+            swings.began_step[leg] = world.step
+
+    def _expected_ground(self, world: World, measured: Array) -> _Ground:
+        """The level plane through the middle of the feet that stand."""
+        stance = ~self._swinging
+        middle = measured[stance].mean(axis=0) if stance.any() else self._neutral.mean(axis=0)
+        return _Ground(middle, world.rotation[2])
+
+    # -- stance --------------------------------------------------------------------------------
+
+    def _stand(self, world: World, measured: Array) -> None:
+        """Move stance feet: with the body's twist, for its posture, and off too much pressure."""
+        stance = ~self._swinging
+        if not stance.any():
+            return
+        dt, feet = self._period_s, self._feet
+        feet[stance, :2] -= dt * self._velocity_of(feet)[stance]
+        up = world.rotation[2]  # the vertical in the body's frame
+        below = float((measured[stance] @ up).mean())
+        height = -below - self.settings.body_height_m
+        # Level the body: it tilts by (up x z); lower the feet on the side that hangs.
+        slope = -(feet[:, 0] * up[0] + feet[:, 1] * up[1])
+        feet[stance, 2] += dt * (_HEIGHT_GAIN * height - _LEVEL_GAIN * slope[stance])
+        # How far a foot is pushed off its command tells its load: a spring of servos.
+        pressed = (measured - feet) @ up
+        load = pressed[stance]
+        feet[stance, 2] += dt * _SHARE_GAIN * (load - load.mean())
+        feet[stance, 2] += np.clip(load - _PRELOAD_M, 0.0, _RELAX_M_S * dt)
+        nominal = -self.settings.body_height_m
+        feet[stance, 2] = np.clip(feet[stance, 2], nominal - _FOOT_RANGE_M, nominal + _FOOT_RANGE_M)
+
+    # -- swing ---------------------------------------------------------------------------------
+
+    def _swing(self, world: World) -> None:
+        """Move swing feet along their way; land those that touch, or that are at its end."""
+        if not self._swinging.any():
+            return
+        progress = self._own_clock() / self._share
+        points = self._swings.feet(np.minimum(progress, 1.0))
+        for leg in np.flatnonzero(self._swinging):
+            if progress[leg] > DESCENT and self._told(world, int(leg)):
+                self._swinging[leg] = False
+                continue
+            self._feet[leg] = points[leg]
+            if progress[leg] >= 1.0:
+                self._swinging[leg] = False
+
+    def _told(self, world: World, leg: int) -> bool:
+        """Whether the leg is to stop now."""
+        if self.settings.stop_on == "truth":
+            touched = world.touch_step[leg]
+            if touched is None or touched <= self._swings.began_step[leg]:
+                return False
+            since_ms = (world.step - touched) * world.step_s * 1e3
+            return since_ms >= self.settings.react_ms
+        if self.settings.stop_on == "service":
+            told = world.told_tick[leg]
+            return told is not None and told > self._swings.began_tick[leg]
+        return False

@@ -1,0 +1,147 @@
+"""The stream guard sorts samples into the next one, a restart, and the rejected."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.adapt.stream import (
+    CLOCK_RESET_SAMPLES,
+    TAKE_BACK_SAMPLES,
+    Accepted,
+    StreamGuard,
+)
+from adaptive_contact.wire import Reject, ServoSample
+
+STEP = 20_000_000
+
+
+def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> ServoSample:
+    fields: dict[str, object] = {
+        "t_ns": t0 + k * STEP, "seq": k, "measured": [0.1, 0.2], "desired": [0.1, 0.2], "run": run,
+    }  # fmt: skip
+    return ServoSample(**{**fields, **other})  # type: ignore[arg-type]
+
+
+def feed(guard: StreamGuard, *stream: ServoSample) -> list[Accepted | Reject]:
+    return [guard.admit(s) for s in stream]
+
+
+def test_a_clean_stream_is_accepted() -> None:
+    results = feed(StreamGuard(2), *(sample(k) for k in range(5)))
+    assert results == [Accepted(0, True)] + [Accepted(0, False)] * 4
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"measured": [0.1]}, Reject.WRONG_JOINTS),
+        ({"desired": [0.1] * 3}, Reject.WRONG_JOINTS),
+        ({"preview": [[0.1]]}, Reject.WRONG_JOINTS),
+        ({"valid": [True]}, Reject.WRONG_JOINTS),
+        ({"measured": [math.nan, 0]}, Reject.NOT_FINITE),
+        ({"desired": [0, -math.inf]}, Reject.NOT_FINITE),
+        ({"preview": [[0, math.nan]]}, Reject.NOT_FINITE),
+        ({"measured": [1e9, 0]}, Reject.OUT_OF_RANGE),
+        ({"t_ns": -1}, Reject.OUT_OF_RANGE),
+        ({"t_ns": 2**63}, Reject.OUT_OF_RANGE),
+        ({"seq": -1}, Reject.OUT_OF_RANGE),
+        ({"t_ns": 2 * STEP}, Reject.TIME_BACKWARDS),
+        ({"t_ns": 0}, Reject.TIME_BACKWARDS),
+        ({"seq": 2}, Reject.DUPLICATE_SEQ),
+        ({"seq": 1}, Reject.DUPLICATE_SEQ),
+    ],
+)
+def test_a_bad_sample_is_refused_and_changes_nothing(
+    change: dict[str, object], reason: Reject
+) -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k) for k in range(3)))
+    assert guard.admit(sample(3, **change)) is reason
+    assert guard.admit(sample(3)) == Accepted(0, False)
+    assert guard.missed == 0
+
+
+def test_a_repeated_sample_is_a_duplicate() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1))
+    assert guard.admit(sample(1)) is Reject.DUPLICATE_SEQ
+
+
+def test_a_gap_is_counted() -> None:
+    guard = StreamGuard(2)
+    assert feed(guard, sample(0), sample(4))[1] == Accepted(3, False)
+    assert guard.missed == 3
+
+
+def test_a_new_run_restarts_even_with_an_older_clock() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(100), sample(101))
+    assert guard.admit(sample(0, run=2)) == Accepted(0, True)
+    assert guard.admit(sample(1, run=2)) == Accepted(0, False)
+    assert guard.missed == 0
+
+
+def test_of_two_publishers_the_newer_start_wins() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0, run=7), sample(1, run=7))
+    assert guard.admit(sample(0, run=3, t0=5)) == Accepted(0, True)
+    for k in range(2, 200):
+        assert guard.admit(sample(k, run=7)) is Reject.OTHER_PUBLISHER
+        assert guard.admit(sample(k - 1, run=3, t0=5)) == Accepted(0, False)
+
+
+def test_the_older_publisher_is_heard_again_once_the_newer_is_gone() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0, run=7), sample(0, run=3), sample(1, run=3))
+    results = feed(guard, *(sample(k, run=7) for k in range(1, 40)))
+    assert results[: TAKE_BACK_SAMPLES - 1] == [Reject.OTHER_PUBLISHER] * (TAKE_BACK_SAMPLES - 1)
+    assert results[TAKE_BACK_SAMPLES - 1] == Accepted(0, True)
+    assert results[-1] == Accepted(0, False)
+
+
+def test_one_wild_time_stamp_does_not_lock_the_leg_out() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1, t_ns=2**62))
+    results = feed(guard, *(sample(k) for k in range(2, 40)))
+    assert results.index(Accepted(0, True)) == CLOCK_RESET_SAMPLES - 1
+    assert results[-1] == Accepted(0, False)
+
+
+def test_two_interleaved_streams_without_runs_never_look_like_a_clock_reset() -> None:
+    guard = StreamGuard(2)
+    for k in range(200):
+        assert isinstance(guard.admit(sample(k + 1000, run=None)), Accepted)
+        assert guard.admit(sample(k, run=None)) is Reject.TIME_BACKWARDS
+
+
+@given(
+    st.lists(
+        st.builds(
+            sample,
+            st.integers(0, 60),
+            run=st.sampled_from([None, 1, 2]),
+            t0=st.integers(-STEP, 3 * STEP),
+            measured=st.lists(st.floats(), min_size=1, max_size=3),
+        ),
+        max_size=60,
+    )
+)
+def test_accepted_samples_are_in_order_whatever_comes(stream: list[ServoSample]) -> None:
+    guard = StreamGuard(2)
+    last: ServoSample | None = None
+    for s in stream:
+        result = guard.admit(s)
+        if isinstance(result, Reject):
+            continue
+        assert len(s.measured) == 2
+        assert all(map(math.isfinite, s.measured))
+        if not result.restart:
+            assert last is not None
+            assert s.t_ns > last.t_ns
+            assert s.seq == last.seq + 1 + result.missed
+            assert s.run == last.run
+        last = s

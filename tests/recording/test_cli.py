@@ -1,0 +1,328 @@
+"""The commands record, replay and score, as a person runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from adaptive_contact.cli.record import record
+from adaptive_contact.cli.replay import replay
+from adaptive_contact.cli.score import score
+from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.robot import inverse, shipped_robot
+from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.wire import (
+    JSON,
+    MSGPACK,
+    ContactEvent,
+    ContactTruth,
+    ServoSample,
+    contact_key,
+    encode,
+    servo_key,
+    truth_key,
+)
+
+MS = 1_000_000
+TICK = 20 * MS
+WAIT_S = 30.0
+
+
+def run(command: Callable[..., None], *arguments: str | Path) -> str:
+    """Standard output of a command that succeeds; raises what it raises."""
+    app = typer.Typer()
+    app.command()(command)
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def event(at_ns: int) -> ContactEvent:
+    return ContactEvent(
+        leg="rf",
+        t_ns=at_ns,
+        seq=at_ns // TICK,
+        onset_ns=at_ns - 10 * MS,
+        contact=True,
+        status="valid",
+        score=2.0,
+        residual=[0.0, 0.0, 0.0],
+        model_version=1,
+    )
+
+
+def write_walk(path: Path, *, swings: int = 4, with_truth: bool = True) -> None:
+    """One leg, 40 ticks a step, 30 of them swing; a touch 500 ms into each swing."""
+    leg = shipped_robot().leg("rf")
+    assert leg.lengths_m is not None
+    with RecordingWriter(path, about={"scenario": "test"}) as writer:
+        if with_truth:
+            writer.write_message(truth_key("rf"), ContactTruth(t_ns=0, contact=False, force=0.0), 0)
+        for k in range(40 * swings):
+            phase = k % 40
+            height = -0.1 + 0.05 * (1 - abs(phase - 15) / 15 if phase < 30 else 0)
+            angles = [float(q) for q in inverse([0.13, 0.0, height], leg.lengths_m)]
+            sample = ServoSample(
+                t_ns=k * TICK,
+                seq=k,
+                measured=angles,
+                desired=angles,
+                phase="swing" if phase < 30 else "stance",
+                run=1,
+            )
+            writer.write_message(servo_key("rf"), sample, k * TICK)
+            if with_truth and phase in (25, 38):
+                change = ContactTruth(
+                    t_ns=k * TICK, contact=phase == 25, force=2.0, speed_m_s=0.3, surface="hard"
+                )
+                writer.write_message(truth_key("rf"), change, k * TICK)
+            if with_truth and phase == 26:
+                writer.write_message(contact_key("rf"), event(k * TICK), k * TICK)
+
+
+class TestScore:
+    def test_table_and_json(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path)
+        assert "100.0 %" in run(score, path)
+        text = json.loads(run(score, path, "--json"))
+        assert text["recording"] == str(path)
+        assert text["truncated"] is False
+        assert text["rows"]["headline"]["found"] == 4
+        assert text["rows"]["headline"]["latency_median_ms"] == 20.0
+        assert text["false_alarms"] == 0
+        assert json.loads(run(score, path, "--json", "--from", "0.8"))["swings"] == 3
+
+    def test_events_of_a_file(self, tmp_path: Path) -> None:
+        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
+        write_walk(path)
+        lines = [encode(event(at_ms * MS), JSON).decode() for at_ms in (540, 900)]
+        events.write_text("\n".join(lines) + "\n\n")
+        text = json.loads(run(score, path, "--events", events, "--json"))
+        assert text["rows"]["headline"]["found"] == 1
+        assert text["false_alarms"] == 1
+        events.write_text("")
+        assert json.loads(run(score, path, "--events", events, "--json"))["detections"] == 0
+
+    def test_a_cut_recording_is_scored_up_to_the_cut(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path, swings=20)
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) * 3 // 5])
+        text = json.loads(run(score, path, "--json"))
+        assert text["truncated"] is True
+        assert 3 < text["swings"] < 20
+
+    @pytest.mark.parametrize(
+        ("make", "arguments", "word"),
+        [
+            (lambda p: write_walk(p, with_truth=False), [], "no truth"),
+            (lambda p: p.write_bytes(b"hello, world"), [], "is not a recording"),
+            (lambda p: None, [], "cannot be read"),
+            (write_walk, ["--events", "nowhere.jsonl"], "nowhere.jsonl: cannot be read"),
+        ],
+    )
+    def test_what_is_wrong_is_one_line(
+        self, tmp_path: Path, make: Callable[[Path], Any], arguments: list[str], word: str
+    ) -> None:
+        path = tmp_path / "a.mcap"
+        make(path)
+        with pytest.raises(RecordingError, match=word) as caught:
+            run(score, path, *arguments)
+        assert "\n" not in str(caught.value)
+
+    def test_a_line_that_is_no_event_is_named(self, tmp_path: Path) -> None:
+        path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
+        write_walk(path)
+        events.write_bytes(encode(event(5 * TICK), JSON) + b'\n{"v":1,"leg":"rf"}\n')
+        with pytest.raises(RecordingError, match="line 2: not a contact event"):
+            run(score, path, "--events", events)
+
+    def test_from_after_to(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path)
+        with pytest.raises(ConfigurationError, match="is not before"):
+            run(score, path, "--from", "2", "--to", "1")
+
+
+class TestReplayToEvents:
+    def test_is_deterministic_and_one_event_per_line(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path)
+        outputs = []
+        for name in ("one", "two"):
+            out = tmp_path / f"{name}.jsonl"
+            run(replay, path, "--events", out)
+            outputs.append(out.read_bytes())
+        assert outputs[0] == outputs[1]
+        for line in outputs[0].splitlines():
+            assert json.loads(line)["leg"] == "rf"
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "one.jsonl", "two.jsonl"]
+
+    def test_options_of_the_other_way_are_refused(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path)
+        with pytest.raises(ConfigurationError, match="--speed and --all"):
+            run(replay, path, "--events", "-", "--speed", "max", "--all")
+        with pytest.raises(ConfigurationError, match="--baseline is for --events"):
+            run(replay, path, "--baseline", "x")
+
+    @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast", "", "1e9"])
+    def test_impossible_speeds(self, tmp_path: Path, speed: str) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path)
+        with pytest.raises(ConfigurationError, match="expected a factor above 0"):
+            run(replay, path, "--speed", speed)
+
+    def test_nothing_to_replay(self, tmp_path: Path) -> None:
+        path, out = tmp_path / "a.mcap", tmp_path / "out.jsonl"
+        with RecordingWriter(path) as writer:
+            writer.write("other", b"", MSGPACK, 0)
+        with pytest.raises(RecordingError, match="no servo sample"):
+            run(replay, path, "--events", out)
+
+    def test_an_output_that_cannot_be_written(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.mcap"
+        write_walk(path)
+        with pytest.raises(RecordingError, match="cannot be written"):
+            run(replay, path, "--events", tmp_path / "no" / "out.jsonl")
+
+
+@pytest.fixture
+def router() -> Iterator[Link]:
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+        yield link
+
+
+def start(command: str, *arguments: str | Path) -> subprocess.Popen[str]:
+    """A command in a process of its own, without those of others."""
+    code = f"import typer; from adaptive_contact.cli.{command} import {command} as c; typer.run(c)"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+
+
+def publish_until_file_grows(router: Link, path: Path) -> int:
+    """Publish samples until some are written out; how many were put."""
+    publisher = router.publisher("robot/leg/rf/servo")
+    until = time.monotonic() + WAIT_S
+    size = path.stat().st_size
+    count = 0
+    while path.stat().st_size == size and time.monotonic() < until:
+        publisher.put_raw(b"sample %06d" % count, MSGPACK)
+        count += 1
+        time.sleep(0.002)
+    return count
+
+
+def await_line(process: subprocess.Popen[str], word: str) -> None:
+    assert process.stderr is not None
+    line = process.stderr.readline()
+    assert word in line, line
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_record_ends_cleanly_on_a_signal(
+    router: Link, tmp_path: Path, number: signal.Signals
+) -> None:
+    path = tmp_path / "a.mcap"
+    process = start("record", path, "--connect", router.endpoints[0])
+    await_line(process, "recording robot/**")
+    count = publish_until_file_grows(router, path)
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0, errors
+    recording = read_recording(path)
+    records = list(recording)
+    assert not recording.truncated
+    # The first may have been put before the subscription was known to the router.
+    assert count - 50 <= len(records) <= count
+    assert [r.payload for r in records] == sorted(r.payload for r in records)
+    assert {r.key for r in records} == {"robot/leg/rf/servo"}
+    assert all(abs(r.log_time_ns - time.time_ns()) < 120e9 for r in records)
+    assert f"{len(records)} messages of 1 keys" in output
+    assert recording.about["key"] == "robot/**"
+
+
+@pytest.mark.e2e
+def test_record_for_a_time_and_of_one_key(router: Link, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    arguments = ["--connect", router.endpoints[0], "--seconds", "0.5", "--key", "robot/leg/*/truth"]
+    process = start("record", path, *arguments)
+    await_line(process, "recording robot/leg/*/truth")
+    output, errors = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
+    assert "0 messages of 0 keys in 0.5 s" in output
+    assert "nothing was heard on 'robot/leg/*/truth'" in errors
+    assert list(read_recording(path)) == []
+
+
+def test_record_keeps_what_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_text("precious")
+    with pytest.raises(ConfigurationError, match="exists already"):
+        run(record, path)
+    assert path.read_text() == "precious"
+
+
+@pytest.mark.parametrize("key", ["", "/robot", "robot//x", "robot/leg*", "a#b", "**/**"])
+def test_record_refuses_what_zenoh_would(tmp_path: Path, key: str) -> None:
+    with pytest.raises(ConfigurationError, match="cannot be used"):
+        run(record, tmp_path / "a.mcap", "--key", key)
+
+
+@pytest.mark.e2e
+def test_replay_onto_the_wire_and_back_into_a_file(router: Link, tmp_path: Path) -> None:
+    source, copy = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    write_walk(source)
+    recorder = start("record", copy, "--connect", router.endpoints[0])
+    await_line(recorder, "recording robot/**")
+    publish_until_file_grows(router, copy)
+    arguments = ["--connect", router.endpoints[0], "--speed", "max", "--keep-run"]
+    player = start("replay", source, *arguments)
+    _, errors = player.communicate(timeout=WAIT_S)
+    assert player.returncode == 0, errors
+    assert "169 of 173 messages published on 2 keys" in errors
+    publish_until_file_grows(router, copy)  # what was put before is written by then
+    recorder.send_signal(signal.SIGINT)
+    recorder.communicate(timeout=WAIT_S)
+    heard = [r for r in read_recording(copy) if not r.payload.startswith(b"sample ")]
+    for kind in ("servo", "truth"):
+        sent = [r.payload for r in read_recording(source) if r.key.endswith(kind)]
+        assert [r.payload for r in heard if r.key.endswith(kind)] == sent
+
+
+def test_help_is_quick() -> None:
+    code = (
+        "import sys; import adaptive_contact.cli.record, adaptive_contact.cli.replay, "
+        "adaptive_contact.cli.score; "
+        "heavy = {'zenoh', 'mcap', 'pysindy', 'rich.table'} & set(sys.modules); "
+        "sys.exit(' '.join(heavy) or 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr

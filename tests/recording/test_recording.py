@@ -1,0 +1,271 @@
+"""Recordings: what is written comes back, and damage costs only what is behind it."""
+
+from __future__ import annotations
+
+import errno
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from adaptive_contact.errors import RecordingError
+from adaptive_contact.service.recording import Record, RecordingWriter, read_recording
+from adaptive_contact.wire import (
+    JSON,
+    MSGPACK,
+    ContactTruth,
+    ServoSample,
+    decode,
+    servo_key,
+    truth_key,
+)
+
+TICK = 20_000_000
+LEGS = ("lf", "lm", "lr", "rf", "rm", "rr")
+
+
+def sample(k: int) -> ServoSample:
+    return ServoSample(
+        t_ns=k * TICK, seq=k, measured=[0.1, -0.2, k * 1e-3], desired=[0.0, 0.5, -0.5]
+    )
+
+
+def write_walk(path: Path, ticks: int) -> list[Record]:
+    written = []
+    with RecordingWriter(path) as writer:
+        for k in range(ticks):
+            for leg in LEGS:
+                writer.write_message(servo_key(leg), sample(k), k * TICK)
+    written = list(read_recording(path))
+    assert len(written) == ticks * len(LEGS)
+    return written
+
+
+records = st.builds(
+    Record,
+    key=st.text(st.characters(codec="utf-8", exclude_categories=("Cs",)), min_size=1, max_size=40),
+    payload=st.binary(max_size=300),
+    encoding=st.sampled_from(
+        [MSGPACK, JSON, "zenoh/bytes", "text/plain", "application/json;utf-8", "application/cdr"]
+    ),
+    log_time_ns=st.integers(0, 2**64 - 1),
+    publish_time_ns=st.integers(0, 2**64 - 1),
+)
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.lists(records, max_size=40))
+def test_any_key_and_any_payload_come_back(tmp_path: Path, written: list[Record]) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        for record in written:
+            writer.write(*record)
+        assert writer.messages == len(written)
+    recording = read_recording(path)
+    assert list(recording) == written
+    assert not recording.truncated
+    assert recording.damage is None
+    assert list(recording) == written  # a second pass
+
+
+def test_messages_are_decodable_and_channels_named_by_contract(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    truth = ContactTruth(t_ns=5, contact=True, force=1.5, speed_m_s=0.3, surface="hard")
+    with RecordingWriter(path, about={"scenario": "pose", "seed": "7"}) as writer:
+        writer.write_message(servo_key("rf"), sample(3), 60)
+        writer.write_message(truth_key("rf"), truth, 61, encoding=JSON)
+        writer.write("robot/leg/rf/servo", b"\xff broken", MSGPACK, 62)
+        writer.write("other/key", b"anything", "text/plain", 63, 40)
+    first, second, third, fourth = read_recording(path)
+    assert decode(first.payload, ServoSample, first.encoding) == sample(3)
+    assert decode(second.payload, ContactTruth, second.encoding) == truth
+    assert third == Record("robot/leg/rf/servo", b"\xff broken", MSGPACK, 62, 62)
+    assert fourth == Record("other/key", b"anything", "text/plain", 63, 40)
+    assert read_recording(path).about == {"scenario": "pose", "seed": "7"}
+    # The reference reader of the format finds the same, by index, with schemas for the contract.
+    with path.open("rb") as file:
+        seen = [
+            (channel.topic, channel.message_encoding, schema.name if schema else None)
+            for schema, channel, _ in make_reader(file, validate_crcs=True).iter_messages()
+        ]
+    assert seen == [
+        ("robot/leg/rf/servo", "msgpack", "adaptive_contact.ServoSample"),
+        ("robot/leg/rf/truth", "json", "adaptive_contact.ContactTruth"),
+        ("robot/leg/rf/servo", "msgpack", "adaptive_contact.ServoSample"),
+        ("other/key", "text/plain", None),
+    ]
+
+
+def test_schemas_are_json_schemas_of_the_messages(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        writer.write_message(servo_key("rf"), sample(0), 0)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    (schema,) = summary.schemas.values()
+    text = json.loads(schema.data)
+    assert "measured" in text["$defs"]["ServoSample"]["properties"]
+
+
+def test_truncation_at_every_byte_gives_a_prefix(tmp_path: Path) -> None:
+    path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    # A message each second: every chunk holds one or two, so that the file has several.
+    with RecordingWriter(path) as writer:
+        for k in range(6):
+            writer.write_message(servo_key("rf"), sample(k), k * 1_000_000_000)
+    whole = path.read_bytes()
+    written = list(read_recording(path))
+    counts = []
+    for size in range(len(whole)):
+        cut.write_bytes(whole[:size])
+        if size < 8:
+            with pytest.raises(RecordingError, match=r"is empty|is not a recording"):
+                read_recording(cut)
+            continue
+        recording = read_recording(cut)
+        got = list(recording)
+        assert recording.truncated, size
+        assert recording.damage is not None
+        assert "\n" not in recording.damage
+        assert f"the {len(got)} messages before it are intact" in recording.damage
+        assert got == written[: len(got)]
+        counts.append(len(got))
+    assert counts == sorted(counts)
+    assert set(counts) >= {0, 2, 4, 6}
+
+
+def test_a_cut_file_loses_less_than_a_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    written = write_walk(path, 500)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    recording = read_recording(path)
+    got = list(recording)
+    assert got == written[: len(got)]
+    assert len(got) > 0.4 * len(written)
+    assert recording.truncated
+
+
+def test_what_is_written_can_be_read_before_the_file_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        for k in range(500):
+            writer.write_message(servo_key("rf"), sample(k), k * TICK)
+        open_file = read_recording(path)
+        assert len(list(open_file)) > 500 - 2 * 51  # what a killed recorder leaves
+        assert open_file.truncated
+
+
+def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
+    path, bad = tmp_path / "a.mcap", tmp_path / "bad.mcap"
+    with RecordingWriter(path) as writer:
+        for k in range(8):
+            writer.write_message(servo_key("rf"), sample(k), k * 500_000_000)
+    whole = path.read_bytes()
+    written = list(read_recording(path))
+    for at in range(8, len(whole)):
+        for flip in (0x01, 0x09, 0x80, 0xFF):
+            bad.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
+            recording = read_recording(bad)
+            got = list(recording)
+            assert got == written[: len(got)], (at, flip)
+            assert recording.truncated or len(got) == len(written), (at, flip)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_files_of_other_writers(
+    tmp_path: Path, compression: CompressionType, chunked: bool
+) -> None:
+    path = tmp_path / "other.mcap"
+    writer = Writer(str(path), compression=compression, use_chunking=chunked)
+    writer.start()
+    channel = writer.register_channel("robot/leg/rf/servo", "json", 0)
+    for k in range(20):
+        writer.add_message(channel, k, b"{%d}" % k, k)
+    writer.add_attachment(0, 0, "notes", "text/plain", b"ignored")
+    writer.finish()
+    recording = read_recording(path)
+    assert [r.payload for r in recording] == [b"{%d}" % k for k in range(20)]
+    assert {r.encoding for r in recording} == {JSON}
+    assert recording.about == {}
+    whole = path.read_bytes()
+    plain = compression == CompressionType.NONE or not chunked
+    path.write_bytes(whole[: whole.index(b"{13}") if plain else 200])
+    cut = read_recording(path)
+    expected = 13 if plain else 0
+    assert len(list(cut)) == expected  # uncompressed messages are read up to the cut itself
+    assert cut.truncated
+
+
+def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path) -> None:
+    for name, content in {
+        "text": b"hello world, not mcap",
+        "empty": b"",
+        "short": b"\x89MC",
+    }.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(RecordingError) as caught:
+            read_recording(path)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
+    for path in (tmp_path / "missing", tmp_path):
+        with pytest.raises(RecordingError, match="cannot be read"):
+            read_recording(path)
+
+
+def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be written"):
+        RecordingWriter(tmp_path / "no" / "folder.mcap")
+    path = tmp_path / "a.mcap"
+    writer = RecordingWriter(path)
+    for time_ns in (-1, 2**64):
+        with pytest.raises(RecordingError, match="does not fit"):
+            writer.write("k", b"", MSGPACK, time_ns)
+    writer.close()
+    writer.close()
+    with pytest.raises(RecordingError, match="already closed"):
+        writer.write("k", b"", MSGPACK, 0)
+    assert list(read_recording(path)) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_line() -> None:
+    def fill() -> None:
+        with RecordingWriter("/dev/full") as writer:
+            for k in range(1000):
+                writer.write("k", b"x" * 100, MSGPACK, k * TICK)
+
+    with pytest.raises(RecordingError, match="cannot be written") as caught:
+        fill()
+    assert isinstance(caught.value.__cause__, OSError)
+    assert caught.value.__cause__.errno == errno.ENOSPC
+
+
+def test_an_error_in_the_block_still_leaves_a_whole_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+
+    def stumble() -> None:
+        with RecordingWriter(path) as writer:
+            writer.write("k", b"1", MSGPACK, 0)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        stumble()
+    recording = read_recording(path)
+    assert len(list(recording)) == 1
+    assert not recording.truncated
+
+
+def test_the_same_messages_make_the_same_file(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_walk(tmp_path / name, 60)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

@@ -1,0 +1,321 @@
+"""Scores of recorded messages: phases, lifts, runs, what is missing, and the JSON of it."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.robot import inverse, parse_robot, shipped_robot
+from adaptive_contact.score import ROWS, Score, score_messages
+from adaptive_contact.score.tables import as_json, as_table
+from adaptive_contact.wire import (
+    JSON,
+    MSGPACK,
+    ContactEvent,
+    ContactTruth,
+    Message,
+    ServoSample,
+    contact_key,
+    encode,
+    servo_key,
+    truth_key,
+)
+
+MS = 1_000_000
+TICK = 20 * MS
+ROBOT = shipped_robot()
+# A swing of 30 ticks: 12 up, 18 down; then 10 of stance.
+HEIGHTS = np.concatenate(
+    [np.linspace(-0.10, -0.05, 13)[1:], np.linspace(-0.05, -0.10, 19)[1:], np.full(10, -0.10)]
+)
+
+
+class Heard(NamedTuple):
+    key: str
+    payload: bytes
+    encoding: str = MSGPACK
+
+
+def heard(key: str, message: Message, encoding: str = MSGPACK) -> Heard:
+    return Heard(key, encode(message, encoding), encoding)
+
+
+def desired(tick: int) -> list[float]:
+    leg = ROBOT.leg("rf")
+    assert leg.lengths_m is not None
+    point = np.array([0.13, 0.0, HEIGHTS[tick % 40]])
+    return [float(q) for q in inverse(point, leg.lengths_m)]
+
+
+def walk(
+    swings: int = 5, *, leg: str = "rf", phase: bool = True, run: int | None = 1, start: int = 0
+) -> list[Heard]:
+    """Samples of one leg; the swing of 600 ms begins at 800 k ms."""
+    messages = []
+    for k in range(40 * swings):
+        command = desired(k)
+        sample = ServoSample(
+            t_ns=(start + k) * TICK,
+            seq=k,
+            measured=command,
+            desired=command,
+            phase=("swing" if k % 40 < 30 else "stance") if phase else None,
+            run=run,
+        )
+        messages.append(heard(servo_key(leg), sample))
+    return messages
+
+
+def truth(at_ms: float, until_ms: float | None = None, *, leg: str = "rf") -> list[Heard]:
+    key = truth_key(leg)
+    begin = ContactTruth(
+        t_ns=round(at_ms * MS), contact=True, force=3.0, speed_m_s=0.4, surface="hard"
+    )
+    changes = [heard(key, begin)]
+    if until_ms is not None:
+        end = ContactTruth(t_ns=round(until_ms * MS), contact=False, force=0.0)
+        changes.append(heard(key, end, JSON))
+    return changes
+
+
+def event(at_ms: float, *, leg: str = "rf", contact: bool = True) -> ContactEvent:
+    return ContactEvent(
+        leg=leg,
+        t_ns=round(at_ms * MS),
+        seq=round(at_ms / 20),
+        onset_ns=round(at_ms * MS) - 10 * MS,
+        contact=contact,
+        status="valid",
+        score=2.0,
+        residual=[0.0, 0.01, -0.01],
+        model_version=1,
+    )
+
+
+def air(leg: str = "rf") -> Heard:
+    return heard(truth_key(leg), ContactTruth(t_ns=0, contact=False, force=0.0))
+
+
+def events(*times_ms: float) -> list[Heard]:
+    return [heard(contact_key("rf"), event(ms)) for ms in times_ms]
+
+
+def test_a_recording_with_everything() -> None:
+    messages = [*walk(), air(), *truth(400, 780), *truth(1200, 1580), *events(420, 1000)]
+    score = score_messages(messages, ROBOT)
+    assert score.total.counted.touches == 2
+    assert score.total.counted.found == 1
+    assert score.total.false_alarms == 1
+    assert score.outcomes[0].alarms_ns.tolist() == [1000 * MS]
+    assert score.total.legs == ("rf",)
+    assert score.notes == ()
+
+
+def test_the_order_of_messages_does_not_matter_between_keys() -> None:
+    messages = [*walk(), air(), *truth(400, 780), *truth(1200, 1580), *events(420, 1000)]
+    expected = as_json(score_messages(messages, ROBOT))
+    streams = [[m for m in messages if m.key.endswith(kind)] for kind in ("servo", "truth")]
+    late = [m for m in messages if m.key.endswith("contact")]
+    random.Random(3).shuffle(streams[1])
+    random.Random(4).shuffle(late)
+    assert as_json(score_messages([*late, *streams[1], *streams[0]], ROBOT)) == expected
+
+
+def test_events_from_elsewhere_replace_the_recorded_ones() -> None:
+    messages = [*walk(), air(), *truth(400, 780), *events(100, 420)]
+    given = [event(440), event(500, contact=False)]
+    score = score_messages(messages, ROBOT, given)
+    assert score.total.false_alarms == 0
+    assert score.outcomes[0].touches.latency_ns.tolist() == [40 * MS]
+    assert score_messages(messages, ROBOT, []).total.counted.found == 0  # a silent detector
+
+
+def test_swings_are_inferred_where_samples_do_not_tell() -> None:
+    told = score_messages([*walk(), air(), *truth(400, 780)], ROBOT, [event(420)])
+    inferred = score_messages([*walk(phase=False), air(), *truth(400, 780)], ROBOT, [event(420)])
+    assert inferred.total.counted.found == told.total.counted.found == 1
+    assert inferred.total.swings == told.total.swings
+    assert (
+        abs(inferred.total.judged_ticks - told.total.judged_ticks) < 0.15 * told.total.judged_ticks
+    )
+
+
+def test_swings_that_cannot_be_told_are_an_error() -> None:
+    bare = parse_robot(
+        '[robot]\nname="bare"\nperiod_s=0.02\nquantum_rad=0.005\n'
+        '[[leg]]\nid="rf"\njoints=["a","b","c"]\n',
+        source="test",
+    )
+    with pytest.raises(ConfigurationError, match="carry no phase and 'bare' gives no lengths_m"):
+        score_messages([*walk(phase=False), air()], bare, [])
+    score = score_messages([*walk(), air(), *truth(280, 780)], bare, [])
+    assert ROWS[score.outcomes[0].touches.row[0]] == "lift"  # 280 of 600 ms: first half
+    score = score_messages([*walk(), air(), *truth(280, 780)], ROBOT, [])
+    assert ROWS[score.outcomes[0].touches.row[0]] == "headline"  # the command turns at 240 ms
+
+
+def test_bad_messages_are_counted_and_change_nothing() -> None:
+    messages = [*walk(), air(), *truth(400, 780), *events(420)]
+    expected = score_messages(messages, ROBOT)
+    sample = ServoSample(t_ns=0, seq=0, measured=[0.0] * 3, desired=[0.0] * 3, phase="swing")
+    bad = [
+        Heard(servo_key("rf"), b"\xc1"),
+        Heard(truth_key("rf"), b"{}", JSON),
+        Heard(contact_key("rf"), b"[]", JSON),
+        Heard("robot/leg/*/servo", encode(sample)),
+        Heard("robot/leg/a/b/servo", encode(sample)),
+        heard(servo_key("rf"), ServoSample(t_ns=1, seq=1, measured=[0.0], desired=[0.0])),
+        heard(servo_key("rf"), ServoSample(t_ns=-1, seq=1, measured=[0.0] * 3, desired=[0.0] * 3)),
+        heard(
+            servo_key("rf"),
+            ServoSample(t_ns=1, seq=1, measured=[0.0] * 3, desired=[0.0, float("nan"), 0.0]),
+        ),
+        messages[3],  # once more, at the end: late
+        Heard("other/servo", b"not ours"),
+        Heard("robot/leg/rf/command", b"not used"),
+    ]
+    messages[20:20] = bad[:8]
+    score = score_messages([*messages, *bad[8:]], ROBOT)
+    assert score.total == expected.total
+    assert score.rejects == {
+        "malformed": 1,
+        "missing_field": 1,
+        "not_finite": 1,
+        "out_of_range": 1,
+        "time_backwards": 1,
+        "unknown_leg": 2,
+        "wrong_joints": 1,
+        "wrong_type": 1,
+    }
+    assert any("9 messages could not be used" in note for note in score.notes)
+
+
+def test_runs_that_follow_each_other_are_scored_together() -> None:
+    first, second = walk(2, run=7), walk(2, run=9, start=100)
+    score = score_messages([*first, *second, air()], ROBOT, [])
+    assert score.total.swings == 4
+
+
+def test_runs_that_overlap_are_refused() -> None:
+    restarted = [*walk(3, run=7), *walk(3, run=9), air()]
+    with pytest.raises(RecordingError, match="runs whose times overlap"):
+        score_messages(restarted, ROBOT, [])
+    interleaved = [m for pair in zip(walk(2, run=7), walk(2, run=9), strict=True) for m in pair]
+    with pytest.raises(RecordingError, match="runs whose times overlap"):
+        score_messages([*interleaved, air()], ROBOT, [])
+
+
+def test_what_is_missing_is_one_clear_line() -> None:
+    for messages, word in [
+        ([], "no servo samples"),
+        ([air()], "no servo samples"),
+        (walk(1), "no truth"),
+        ([*walk(1), air()], "no contact events"),
+    ]:
+        with pytest.raises(RecordingError, match=word) as caught:
+            score_messages(messages, ROBOT)
+        assert "\n" not in str(caught.value)
+
+
+def test_legs_without_truth_are_left_out_and_named() -> None:
+    messages = [*walk(), *walk(leg="lf"), air(), *truth(400, 780), *events(420)]
+    strange = heard(contact_key("zz"), event(100, leg="zz"))
+    score = score_messages([*messages, strange], ROBOT)
+    assert set(score.legs) == {"rf"}
+    assert "no truth of lf: left out" in score.notes
+    assert "events of zz, which sent no samples: left out" in score.notes
+
+
+def test_a_part_of_the_recording() -> None:
+    messages = [*walk(), air(), *truth(400, 780), *truth(1200, 1580), *events(420, 1000)]
+    late = score_messages(messages, ROBOT, from_s=0.8)
+    assert (late.total.swings, late.total.counted.touches, late.total.false_alarms) == (4, 1, 1)
+    early = score_messages(messages, ROBOT, to_s=0.8)
+    assert (early.total.swings, early.total.counted.found, early.total.false_alarms) == (1, 1, 0)
+
+
+def test_legs_that_only_stand_are_told() -> None:
+    score = score_messages([*walk(1)[30:], air()], ROBOT, [])
+    assert score.notes == ("no swing in the recording: nothing could be judged",)
+    assert score.total.per_hour is None
+
+
+def full_score() -> Score:
+    messages = [*walk(), *walk(leg="lf"), air(), air("lf"), *truth(400, 780), *events(420, 1000)]
+    return score_messages(messages, ROBOT)
+
+
+def shape(value: Any) -> Any:
+    """Names and kinds of a JSON tree."""
+    if isinstance(value, dict):
+        return {name: shape(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [shape(inner) for inner in value]
+    return type(value).__name__ if value is None or isinstance(value, str) else "number"
+
+
+def test_json_has_its_documented_shape() -> None:
+    text = json.loads(json.dumps(as_json(full_score()), allow_nan=False))
+    row = {
+        "touches": "number",
+        "found": "number",
+        "recall": "number",
+        "recall_interval": ["number", "number"],
+        "latency_median_ms": "number",
+        "latency_p95_ms": "number",
+        "latency_p99_ms": "number",
+        "onset_error_median_ms": "number",
+    }
+    summary = {
+        "rows": {"headline": row},
+        "counted": row,
+        "precision": "number",
+        "precision_interval": ["number", "number"],
+        "detections": "number",
+        "false_alarms": "number",
+        "judged_ticks": "number",
+        "robot_hours": "number",
+        "false_alarms_per_robot_hour": "number",
+        "false_alarms_per_robot_hour_interval": ["number", "number"],
+        "swings": "number",
+        "swings_with_errors": "number",
+        "neutral_events": "number",
+        "events_outside_swings": "number",
+        "touches_outside_swings": "number",
+    }
+    legs = text.pop("legs")
+    assert shape(text) == {"v": "number", **summary, "rejects": {}, "notes": []}
+    assert shape(legs["rf"]) == summary
+    assert legs["lf"]["rows"]["headline"]["recall"] is None
+    assert legs["lf"]["precision"] is None
+
+
+def test_every_field_of_the_json_is_documented() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "scoring.md").read_text(encoding="utf-8")
+
+    def names(value: Any) -> set[str]:
+        if not isinstance(value, dict):
+            return set()
+        return set(value) | {name for inner in value.values() for name in names(inner)}
+
+    told = names({**as_json(full_score()), "legs": {}})
+    assert {name for name in told if f"`{name}`" not in text} == set()
+    assert {row.value for row in ROWS if f"`{row}`" not in text} == set()
+
+
+def test_the_table_tells_the_figures() -> None:
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(as_table(full_score()))
+    text = console.export_text()
+    assert "headline" in text
+    assert "100.0 %" in text
+    assert "robot-hour" in text
+    assert "precision" in text

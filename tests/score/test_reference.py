@@ -1,0 +1,313 @@
+"""The vectorised score against a slow one, written from the text of the rules with plain loops."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact.score import (
+    ROWS,
+    Events,
+    LegStream,
+    TruthChanges,
+    match,
+    summarise,
+    swings_to_recovery,
+)
+
+MS = 1_000_000
+
+
+@dataclass
+class Case:
+    t: list[int]
+    swing: list[bool]
+    lift: list[bool]
+    changes: list[tuple[int, bool, float, bool, bool]]  # time, state, speed, soft, grazing
+    events: list[tuple[int, bool]]
+
+
+@dataclass
+class Reference:
+    touches: list[tuple[int, str, bool, int]] = field(default_factory=list)  # onset row found lat
+    alarms: list[int] = field(default_factory=list)
+    outside: list[int] = field(default_factory=list)
+    unjudged: list[int] = field(default_factory=list)
+    judged: Counter[int] = field(default_factory=Counter)
+    neutral: Counter[int] = field(default_factory=Counter)
+    errors: Counter[int] = field(default_factory=Counter)
+    swings: list[tuple[int, int]] = field(default_factory=list)
+
+
+def reference(case: Case) -> Reference:
+    out = Reference()
+    gap = 10 * statistics.median([b - a for a, b in zip(case.t, case.t[1:], strict=False)] or [0])
+
+    # Swings: runs of swing samples without a hole.
+    number: list[int | None] = []
+    for k, swinging in enumerate(case.swing):
+        if not swinging:
+            number.append(None)
+            continue
+        goes_on = k > 0 and case.swing[k - 1] and case.t[k] - case.t[k - 1] <= gap
+        if not goes_on:
+            out.swings.append((k, k))
+        out.swings[-1] = (out.swings[-1][0], k)
+        number.append(len(out.swings) - 1)
+
+    def tick_at(when: int) -> int | None:
+        found = None
+        for k, t in enumerate(case.t):
+            if t <= when:
+                found = k
+        return found if found is not None and when - case.t[found] <= gap else None
+
+    def swing_at(when: int) -> int | None:
+        tick = tick_at(when)
+        return None if tick is None else number[tick]
+
+    # Contacts: at least 60 ms in the air before each.
+    contacts: list[dict[str, object]] = []
+    start = min([case.t[0], *([case.changes[0][0]] if case.changes else [])])
+    air_since: int | None = start
+    if case.changes and not case.changes[0][1]:
+        contacts.append({"on": start, "off": None, "touch": False, "row": None})
+        air_since = None
+    for when, state, speed, soft, grazing in case.changes:
+        if state and air_since is not None:
+            if when - air_since >= 60 * MS:
+                told = {"speed": speed, "soft": soft, "grazing": grazing}
+                contacts.append({"on": when, "off": None, "touch": True, **told})
+            elif contacts:
+                contacts[-1]["off"] = None
+            else:
+                contacts.append({"on": when, "off": None, "touch": False})
+            air_since = None
+        elif not state and air_since is None:
+            contacts[-1]["off"] = when
+            air_since = when
+    for contact in contacts:
+        contact["swing"] = swing_at(contact["on"]) if contact["touch"] else None
+
+    def loaded(when: int, swing: int) -> bool:
+        return any(
+            c["on"] <= when and (c["off"] is None or when < c["off"]) and c["swing"] != swing
+            for c in contacts
+        )
+
+    for k, t in enumerate(case.t):
+        if number[k] is not None and not loaded(t, number[k]):
+            out.judged[number[k]] += 1
+
+    free: list[int] = []
+    for when in sorted({t for t, contact in case.events if contact}):
+        swing = swing_at(when)
+        if swing is None:
+            out.outside.append(when)
+        elif loaded(when, swing):
+            out.neutral[swing] += 1
+        else:
+            free.append(when)
+
+    for contact in contacts:
+        if not contact["touch"]:
+            continue
+        swing, onset = contact["swing"], contact["on"]
+        if swing is None:
+            out.unjudged.append(onset)
+            continue
+        first, last = out.swings[swing]
+        left = sum(1 for k in range(first, last + 1) if case.t[k] > onset)
+        speed = contact["speed"]
+        if left < 3:
+            row = "late"
+        elif case.lift[tick_at(onset)]:
+            row = "lift"
+        elif contact["grazing"]:
+            row = "grazing"
+        elif contact["soft"]:
+            row = "soft"
+        elif math.isnan(speed):
+            row = "unknown"
+        elif speed >= 0.2:
+            row = "headline"
+        elif speed > 0.1:
+            row = "mid"
+        elif speed >= 0.02:
+            row = "slow"
+        else:
+            row = "creep"
+        window = 500 * MS if contact["soft"] or speed <= 0.1 else 120 * MS
+        found = None
+        for when in free:
+            if onset < when <= onset + window and swing_at(when) == swing:
+                found = when
+                break
+        if found is not None:
+            free.remove(found)
+        elif row in ("headline", "mid", "slow", "soft", "unknown"):
+            out.errors[swing] += 1
+        out.touches.append((onset, row, found is not None, -1 if found is None else found - onset))
+    out.alarms = free
+    for when in free:
+        out.errors[swing_at(when)] += 1
+    return out
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> Case:
+    n = draw(st.integers(1, 60))
+    steps = draw(
+        st.lists(st.sampled_from([20, 20, 20, 20, 19, 21, 40, 250]), min_size=n, max_size=n)
+    )
+    t = list(np.cumsum(steps) * MS)
+    swing: list[bool] = []
+    flag = draw(st.booleans())
+    while len(swing) < n:
+        swing += [flag] * draw(st.integers(1, 25))
+        flag = not flag
+    lift = draw(st.lists(st.booleans(), min_size=n, max_size=n))
+    end = int(t[-1]) // MS + 100
+    # Times on ticks, and anywhere, so that both sides of every edge are met.
+    moment = st.one_of(
+        st.integers(0, end).map(lambda ms: ms * MS), st.sampled_from([int(x) for x in t])
+    )
+    times = sorted(draw(st.lists(moment, max_size=14, unique=True)))
+    states = draw(st.lists(st.booleans(), min_size=len(times), max_size=len(times)))
+    if draw(st.booleans()):  # a well-behaved stream, which alternates
+        states = [(k % 2 == 0) != states[0] for k in range(len(times))] if times else []
+    speeds = st.sampled_from([0.0, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.5, math.nan])
+    changes = [
+        (when, state, draw(speeds), draw(st.integers(0, 3)) == 0, draw(st.integers(0, 5)) == 0)
+        for when, state in zip(times, states, strict=True)
+    ]
+    onsets = [when for when, state, *_ in changes if state]
+    near = (
+        st.builds(
+            lambda a, b: max(0, a + b * MS),
+            st.sampled_from(onsets),
+            st.sampled_from([-20, 0, 1, 20, 119, 120, 121, 300, 499, 500, 501]),
+        )
+        if onsets
+        else moment
+    )
+    events = draw(st.lists(st.tuples(st.one_of(moment, near), st.booleans()), max_size=14))
+    return Case([int(x) for x in t], swing[:n], lift, changes, events)
+
+
+def stream_of(case: Case) -> LegStream:
+    columns = list(zip(*case.changes, strict=True)) or [(), (), (), (), ()]
+    return LegStream(
+        leg="rf",
+        t_ns=np.array(case.t, dtype=np.int64),
+        swing=np.array(case.swing, dtype=bool),
+        lift=np.array(case.lift, dtype=bool),
+        truth=TruthChanges(
+            t_ns=np.array(columns[0], dtype=np.int64),
+            contact=np.array(columns[1], dtype=bool),
+            speed_m_s=np.array(columns[2], dtype=np.float64),
+            soft=np.array(columns[3], dtype=bool),
+            grazing=np.array(columns[4], dtype=bool),
+            force_n=np.ones(len(columns[0])),
+        ),
+    )
+
+
+def events_of(case: Case) -> Events:
+    times = np.array([when for when, _ in case.events], dtype=np.int64)
+    return Events(times, np.array([flag for _, flag in case.events], dtype=bool), times - 5 * MS)
+
+
+@settings(max_examples=1500, deadline=None)
+@given(cases())
+def test_equals_the_slow_reference(case: Case) -> None:
+    expected = reference(case)
+    got = match(stream_of(case), events_of(case))
+    count = len(expected.swings)
+    assert list(got.swings.start_ns) == [case.t[a] for a, _ in expected.swings]
+    assert list(got.swings.end_ns) == [case.t[b] for _, b in expected.swings]
+    assert list(got.swings.ticks) == [b - a + 1 for a, b in expected.swings]
+    touches = [
+        (int(onset), ROWS[row].value, bool(found), int(latency))
+        for onset, row, found, latency in zip(
+            got.touches.onset_ns,
+            got.touches.row,
+            got.touches.found,
+            got.touches.latency_ns,
+            strict=True,
+        )
+    ]
+    assert touches == expected.touches
+    assert list(got.alarms_ns) == expected.alarms
+    assert list(got.outside_ns) == expected.outside
+    assert list(got.unjudged_ns) == expected.unjudged
+    assert list(got.swings.judged) == [expected.judged[s] for s in range(count)]
+    assert list(got.swings.neutral) == [expected.neutral[s] for s in range(count)]
+    assert list(got.swings.errors) == [expected.errors[s] for s in range(count)]
+
+
+@settings(max_examples=300, deadline=None)
+@given(cases())
+def test_every_event_and_touch_is_accounted_for(case: Case) -> None:
+    events = events_of(case)
+    got = match(stream_of(case), events)
+    told = len({when for when, contact in case.events if contact})
+    found = int(got.touches.found.sum())
+    assert told == found + len(got.alarms_ns) + int(got.swings.neutral.sum()) + len(got.outside_ns)
+    assert found == int(got.swings.hits.sum())
+    assert np.all(got.touches.latency_ns[got.touches.found] > 0)
+    assert np.all(got.touches.latency_ns <= got.touches.window_ns)
+    assert np.all(got.swings.judged <= got.swings.ticks)
+    summary = summarise([got])
+    assert summary.detections == found
+    assert sum(figures.touches for figures in summary.rows.values()) == len(got.touches.onset_ns)
+
+
+@settings(max_examples=200, deadline=None)
+@given(cases(), st.integers(0, 1500))
+def test_two_parts_of_a_stream_add_up(case: Case, cut_ms: int) -> None:
+    whole = match(stream_of(case), events_of(case))
+    parts = [whole.between(0, cut_ms * MS), whole.between(cut_ms * MS, 10**15)]
+    together, apart = summarise([whole]), summarise(parts)
+    for name in ("counted", "rows", "detections", "false_alarms", "judged_ticks", "swings"):
+        assert getattr(together, name) == getattr(apart, name), name
+    assert together.neutral == apart.neutral
+    assert together.outside == apart.outside
+    assert together.unjudged == apart.unjudged
+    for part in parts:
+        assert np.all(part.touches.swing < len(part.swings.start_ns))
+        assert np.array_equal(
+            part.swings.false_alarms,
+            np.bincount(part.alarm_swing, minlength=len(part.swings.ticks)),
+        )
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), max_size=80), st.integers(0, 60))
+def test_recovery_equals_the_slow_reference(swings: list[tuple[int, bool]], drift: int) -> None:
+    table = match(
+        stream_of(Case([0], [False], [False], [], [])), events_of(Case([], [], [], [], []))
+    )
+    n = len(swings)
+    zeros = np.zeros(n, dtype=np.int64)
+    table = table.swings._replace(
+        start_ns=np.arange(n, dtype=np.int64),
+        touches=np.array([int(touched) for _, touched in swings], dtype=np.int64),
+        misses=zeros,
+        false_alarms=np.array([errors for errors, _ in swings], dtype=np.int64),
+    )
+    expected = None
+    after = swings[drift:]
+    for first in range(len(after) - 19):
+        window = after[first : first + 20]
+        touched = sum(flag for _, flag in window)
+        if sum(errors for errors, _ in window) <= 1 and 5 <= touched <= 15:
+            expected = first
+            break
+    assert swings_to_recovery(table, drift) == expected

@@ -1,0 +1,372 @@
+"""Every clause of the rules (docs/scoring.md), worked by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptive_contact.robot import ROBOT_HOUR_TICKS
+from adaptive_contact.score import (
+    ROWS,
+    Events,
+    LegOutcome,
+    LegStream,
+    Outcome,
+    find_swings,
+    lift_by_halves,
+    lift_by_height,
+    match,
+    summarise,
+    truth_changes,
+)
+from adaptive_contact.wire import ContactTruth
+
+MS = 1_000_000
+
+
+def touch(
+    at_ms: float,
+    until_ms: float | None = None,
+    *,
+    speed: float | None = 0.4,
+    surface: str = "hard",
+    grazing: bool = False,
+) -> list[ContactTruth]:
+    """A contact: a change that begins it and, unless it stays, one that ends it."""
+    changes = [
+        ContactTruth(
+            t_ns=round(at_ms * MS),
+            contact=True,
+            force=2.0,
+            speed_m_s=speed,
+            surface=surface,
+            grazing=grazing,
+        )
+    ]
+    if until_ms is not None:
+        changes.append(ContactTruth(t_ns=round(until_ms * MS), contact=False, force=0.0))
+    return changes
+
+
+AIR = [ContactTruth(t_ns=0, contact=False, force=0.0)]
+
+
+def judge(
+    phases: str, truth: list[ContactTruth], *events_ms: float, lift: str | None = None
+) -> LegOutcome:
+    """Judge ``contact: true`` at the given times; a tick of 20 ms per letter, s is swing."""
+    n = len(phases)
+    stream = LegStream(
+        leg="rf",
+        t_ns=np.arange(n, dtype=np.int64) * 20 * MS,
+        swing=np.array([letter == "s" for letter in phases]),
+        lift=np.zeros(n, dtype=bool) if lift is None else np.array([x == "l" for x in lift]),
+        truth=truth_changes(truth),
+    )
+    times = np.array([round(ms * MS) for ms in events_ms], dtype=np.int64)
+    return match(stream, Events(times, np.ones(len(times), dtype=bool), times - 10 * MS))
+
+
+def rows(outcome: LegOutcome) -> list[str]:
+    return [ROWS[row].value for row in outcome.touches.row]
+
+
+# Ten ticks of stance (0-180 ms), then forty of swing (200-980 ms), then ten of stance.
+WALK = "." * 10 + "s" * 40 + "." * 10
+
+
+class TestDetection:
+    def test_first_event_in_the_window_detects(self) -> None:
+        outcome = judge(WALK, AIR + touch(505), 520, 540)
+        assert outcome.touches.found.tolist() == [True]
+        assert outcome.touches.latency_ns.tolist() == [15 * MS]
+        assert outcome.touches.onset_error_ns.tolist() == [5 * MS]  # estimate 510, onset 505
+        assert outcome.alarms_ns.tolist() == [540 * MS]  # "every other" one is a false alarm
+
+    @pytest.mark.parametrize(
+        ("event_ms", "found"), [(500, False), (520, True), (620, True), (640, False)]
+    )
+    def test_window_is_open_at_the_onset_and_closed_at_120_ms(
+        self, event_ms: float, found: bool
+    ) -> None:
+        outcome = judge(WALK, AIR + touch(500), event_ms)
+        assert outcome.touches.found.tolist() == [found]
+        assert len(outcome.alarms_ns) == (0 if found else 1)
+
+    def test_after_an_early_event_the_detector_may_still_detect(self) -> None:
+        outcome = judge(WALK, AIR + touch(500), 480, 520)
+        assert outcome.touches.found.tolist() == [True]
+        assert outcome.alarms_ns.tolist() == [480 * MS]
+
+    def test_an_event_is_used_once(self) -> None:
+        truth = AIR + touch(400, 420) + touch(480)
+        outcome = judge(WALK, truth, 500)
+        assert outcome.touches.found.tolist() == [True, False]  # both windows hold it
+        outcome = judge(WALK, truth, 420, 500)
+        assert outcome.touches.found.tolist() == [True, True]
+        assert len(outcome.alarms_ns) == 0
+
+    def test_repeats_of_one_decision_count_once(self) -> None:
+        outcome = judge(WALK, AIR + touch(500), 520, 520, 300, 300)
+        assert outcome.touches.found.tolist() == [True]
+        assert outcome.alarms_ns.tolist() == [300 * MS]
+
+    def test_release_events_do_not_count(self) -> None:
+        stream_events = Events(
+            np.array([520 * MS]), np.array([False]), np.array([510 * MS], dtype=np.int64)
+        )
+        n = len(WALK)
+        stream = LegStream(
+            "rf",
+            np.arange(n, dtype=np.int64) * 20 * MS,
+            np.array([x == "s" for x in WALK]),
+            truth_changes(AIR + touch(500)),
+            np.zeros(n, dtype=bool),
+        )
+        outcome = match(stream, stream_events)
+        assert outcome.touches.found.tolist() == [False]
+        assert len(outcome.alarms_ns) == 0
+
+    @pytest.mark.parametrize("kind", [{"speed": 0.05}, {"surface": "soft"}])
+    @pytest.mark.parametrize(("event_ms", "found"), [(900, True), (920, False)])
+    def test_slow_and_soft_have_500_ms(
+        self, kind: dict[str, float | str], event_ms: float, found: bool
+    ) -> None:
+        outcome = judge(WALK, AIR + touch(400, **kind), event_ms)  # type: ignore[arg-type]
+        assert outcome.touches.found.tolist() == [found]
+
+    def test_a_detection_lies_in_the_swing_of_its_touch(self) -> None:
+        # Soft ground, then stance, then the next swing within 500 ms of the touch.
+        phases = "s" * 20 + "." * 3 + "s" * 20
+        outcome = judge(phases, AIR + touch(300, 470, surface="soft"), 500)
+        assert outcome.touches.found.tolist() == [False]
+        assert outcome.alarms_ns.tolist() == [500 * MS]
+
+
+class TestWhatIsJudged:
+    def test_events_in_stance_do_not_count(self) -> None:
+        outcome = judge(WALK, AIR + touch(990), 100, 1000)
+        assert len(outcome.alarms_ns) == 0
+        assert outcome.outside_ns.tolist() == [100 * MS, 1000 * MS]
+
+    def test_touches_in_stance_are_not_judged(self) -> None:
+        outcome = judge(WALK, AIR + touch(1005), 1020)
+        assert len(outcome.touches.onset_ns) == 0
+        assert outcome.unjudged_ns.tolist() == [1005 * MS]
+
+    def test_an_event_belongs_to_the_last_sample_at_its_time(self) -> None:
+        outcome = judge(WALK, AIR, 199, 200, 989, 1000)
+        assert outcome.outside_ns.tolist() == [199 * MS, 1000 * MS]
+        assert outcome.alarms_ns.tolist() == [200 * MS, 989 * MS]
+
+    def test_events_beyond_the_stream_are_outside(self) -> None:
+        outcome = judge("s" * 20, AIR, 390, 2000)
+        assert outcome.alarms_ns.tolist() == [390 * MS]
+        assert outcome.outside_ns.tolist() == [2000 * MS]
+
+    def test_events_while_still_loaded_are_neither(self) -> None:
+        loaded = [
+            ContactTruth(t_ns=0, contact=True, force=5.0),
+            ContactTruth(t_ns=300 * MS, contact=False, force=0.0),
+        ]
+        outcome = judge(WALK, loaded, 220, 280, 300, 320)
+        assert outcome.swings.neutral.tolist() == [2]
+        assert outcome.alarms_ns.tolist() == [300 * MS, 320 * MS]
+        # Ticks at 200, 220, 240, 260, 280 ms are loaded: 35 of 40 are judged.
+        assert outcome.swings.judged.tolist() == [35]
+
+    def test_a_recording_that_begins_loaded(self) -> None:
+        # The first change heard is the release: the leg was loaded until then.
+        released = [ContactTruth(t_ns=260 * MS, contact=False, force=0.0)]
+        outcome = judge(WALK, released + touch(500), 240, 520)
+        assert outcome.swings.neutral.tolist() == [1]
+        assert outcome.touches.found.tolist() == [True]
+        assert len(outcome.alarms_ns) == 0
+
+    def test_a_recording_that_begins_in_the_air(self) -> None:
+        # The first change heard is a touch: the leg was in the air before.
+        outcome = judge(WALK, touch(500), 520)
+        assert outcome.touches.found.tolist() == [True]
+
+    def test_no_truth_at_all_is_air(self) -> None:
+        outcome = judge(WALK, [], 520)
+        assert len(outcome.touches.onset_ns) == 0
+        assert len(outcome.alarms_ns) == 1
+
+
+class TestContacts:
+    def test_chatter_is_one_contact(self) -> None:
+        truth = AIR + touch(500, 530) + touch(580, 600) + touch(659, 700)
+        outcome = judge(WALK, truth, 520, 600)
+        assert len(outcome.touches.onset_ns) == 1
+        assert outcome.alarms_ns.tolist() == [600 * MS]
+
+    def test_60_ms_in_the_air_make_a_new_one(self) -> None:
+        outcome = judge(WALK, AIR + touch(500, 530) + touch(590, 600), 520, 600)
+        assert outcome.touches.found.tolist() == [True, True]
+        assert len(outcome.alarms_ns) == 0
+
+    def test_chatter_at_lift_off_is_still_the_stance(self) -> None:
+        loaded = [
+            ContactTruth(t_ns=0, contact=True, force=5.0),
+            ContactTruth(t_ns=240 * MS, contact=False, force=0.0),
+            ContactTruth(t_ns=280 * MS, contact=True, force=1.0),
+            ContactTruth(t_ns=330 * MS, contact=False, force=0.0),
+        ]
+        outcome = judge(WALK, loaded, 260, 300, 340)
+        assert len(outcome.touches.onset_ns) == 0
+        assert outcome.swings.neutral.tolist() == [2]
+        assert outcome.alarms_ns.tolist() == [340 * MS]
+
+
+class TestRows:
+    @pytest.mark.parametrize(
+        ("kind", "row"),
+        [
+            ({"speed": 0.2}, "headline"),
+            ({"speed": 1.5}, "headline"),
+            ({"speed": 0.199}, "mid"),
+            ({"speed": 0.101}, "mid"),
+            ({"speed": 0.1}, "slow"),
+            ({"speed": 0.02}, "slow"),
+            ({"speed": 0.019}, "creep"),
+            ({"speed": None}, "unknown"),
+            ({"speed": 0.5, "surface": "soft"}, "soft"),
+            ({"speed": 0.05, "surface": "soft"}, "soft"),
+            ({"speed": 0.5, "grazing": True}, "grazing"),
+            ({"speed": 0.5, "surface": "soft", "grazing": True}, "grazing"),
+        ],
+    )
+    def test_a_touch_is_in_one_row(self, kind: dict[str, float | None], row: str) -> None:
+        assert rows(judge(WALK, AIR + touch(500, **kind))) == [row]  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize(
+        ("onset_ms", "row"), [(930, "headline"), (939.9, "headline"), (940, "late"), (990, "late")]
+    )
+    def test_fewer_than_3_samples_left_is_late(self, onset_ms: float, row: str) -> None:
+        # The swing's last samples are at 940, 960 and 980 ms; one at the onset cannot know of it.
+        assert rows(judge(WALK, AIR + touch(onset_ms))) == [row]
+
+    def test_the_end_of_the_stream_is_late_too(self) -> None:
+        assert rows(judge("s" * 20, AIR + touch(350))) == ["late"]
+        assert rows(judge("s" * 20, AIR + touch(339))) == ["headline"]
+
+    def test_a_late_touch_may_be_found_and_is_no_error_if_not(self) -> None:
+        found = judge(WALK, AIR + touch(950), 960)
+        assert found.touches.found.tolist() == [True]
+        assert len(found.alarms_ns) == 0
+        missed = judge(WALK, AIR + touch(950), 1000)  # decided in stance: does not count
+        assert missed.touches.found.tolist() == [False]
+        assert missed.swings.errors.tolist() == [0]
+
+    def test_a_touch_in_the_lift_has_its_row(self) -> None:
+        lift = "." * 10 + "l" * 20 + "." * 30  # 200 to 580 ms
+        assert rows(judge(WALK, AIR + touch(590), lift=lift)) == ["lift"]
+        assert rows(judge(WALK, AIR + touch(600), lift=lift)) == ["headline"]
+
+    def test_lift_by_height_ends_within_a_millimetre_of_the_top(self) -> None:
+        mask = np.array([letter == "s" for letter in "..sssssss..sss"])
+        height = np.array([9, 9, 1, 5, 8, 9.5, 10, 7, 3, 9, 9, 5, 3, 1]) * 1e-3
+        swings = find_swings(np.arange(14, dtype=np.int64) * 20 * MS, mask)
+        assert np.flatnonzero(lift_by_height(swings, height)).tolist() == [2, 3, 4]
+        assert np.flatnonzero(lift_by_halves(swings)).tolist() == [2, 3, 4, 11]
+
+    def test_lift_of_a_stream_without_swings(self) -> None:
+        swings = find_swings(np.arange(3, dtype=np.int64), np.zeros(3, dtype=bool))
+        assert not lift_by_height(swings, np.zeros(3)).any()
+        assert not lift_by_halves(swings).any()
+
+
+class TestSwings:
+    def test_a_hole_in_the_samples_ends_a_swing(self) -> None:
+        t_ns = np.array([0, 20, 40, 60, 260, 280, 481, 500], dtype=np.int64) * MS
+        swings = find_swings(t_ns, np.ones(8, dtype=bool))
+        assert swings.start.tolist() == [0, 6]  # 200 ms are 10 ticks, 201 are more
+        assert swings.stop.tolist() == [6, 8]
+
+    def test_a_touch_in_a_hole_is_not_judged(self) -> None:
+        t_ns = np.array([0, 20, 40, 60, 80, 1000, 1020, 1040, 1060], dtype=np.int64) * MS
+        stream = LegStream(
+            "rf", t_ns, np.ones(9, dtype=bool), truth_changes(AIR + touch(500)), np.zeros(9, bool)
+        )
+        nothing = np.zeros(0, np.int64)
+        outcome = match(stream, Events(nothing, nothing.astype(bool), nothing))
+        assert len(outcome.touches.onset_ns) == 0
+        assert outcome.unjudged_ns.tolist() == [500 * MS]
+        # Its load holds on into the second part, which is not judged while it does.
+        assert outcome.swings.judged.tolist() == [5, 0]
+
+    def test_pose_swings_are_split_by_the_hold(self) -> None:
+        phases = ("s" * 20 + "...") * 3
+        outcome = judge(phases, AIR)
+        assert outcome.swings.ticks.tolist() == [20, 20, 20]
+        assert outcome.swings.outcome.tolist() == [Outcome.CLEAN] * 3
+
+    def test_outcome_is_the_worst_that_happened(self) -> None:
+        phases = "s" * 30 + "." * 5  # 600 ms of swing, 100 ms of stance
+        at = 700  # swing k begins at 700 k ms
+        truth = [
+            *AIR,
+            *touch(300, 310),
+            *touch(at + 300, at + 310),
+            *touch(2 * at + 300, 2 * at + 310),
+        ]
+        outcome = judge(phases * 4, truth, 320, at + 100, at + 320, 2 * at + 100)
+        assert outcome.swings.outcome.tolist() == ["hit", "false alarm", "false alarm", "clean"]
+        assert outcome.swings.errors.tolist() == [0, 1, 2, 0]
+        assert judge(phases, truth).swings.outcome.tolist() == ["miss"]
+
+
+class TestFigures:
+    def test_counts_rates_and_intervals(self) -> None:
+        phases = "s" * 30 + "." * 5
+        n = 40
+        truth = AIR + [c for k in range(n) for c in touch(700 * k + 300, 700 * k + 310)]
+        found = [700 * k + 320 for k in range(36)]
+        outcome = judge(phases * n, truth, *found, 100, 800)
+        summary = summarise([outcome])
+        row = summary.rows[ROWS[0]]
+        assert (row.touches, row.found, row.recall) == (40, 36, 0.9)
+        # 95 % limits as tabulated: 36 of 40, and a count of 2.
+        assert row.interval == pytest.approx((0.7634, 0.9721), abs=1e-4)
+        assert summary.precision == pytest.approx(36 / 38)
+        assert summary.judged_ticks == 30 * n
+        assert summary.robot_hours == 30 * n / ROBOT_HOUR_TICKS
+        hours = summary.robot_hours
+        assert summary.per_hour == pytest.approx(2 / hours)
+        assert summary.per_hour_interval == pytest.approx(
+            (0.2422 / hours, 7.2247 / hours), rel=1e-4
+        )
+        assert row.latency is not None
+        assert row.latency.median_ms == 20.0
+        assert summary.lost_swings == 6  # four misses, two false alarms
+
+    def test_latency_quantiles(self) -> None:
+        phases = "s" * 30 + "." * 5
+        truth = AIR + [c for k in range(100) for c in touch(700 * k + 300 - k / 10, 700 * k + 310)]
+        outcome = judge(phases * 100, truth, *[700 * k + 300 + 20 for k in range(100)])
+        latency = summarise([outcome]).rows[ROWS[0]].latency
+        assert latency is not None
+        assert latency.median_ms == pytest.approx(24.95)
+        assert latency.p95_ms == pytest.approx(29.405)
+        assert latency.p99_ms == pytest.approx(29.801)
+
+    def test_legs_add_up(self) -> None:
+        one = judge(WALK, AIR + touch(500), 520)
+        other = judge(WALK, AIR + touch(500), 300)
+        summary = summarise([one, other])
+        assert summary.counted.touches == 2
+        assert summary.counted.found == 1
+        assert summary.false_alarms == 1
+        assert summary.judged_ticks == 80
+
+    def test_nothing_to_judge(self) -> None:
+        summary = summarise([judge("....", AIR)])
+        assert summary.rows[ROWS[0]].recall is None
+        assert summary.rows[ROWS[0]].interval == (0.0, 1.0)
+        assert summary.precision is None
+        assert summary.per_hour is None
+        assert math.isinf(summary.per_hour_interval.high)
+        assert summarise([]).swings == 0

@@ -1,0 +1,203 @@
+"""Real Zenoh on loopback with free ports; the service in a process of its own where it says so."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.service.link import Link, client_settings, router_settings
+from adaptive_contact.wire import Message, ServoSample, decode
+
+HERE = Path(__file__).parent
+
+ROBOT = """
+[robot]
+name = "mini"
+period_s = 0.02
+quantum_rad = 0.00511
+[[leg]]
+id = "lf"
+joints = ["coxa", "femur", "tibia"]
+[[leg]]
+id = "rf"
+joints = ["coxa", "femur", "tibia"]
+"""
+
+
+class Inbox:
+    """A sink that can be waited on."""
+
+    def __init__(self) -> None:
+        self.items: list[Any] = []
+        self._changed = threading.Condition()
+
+    def __call__(self, *item: Any) -> None:
+        with self._changed:
+            self.items.append(item[0] if len(item) == 1 else item)
+            self._changed.notify_all()
+
+    def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 5.0) -> list[Any]:
+        """Wait until there are so many items, or the items are enough; fails after the timeout."""
+        test = enough if callable(enough) else lambda items: len(items) >= enough
+        with self._changed:
+            assert self._changed.wait_for(lambda: self.items and test(self.items), timeout_s), (
+                f"after {timeout_s} s there are {len(self.items)} items: {self.items[-3:]}"
+            )
+            return list(self.items)
+
+
+class MessageInbox(Inbox):
+    """Keeps decoded messages of one kind."""
+
+    def __init__(self, kind: type[Message]) -> None:
+        super().__init__()
+        self._kind = kind
+
+    def __call__(self, *item: Any) -> None:
+        received = item[0]
+        super().__call__(decode(received.payload, self._kind, received.encoding))
+
+
+@dataclass
+class Served:
+    """A service in its own process."""
+
+    process: subprocess.Popen[str]
+    endpoint: str
+    ready: str
+    log: Path
+
+    def stop(self, number: int = signal.SIGTERM, timeout_s: float = 5.0) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(timeout_s)
+
+
+@pytest.fixture(scope="session")
+def fake() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("fake_service", HERE / "fake_service.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["fake_service"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return parse_robot(ROBOT, source="test")
+
+
+@pytest.fixture
+def router() -> Iterator[Link]:
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+        yield link
+
+
+@pytest.fixture
+def join() -> Iterator[Callable[..., Link]]:
+    """Opens clients of an endpoint, and closes them after the test."""
+    links: list[Link] = []
+
+    def open_(endpoint: str, **settings: Any) -> Link:
+        link = Link.open(client_settings([endpoint], **{"wait": False, **settings}))
+        links.append(link)
+        return link
+
+    yield open_
+    for link in links:
+        assert link.close()
+
+
+@pytest.fixture
+def inbox() -> Callable[..., Inbox]:
+    return lambda kind=None: Inbox() if kind is None else MessageInbox(kind)
+
+
+@pytest.fixture
+def command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts this interpreter with arguments; ends it by its id if the test did not."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start(*args: str, **popen: Any) -> subprocess.Popen[str]:
+        paths = os.pathsep.join(path for path in sys.path if path)
+        process = subprocess.Popen(
+            [sys.executable, *args], text=True, env={**os.environ, "PYTHONPATH": paths}, **popen
+        )
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        if process.poll() is None:
+            process.kill()
+        process.wait(5)
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+@pytest.fixture
+def cli(command: Callable[..., subprocess.Popen[str]]) -> Callable[..., subprocess.Popen[str]]:
+    """Starts one of our commands alone, so that this test does not need all the others."""
+
+    def start(name: str, *args: str, **popen: Any) -> subprocess.Popen[str]:
+        code = f"import typer; from adaptive_contact.cli.{name} import {name}; typer.run({name})"
+        return command("-c", code, *args, stdout=subprocess.PIPE, **popen)
+
+    return start
+
+
+@pytest.fixture
+def serve(tmp_path: Path, command: Callable[..., subprocess.Popen[str]]) -> Callable[..., Served]:
+    """Starts `serve` with the fake learner in a process of its own."""
+    count = itertools.count()
+
+    def start(*args: str, wait: bool = True) -> Served:
+        config = tmp_path / "robot.toml"
+        config.write_text(ROBOT)
+        log = tmp_path / f"serve{next(count)}.log"
+        where = () if "--connect" in args or "--listen" in args else ("--listen", "127.0.0.1:0")
+        with log.open("w") as stderr:
+            process = command(
+                str(HERE / "fake_service.py"),
+                *("--config", str(config), *where, *args),
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+            )
+        assert process.stdout is not None
+        ready = process.stdout.readline() if wait else ""
+        endpoint = ready.split("listening on ")[1].split(";")[0] if "listening" in ready else ""
+        return Served(process, endpoint, ready, log)
+
+    return start
+
+
+@pytest.fixture
+def sample() -> Callable[..., ServoSample]:
+    """A sample of a three-joint leg; ``contact`` is what the fake learner takes for one."""
+
+    def make(seq: int, *, contact: bool = False, **fields: Any) -> ServoSample:
+        return ServoSample(
+            **{
+                "t_ns": seq * 20_000_000,
+                "seq": seq,
+                "measured": [0.5 if contact else 0.0, 0.1, 0.2],
+                "desired": [0.0, 0.1, 0.2],
+                **fields,
+            }
+        )
+
+    return make

@@ -1,0 +1,130 @@
+"""`adaptive-contact serve` with a learner that needs no learning; run as a script, or imported.
+
+Contact is ``|measured[0] - desired[0]| > 0.2`` rad.  Everything else is the real command.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import types
+from collections import Counter
+from collections.abc import Mapping
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.wire import (
+    ContactEvent,
+    LearnerStatus,
+    ModelReport,
+    ModelTerm,
+    Reject,
+    ServoSample,
+    Status,
+)
+
+MAX_LEGS = 8
+
+
+class FakeLearner:
+    def __init__(self, leg: str, joints: int) -> None:
+        self.leg = leg
+        self.joints = joints
+        self.word: Status = "valid"
+        self.contact = False
+        self.contacts = 0
+        self.ticks = 0
+        self.t_ns = 0
+        self.rejects: Counter[str] = Counter()
+        self.note: str | None = None
+        self.model_report: ModelReport | None = ModelReport(
+            leg=leg,
+            model_version=3,
+            joints=[f"j{i}" for i in range(joints)],
+            terms=[[ModelTerm(name="q0", coefficient=1.0)] for _ in range(joints)],
+            equations=["q0' = q0"] * joints,
+        )
+
+    def count(self, reason: Reject, times: int = 1) -> None:
+        self.rejects[reason] += times
+
+    @property
+    def status(self) -> LearnerStatus:
+        return LearnerStatus(
+            leg=self.leg,
+            t_ns=self.t_ns,
+            status=self.word,
+            model_version=3,
+            residual_rms=[0.001] * self.joints,
+            noise_floor=[0.001] * self.joints,
+            ticks=self.ticks,
+            rejects=dict(self.rejects),
+            contact=self.contact,
+            contacts=self.contacts,
+            note=self.note,
+        )
+
+    def update(self, sample: ServoSample) -> ContactEvent | None:
+        if not all(math.isfinite(x) for x in (*sample.measured, *sample.desired)):
+            self.count(Reject.NOT_FINITE)
+            return None
+        if len(sample.measured) != self.joints:
+            self.count(Reject.WRONG_JOINTS)
+            return None
+        self.ticks += 1
+        self.t_ns = sample.t_ns
+        contact = abs(sample.measured[0] - sample.desired[0]) > 0.2
+        if contact == self.contact:
+            return None
+        self.contact = contact
+        self.contacts += contact
+        return ContactEvent(
+            leg=self.leg,
+            t_ns=sample.t_ns,
+            seq=sample.seq,
+            onset_ns=sample.t_ns,
+            contact=contact,
+            status=self.word,
+            score=2.0,
+            residual=[0.1] * self.joints,
+            model_version=3,
+        )
+
+
+class FakeBank:
+    def __init__(self, robot: Robot, baseline: object = None) -> None:
+        self._joints = {leg.id: len(leg.joints) for leg in robot.legs}
+        self._learners: dict[str, FakeLearner] = {}
+
+    @property
+    def legs(self) -> tuple[str, ...]:
+        return tuple(self._learners)
+
+    def learner(self, leg: str, joints: int | None = None) -> FakeLearner | None:
+        if leg not in self._learners:
+            if len(self._learners) >= MAX_LEGS:
+                return None
+            self._learners[leg] = FakeLearner(leg, self._joints.get(leg, joints or 3))
+        return self._learners[leg]
+
+    def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+        events = [self._learners[leg].update(sample) for leg, sample in samples.items()]
+        return [event for event in events if event is not None]
+
+
+def main() -> None:
+    module = types.ModuleType("adaptive_contact.adapt")
+    module.LearnerBank = FakeBank  # type: ignore[attr-defined]
+    sys.modules["adaptive_contact.adapt"] = module
+    import typer
+
+    from adaptive_contact.cli.serve import serve
+    from adaptive_contact.errors import AdaptiveContactError
+
+    try:
+        typer.run(serve)
+    except AdaptiveContactError as error:
+        sys.exit(f"adaptive-contact: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""docs/messages.md is the contract: every field, key, reason and example of it is checked."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from adaptive_contact import wire
+from adaptive_contact.service.status import LegFacts, ServiceStatus
+from adaptive_contact.wire import (
+    JSON,
+    ContactEvent,
+    Message,
+    Reject,
+    ServoSample,
+    decode,
+    encode,
+    servo_key,
+)
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs/messages.md").read_text(encoding="utf-8")
+OPERATING = (ROOT / "docs/operating.md").read_text(encoding="utf-8")
+
+MESSAGES = [
+    getattr(wire, name)
+    for name in wire.__all__
+    if isinstance(getattr(wire, name), type)
+    and issubclass(getattr(wire, name), msgspec.Struct)
+    and getattr(wire, name) is not Message
+]
+
+
+@pytest.mark.parametrize("kind", [*MESSAGES, ServiceStatus, LegFacts])
+def test_every_field_is_described(kind: type[msgspec.Struct]) -> None:
+    for field in kind.__struct_fields__:
+        assert re.search(rf"[`{{ ]{field}[`}},]", TEXT), f"{kind.__name__}.{field}"
+
+
+def test_every_reason_is_described() -> None:
+    for reason in Reject:
+        assert f"| `{reason}` |" in TEXT
+
+
+def test_the_examples_are_good_messages() -> None:
+    sample, event = re.findall(r"```json\n(.*?)\n```", TEXT, re.DOTALL)
+    read = decode(sample.encode(), ServoSample, JSON)
+    assert isinstance(read, ServoSample)
+    assert encode(read, JSON).decode() == sample
+    packed = encode(read)
+    assert f"has {len(packed)}\nbytes" in TEXT
+    assert packed[:18].hex(" ") in TEXT
+    read_event = decode(event.encode(), ContactEvent, JSON)
+    assert isinstance(read_event, ContactEvent)
+    assert encode(read_event, JSON).decode() == event
+
+
+def test_links_lead_somewhere() -> None:
+    def anchors(text: str) -> set[str]:
+        titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+        return {re.sub(r"[^a-z0-9 -]", "", title.lower()).replace(" ", "-") for title in titles}
+
+    for anchor in re.findall(r"\]\(#([^)]*)\)", TEXT):
+        assert anchor in anchors(TEXT), anchor
+    for anchor in re.findall(r"\]\(messages\.md#([^)]*)\)", OPERATING):
+        assert anchor in anchors(TEXT), anchor
+
+
+@pytest.mark.e2e
+def test_the_subscriber_in_python_works(
+    serve: Any, command: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
+) -> None:
+    (code,) = re.findall(r"```python\n(import.*?)```", TEXT, re.DOTALL)
+    served = serve()
+    process = command("-u", "-c", code.replace("tcp/127.0.0.1:7447", served.endpoint), stdout=-1)
+    client = join(served.endpoint)
+    publisher = client.publisher(servo_key("rf"))
+    first: list[str] = []
+    reader = threading.Thread(target=lambda: first.append(process.stdout.readline()))
+    reader.start()
+    # The example says nothing when it has subscribed, so contacts go on until it has seen one.
+    for seq in range(1000):
+        publisher.put(sample(seq, contact=seq % 2 == 1))
+        reader.join(0.02)
+        if not reader.is_alive():
+            break
+    assert re.match(r"rf (touches|lets go) \d+$", first[0])

@@ -1,0 +1,305 @@
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import pytest
+
+from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
+from adaptive_contact.service.legcheck import Finding, check_leg
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    MSGPACK,
+    LearnerStatus,
+    Reject,
+    Rejected,
+    ServoSample,
+    encode,
+    learner_key,
+    servo_key,
+)
+
+FACTS = LegFacts(joints=["coxa", "femur", "tibia"], lengths=True)
+
+
+def stream(n: int = 150, **fields: Any) -> list[ServoSample]:
+    """Three seconds of a leg that swings, the servos 0.03 rad behind their commands."""
+    return [
+        ServoSample(
+            **{
+                "t_ns": k * 20_000_000,
+                "seq": k,
+                "measured": [0.4 * math.sin(0.2 * k - 0.1 * j) for j in range(3)],
+                "desired": [0.4 * math.sin(0.2 * k - 0.1 * j + 0.08) for j in range(3)],
+                "phase": "swing",
+                "run": 1,
+                **fields,
+            }
+        )
+        for k in range(n)
+    ]
+
+
+def change(samples: list[ServoSample], **fields: Callable[[ServoSample], Any]) -> list[ServoSample]:
+    return [
+        msgspec.structs.replace(s, **{name: value(s) for name, value in fields.items()})
+        for s in samples
+    ]
+
+
+def judge(samples: list[ServoSample], **settings: Any) -> list[Finding]:
+    return check_leg(
+        "rf",
+        samples,
+        settings.pop("refused", []),
+        **{"seconds": 3.0, "period_s": 0.02, "facts": FACTS, **settings},
+    )
+
+
+def only(findings: list[Finding]) -> Finding:
+    assert len(findings) == 1, findings
+    assert findings[0].remedy
+    return findings[0]
+
+
+def test_a_good_leg_has_no_findings() -> None:
+    assert judge(stream()) == []
+
+
+def test_a_leg_that_hangs_still_has_no_findings() -> None:
+    """Standing still is no fault, even with a reading that never changes."""
+    assert judge(stream(measured=[0.1, 0.2, 0.3], desired=[0.12, 0.2, 0.3])) == []
+
+
+def test_nothing_at_all() -> None:
+    assert "no usable sample on robot/leg/rf/servo" in only(judge([])).what
+
+
+def test_only_unreadable_payloads() -> None:
+    refused = [Rejected(Reject.MISSING_FIELD, "missing required field `seq`")] * 7
+    assert "7 payloads cannot be read; missing_field" in only(judge([], refused=refused)).what
+
+
+def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample], list[float]]:
+    return lambda s: [value(x, s.seq) if i == j else x for i, x in enumerate(s.measured)]
+
+
+@pytest.mark.parametrize(
+    ("samples", "what", "level"),
+    [
+        (change(stream(), measured=joint(1, lambda x, k: 0.1)), "femur reads 0.100 rad", "error"),
+        (change(stream(), measured=joint(2, lambda x, k: x + 0.9)), "tibia is 0.90 rad", "error"),
+        (change(stream(), measured=joint(0, lambda x, k: -x)), "coxa moves against", "error"),
+        (
+            change(stream(), measured=joint(0, lambda x, k: math.degrees(x))),
+            "coxa reaches 22.9, more than a turn",
+            "error",
+        ),
+        (
+            change(stream(), measured=joint(0, lambda x, k: math.nan if k < 20 else x)),
+            "20 of 150 samples hold NaN",
+            "error",
+        ),
+        (change(stream(), t_ns=lambda s: s.seq * 25_000_000), "ticks are 25.0 ms apart", "error"),
+        (change(stream(), t_ns=lambda s: s.seq * 20), "seems to be in milliseconds", "error"),
+        (stream()[:70] + stream()[75:], "5 samples are lost (3.3%)", "warning"),
+        (
+            change(stream(), run=lambda s: s.seq % 2 + 1, seq=lambda s: s.seq // 2),
+            "2 publishers take turns",
+            "error",
+        ),
+        (change(stream(), t_ns=lambda s: -s.t_ns), "t_ns does not increase", "error"),
+        (
+            change(stream(), seq=lambda s: s.seq - (s.seq % 10 == 3)),
+            "15 samples repeat the seq",
+            "error",
+        ),
+        (
+            change(stream(), valid=lambda s: [True, s.seq % 4 > 0, True]),
+            "25% of the samples have readings marked invalid",
+            "warning",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_stream(samples: list[ServoSample], what: str, level: str) -> None:
+    found = [finding for finding in judge(samples) if what in finding.what]
+    assert len(found) == 1, judge(samples)
+    assert found[0].level == level
+    assert found[0].leg == "rf"
+    assert found[0].remedy
+
+
+def test_joints_phase_and_unknown_legs_are_held_against_robot_toml() -> None:
+    four = LegFacts(joints=["a", "b", "c", "d"], lengths=True)
+    assert "3 joints, robot.toml has 4 (a, b, c, d)" in only(judge(stream(), facts=four)).what
+    bare = LegFacts(joints=FACTS.joints, lengths=False)
+    assert "no phase" in only(judge(stream(phase=None), facts=bare)).what
+    unknown = LegFacts(joints=["joint 1"], lengths=True, described=False)
+    assert "not in the service's robot.toml" in only(judge(stream(), facts=unknown)).what
+    assert judge(stream(), facts=None, period_s=None) == []
+
+
+def test_a_restart_of_the_source_is_no_fault() -> None:
+    twice = stream(75) + stream(75, run=2)
+    assert judge(twice) == []
+
+
+# -- the whole wire ---------------------------------------------------------------------------
+
+
+def service(**fields: Any) -> ServiceStatus:
+    return ServiceStatus(
+        **{
+            "version": "1",
+            "robot": "mini",
+            "period_s": 0.02,
+            "baseline": "b.json",
+            "legs": {"rf": FACTS},
+            "uptime_s": 5.0,
+            **fields,
+        }
+    )
+
+
+def hear(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
+    heard = Examination()
+    for key, payload in messages:
+        heard.take(Received(key, payload, encoding, 0, None))
+    return heard
+
+
+def good() -> list[tuple[str, bytes]]:
+    return [
+        (SERVICE_STATUS, encode(service())),
+        *((servo_key("rf"), encode(sample)) for sample in stream()),
+    ]
+
+
+def whats(diagnosis: Diagnosis) -> list[str]:
+    return [f"{f.level}: {f.what}" for f in diagnosis.findings]
+
+
+def test_all_is_well() -> None:
+    diagnosis = diagnose(hear(*good()), 3.0, alive=True)
+    assert (diagnosis.findings, diagnosis.exit_code) == ([], 0)
+    (traffic,) = [key for key in diagnosis.keys if key.key == servo_key("rf")]
+    assert traffic.rate_hz == 50.0
+    assert traffic.encodings == [MSGPACK]
+    assert traffic.bytes_per_s == pytest.approx(50 * traffic.mean_bytes)
+
+
+def test_no_service() -> None:
+    diagnosis = diagnose(hear(*good()), 3.0, alive=False)
+    assert whats(diagnosis) == ["error: a router is there, but no service"]
+    assert diagnosis.exit_code == 1
+
+
+def test_a_service_that_says_nothing() -> None:
+    diagnosis = diagnose(hear(*good()[1:]), 3.0, alive=True)
+    assert "warning: a service is alive, but did not say how it is" in whats(diagnosis)
+
+
+def test_nobody_publishes() -> None:
+    diagnosis = diagnose(Examination(), 3.0, alive=False)
+    assert "error: nobody publishes servo samples" in whats(diagnosis)
+
+
+def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
+    def status(n: int) -> tuple[str, bytes]:
+        learner = LearnerStatus(
+            leg="rf",
+            t_ns=0,
+            status="valid",
+            model_version=1,
+            residual_rms=[],
+            noise_floor=[],
+            rejects={"not_finite": n},
+        )
+        return learner_key("rf"), encode(learner)
+
+    def whole(n: int) -> tuple[str, bytes]:
+        return SERVICE_STATUS, encode(service(rejects={"unknown_leg": n}))
+
+    old = diagnose(hear(*good(), whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
+    assert old.exit_code == 1, "the first status had no refusals"
+    old = diagnose(hear(*good()[1:], whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
+    assert old.exit_code == 0
+    assert len(old.findings) == 2
+    new = diagnose(hear(*good()[1:], whole(3), whole(4), status(2), status(9)), 3.0, alive=True)
+    assert [finding.level for finding in new.findings] == ["warning", "warning"]
+
+
+@pytest.mark.parametrize(
+    ("key", "what", "remedy"),
+    [
+        ("robot/leg/rf/servos", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("hexa/robot/leg/rf/servo", "lies under 'hexa'", "--namespace hexa"),
+        ("robot/leg/*/servo", "names no usable leg", "leg id"),
+    ],
+)
+def test_strays(key: str, what: str, remedy: str) -> None:
+    diagnosis = diagnose(hear(*good(), (key, b"")), 3.0, alive=True)
+    assert what in only(diagnosis.findings).what
+    assert remedy in diagnosis.findings[0].remedy
+
+
+def test_keys_of_others_are_left_alone() -> None:
+    diagnosis = diagnose(hear(*good(), ("weather/today", b"sun")), 3.0, alive=True)
+    assert diagnosis.findings == []
+
+
+def test_an_odd_encoding_is_a_warning() -> None:
+    heard = hear(*good())
+    heard.take(Received(servo_key("rf"), encode(stream()[-1]), "zenoh/bytes", 0, None))
+    found = diagnose(heard, 3.0, alive=True).findings
+    assert "has the encoding zenoh/bytes; it is taken for msgpack" in found[0].what
+
+
+def test_a_flood_of_keys_is_bounded() -> None:
+    heard = hear(*((f"x/{n}", b"") for n in range(1000)))
+    assert len(heard.meters) == 400
+    assert heard.uncounted_keys == 600
+
+
+@pytest.mark.e2e
+def test_the_command(
+    serve: Any, cli: Any, join: Callable[..., Link], sample: Callable[..., ServoSample]
+) -> None:
+    arguments = ("doctor", "--seconds", "1.2", "--connect")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        nobody = f"127.0.0.1:{free.getsockname()[1]}"
+    process = cli(*arguments, nobody)
+    out, _ = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert f"unreachable: nobody listens on tcp/{nobody}" in out
+
+    served = serve()
+    publishers = {leg: join(served.endpoint).publisher(servo_key(leg)) for leg in ("lf", "rf")}
+    process = cli(*arguments, served.endpoint, "--json")
+    stop = threading.Event()
+    seq = 0
+    while process.poll() is None and not stop.wait(0.02) and seq < 1000:
+        for leg, publisher in publishers.items():
+            joints = 2 if leg == "rf" else 3
+            publisher.put(
+                sample(seq, phase="swing", measured=[0.1] * joints, desired=[0.1] * joints)
+            )
+        seq += 1
+    out, _ = process.communicate(timeout=20)
+    diagnosis = json.loads(out)
+    assert process.returncode == 1
+    assert diagnosis["router"] == "connected"
+    assert diagnosis["service_alive"]
+    rates = {key["key"]: key["rate_hz"] for key in diagnosis["keys"]}
+    assert 25 < rates[servo_key("lf")] < 60
+    found = [(leg, what) for level, leg, what, _ in diagnosis["findings"] if level != "note"]
+    assert ("rf", "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)") in found
+    assert all(leg != "lf" for leg, _ in found)

@@ -1,0 +1,196 @@
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.service.intake import Intake, Raw, read
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    JSON,
+    MAX_PAYLOAD_BYTES,
+    MSGPACK,
+    Reject,
+    Rejected,
+    ServoSample,
+    encode,
+    servo_key,
+)
+
+
+def received(leg: str, payload: bytes = b"", n: int = 0) -> Received:
+    return Received(servo_key(leg), payload, MSGPACK, n, None)
+
+
+def drain(intake: Intake[object]) -> list[dict[str, Raw]]:
+    rounds = []
+    while round_ := intake.take(0.0):
+        rounds.append(round_.samples)
+    return rounds
+
+
+def test_a_round_holds_at_most_one_sample_per_leg_in_order() -> None:
+    intake: Intake[object] = Intake()
+    for n, leg in enumerate(["lf", "rf", "lf", "lf", "rf"]):
+        intake.offer(received(leg, n=n))
+    rounds = drain(intake)
+    assert [{leg: raw.arrival_ns for leg, raw in samples.items()} for samples in rounds] == [
+        {"lf": 0, "rf": 1},
+        {"lf": 2, "rf": 4},
+        {"lf": 3},
+    ]
+
+
+def test_a_flood_costs_the_others_nothing_and_is_counted() -> None:
+    intake: Intake[object] = Intake(queue_samples=8)
+    for n in range(1000):
+        intake.offer(received("bad", n=n))
+    intake.offer(received("good", n=5000))
+    first = intake.take(0.0)
+    assert first.samples["good"].arrival_ns == 5000
+    assert first.samples["bad"].arrival_ns == 992  # the newest are kept
+    assert first.overflow == Counter(bad=992)
+    assert len(drain(intake)) == 7
+    assert not intake.take(0.0)
+
+
+def test_keys_that_name_no_leg_are_counted_together() -> None:
+    intake: Intake[object] = Intake()
+    for key in ("robot/leg/*/servo", "robot/leg/**/servo", "robot/leg/a$*/servo", "other"):
+        intake.offer(Received(key, b"", MSGPACK, 0, None))
+    round_ = intake.take(0.0)
+    assert (round_.samples, round_.strangers, round_.stranger) == ({}, 4, "other")
+    assert not intake.take(0.0)
+
+
+def test_made_up_legs_cannot_take_the_place_of_real_ones() -> None:
+    intake: Intake[object] = Intake(["real"], max_legs=4)
+    for n in range(100):
+        intake.offer(received(f"fake{n}"))
+    intake.offer(received("real"))
+    round_ = intake.take(0.0)
+    assert set(round_.samples) == {"real", "fake0", "fake1", "fake2"}
+    assert round_.strangers == 97
+
+
+def test_questions_are_bounded() -> None:
+    intake: Intake[int] = Intake()
+    taken = [intake.ask(n) for n in range(100)]
+    assert taken == [True] * 64 + [False] * 36
+    assert intake.take(0.0).requests == list(range(64))
+    assert intake.ask(1)
+
+
+def test_a_waiting_worker_wakes_at_once() -> None:
+    intake: Intake[object] = Intake()
+    threading.Timer(0.05, intake.offer, [received("lf")]).start()
+    began = time.monotonic()
+    assert intake.take(5.0).samples
+    assert time.monotonic() - began < 2.0
+
+
+def test_waiting_ends() -> None:
+    began = time.monotonic()
+    assert not Intake[object]().take(0.05)
+    assert 0.04 < time.monotonic() - began < 2.0
+
+
+def test_offers_from_many_threads_lose_nothing_uncounted() -> None:
+    intake: Intake[object] = Intake(queue_samples=16)
+    legs = ["a", "b", "c", "d"]
+
+    def pump(leg: str) -> None:
+        for n in range(2000):
+            intake.offer(received(leg, n=n))
+
+    threads = [threading.Thread(target=pump, args=[leg]) for leg in legs]
+    for thread in threads:
+        thread.start()
+    seen: Counter[str] = Counter()
+    while any(thread.is_alive() for thread in threads):
+        round_ = intake.take(0.01)
+        seen.update(round_.samples.keys())
+        seen.update(round_.overflow)
+    while round_ := intake.take(0.0):
+        seen.update(round_.samples.keys())
+        seen.update(round_.overflow)
+    assert seen == Counter(dict.fromkeys(legs, 2000))
+
+
+def raw(payload: bytes, encoding: str = MSGPACK) -> Raw:
+    intake: Intake[object] = Intake()
+    intake.offer(Received(servo_key("lf"), payload, encoding, 0, None))
+    return intake.take(0.0).samples["lf"]
+
+
+@pytest.mark.parametrize("encoding", [MSGPACK, JSON, "application/json;v1"])
+def test_both_encodings_are_read(encoding: str, sample: Callable[..., ServoSample]) -> None:
+    expected = sample(3, phase="swing", run=7)
+    found = read(raw(encode(expected, JSON if "json" in encoding else MSGPACK), encoding))
+    assert found == expected
+
+
+def test_huge_payloads_are_refused_and_not_kept() -> None:
+    huge = raw(bytes(MAX_PAYLOAD_BYTES + 1))
+    assert huge.payload == b""
+    found = read(huge)
+    assert isinstance(found, Rejected)
+    assert found.reason is Reject.TOO_LARGE
+
+
+PLAIN = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+NESTED = st.recursive(
+    PLAIN,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner),
+    max_leaves=12,
+)
+FIELDS = st.sampled_from(["v", "t_ns", "seq", "measured", "desired", "preview", "phase", "valid"])
+
+
+@given(payload=st.binary(max_size=200), encoding=st.sampled_from([MSGPACK, JSON, "", "x/y"]))
+def test_any_bytes_are_read_or_refused(payload: bytes, encoding: str) -> None:
+    found = read(raw(payload, encoding))
+    assert isinstance(found, ServoSample | Rejected)
+
+
+@given(st.dictionaries(FIELDS, NESTED))
+def test_any_map_is_read_or_refused(fields: dict[str, object]) -> None:
+    try:
+        payload = msgspec.msgpack.encode(fields)
+    except OverflowError:  # integers beyond 64 bits have no msgpack
+        return
+    found = read(raw(payload))
+    assert isinstance(found, ServoSample | Rejected)
+
+
+@given(
+    st.builds(
+        ServoSample,
+        t_ns=st.integers(-(2**63), 2**63 - 1),
+        seq=st.integers(-(2**63), 2**63 - 1),
+        measured=st.lists(st.floats(), max_size=5),
+        desired=st.lists(st.floats(), max_size=5),
+        phase=st.sampled_from([None, "swing", "stance"]),
+        run=st.none() | st.integers(-(2**63), 2**63 - 1),
+    ),
+    st.integers(0, 400),
+    st.integers(0, 255),
+)
+def test_a_flipped_byte_never_raises(message: ServoSample, at: int, value: int) -> None:
+    payload = bytearray(encode(message))
+    payload[at % len(payload)] = value
+    found = read(raw(bytes(payload)))
+    assert isinstance(found, ServoSample | Rejected)
+    whole = read(raw(encode(message)))
+    assert isinstance(whole, ServoSample)
+    assert all(
+        a == b or (math.isnan(a) and math.isnan(b))
+        for a, b in zip(whole.measured, message.measured, strict=True)
+    )

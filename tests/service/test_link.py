@@ -1,0 +1,303 @@
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.service.link import (
+    Finding,
+    Link,
+    LinkSettings,
+    NoRouterError,
+    Publisher,
+    Reach,
+    Request,
+    client_settings,
+    router_settings,
+)
+from adaptive_contact.service.transport import MAX_MESSAGE_BYTES
+from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, decode, encode, truth_key
+
+Join = Callable[..., Link]
+KEY = truth_key("rf")
+
+
+def truth(n: int) -> ContactTruth:
+    return ContactTruth(t_ns=n, contact=bool(n % 2), force=1.5)
+
+
+def matched(publisher: Publisher, timeout_s: float = 3.0) -> Publisher:
+    """Wait until somebody subscribes; Zenoh offers no event for it that we use."""
+    until = time.monotonic() + timeout_s
+    while not publisher.matched:
+        assert time.monotonic() < until, f"nobody subscribes to {publisher.key}"
+        time.sleep(0.005)
+    return publisher
+
+
+def test_free_ports_are_told(router: Link) -> None:
+    (endpoint,) = router.endpoints
+    assert not endpoint.endswith(":0")
+    assert router.is_connected()
+
+
+def test_samples_arrive_with_what_was_sent(router: Link, join: Join, inbox: Any) -> None:
+    client = join(router.endpoints[0])
+    got = inbox()
+    client.subscribe("robot/leg/*/truth", got)
+    before_ns = time.monotonic_ns()
+    matched(router.publisher(KEY)).put(truth(3))
+    (received,) = got.wait(1)
+    assert received.key == KEY
+    assert received.encoding == MSGPACK
+    assert decode(received.payload, ContactTruth, received.encoding) == truth(3)
+    assert before_ns <= received.arrival_ns <= time.monotonic_ns()
+    assert abs(received.published_ns - time.time_ns()) < 10e9
+
+
+def test_json_publishes_json(router: Link, join: Join, inbox: Any) -> None:
+    client = join(router.endpoints[0], json=True)
+    got = inbox()
+    router.subscribe(KEY, got)
+    matched(client.publisher(KEY)).put(truth(4))
+    (received,) = got.wait(1)
+    assert received.encoding == JSON
+    assert received.payload.startswith(b"{")
+    assert decode(received.payload, ContactTruth, received.encoding) == truth(4)
+
+
+def test_late_joiners_get_the_last_one_by_history_and_by_get(
+    router: Link, join: Join, inbox: Any
+) -> None:
+    publisher = router.publisher(KEY, reliable=True, history=1)
+    for n in range(1, 4):
+        publisher.put(truth(n))
+    client = join(router.endpoints[0])
+    got = inbox(ContactTruth)
+    client.subscribe("robot/leg/*/truth", got, history=True)
+    assert [message.t_ns for message in got.wait(1)] == [3]
+    publisher.put(truth(4))
+    assert [message.t_ns for message in got.wait(2)] == [3, 4]
+    for selector in (KEY, "robot/leg/*/truth"):
+        (reply,) = client.query(selector)
+        assert reply.key == KEY
+        assert decode(reply.payload, ContactTruth) == truth(4)
+
+
+def test_history_comes_from_late_publishers_too(router: Link, join: Join, inbox: Any) -> None:
+    early = join(router.endpoints[0])
+    got = inbox(ContactTruth)
+    early.subscribe(KEY, got, history=True)
+    late = join(router.endpoints[0]).publisher(KEY, reliable=True, history=1)
+    late.put(truth(7))
+    assert got.wait(1)[-1].t_ns == 7
+
+
+def test_nothing_yet_is_no_answer(router: Link, join: Join) -> None:
+    router.publisher(KEY, history=1)
+    assert join(router.endpoints[0]).query(KEY) == []
+
+
+def test_namespaces_keep_robots_apart(router: Link, join: Join, inbox: Any) -> None:
+    endpoint = router.endpoints[0]
+    one, two, outside = inbox(), inbox(), inbox()
+    join(endpoint, namespace="one").subscribe("**", one)
+    join(endpoint, namespace="two").subscribe("**", two)
+    join(endpoint).subscribe("**", outside)
+    sender = join(endpoint, namespace="one")
+    matched(sender.publisher(KEY)).put(truth(1))
+    assert one.wait(1)[0].key == KEY
+    assert outside.wait(1)[0].key == f"one/{KEY}"
+    matched(join(endpoint, namespace="two").publisher(KEY)).put(truth(2))
+    # Had anything of `one` reached `two`, it would have come before this.
+    assert [decode(got.payload, ContactTruth).t_ns for got in two.wait(1)] == [2]
+
+
+def test_queries_are_answered_refused_or_left_alone(router: Link, join: Join) -> None:
+    def answer(request: Request) -> None:
+        if request.payload:
+            request.refuse("not today")
+        elif request.covers(KEY):
+            request.reply(truth(5), KEY)
+            request.close()
+
+    router.queryable("robot/leg/*/truth", answer)
+    client = join(router.endpoints[0])
+    (reply,) = client.query("robot/leg/*/truth")
+    assert decode(reply.payload, ContactTruth) == truth(5)
+    (refusal,) = client.query(KEY, truth(1))
+    assert refusal.error == "not today"
+    assert client.query("robot/leg/rf/nothing") == []
+
+
+def test_tokens_live_as_long_as_they_are_held(router: Link, join: Join, inbox: Any) -> None:
+    client = join(router.endpoints[0])
+    token = router.token("robot/leg/rf")
+    seen = inbox()
+    client.watch_tokens("robot/**", seen)
+    assert seen.wait(1) == [("robot/leg/rf", True)]
+    assert client.alive("robot/**") == {"robot/leg/rf"}
+    token.close()
+    assert seen.wait(2)[1] == ("robot/leg/rf", False)
+
+
+def test_a_callback_that_raises_is_counted_and_goes_on(
+    router: Link, join: Join, caplog: pytest.LogCaptureFixture
+) -> None:
+    calls = threading.Semaphore(0)
+
+    def raises(received: object) -> None:
+        calls.release()
+        raise ValueError("in a callback")
+
+    router.subscribe(KEY, raises)
+    publisher = matched(join(router.endpoints[0]).publisher(KEY))
+    for n in range(2):
+        publisher.put(truth(n))
+        assert calls.acquire(timeout=3)
+    publisher.put(truth(3))
+    assert calls.acquire(timeout=3)
+    assert router.callback_faults >= 2
+
+
+def test_huge_messages_are_dropped_and_the_link_stays(router: Link, join: Join, inbox: Any) -> None:
+    got = inbox()
+    router.subscribe(KEY, got)
+    publisher = matched(join(router.endpoints[0]).publisher(KEY))
+    publisher.put_raw(bytes(MAX_MESSAGE_BYTES + 1_000_000), MSGPACK)
+    publisher.put(truth(1))
+    (received,) = got.wait(1)
+    assert received.payload == encode(truth(1))
+
+
+def test_a_closed_link_says_so(router: Link) -> None:
+    publisher = router.publisher(KEY)
+    assert router.close()
+    with pytest.raises(LinkError, match="cannot be published"):
+        publisher.put(truth(1))
+
+
+def test_clients_find_their_router_again(join: Join, inbox: Any) -> None:
+    first = Link.open(router_settings(["127.0.0.1:0"]))
+    client = join(first.endpoints[0])
+    got = inbox(ContactTruth)
+    client.subscribe(KEY, got)
+    matched(first.publisher(KEY)).put(truth(1))
+    got.wait(1)
+    first.close()
+    until = time.monotonic() + 3
+    while client.is_connected() and time.monotonic() < until:
+        time.sleep(0.01)
+    assert client.diagnose().reach is Reach.UNREACHABLE
+    with Link.open(router_settings([first.endpoints[0]])) as second:
+        matched(second.publisher(KEY)).put(truth(2))
+        assert [message.t_ns for message in got.wait(2)] == [1, 2]
+
+
+def test_nobody_there_and_somebody_refusing_are_told_apart(tmp_path: Path) -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        nobody = f"127.0.0.1:{closed.getsockname()[1]}"
+    with pytest.raises(NoRouterError, match=f"unreachable: nobody listens on tcp/{nobody}"):
+        Link.open(client_settings([nobody], wait=False))
+
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        refusing = f"127.0.0.1:{mute.getsockname()[1]}"
+        with pytest.raises(NoRouterError, match=r"refused: .* accepts connections") as caught:
+            Link.open(client_settings([refusing], wait=False))
+    assert caught.value.finding.reach is Reach.REFUSING
+    assert "\n" not in str(caught.value)
+
+
+def test_a_router_with_users_refuses_strangers_and_lets_users_in(tmp_path: Path) -> None:
+    (tmp_path / "users").write_text("anna:secret\n")
+    server = tmp_path / "server.json5"
+    server.write_text(
+        f'{{transport: {{auth: {{usrpwd: {{user: "svc", password: "x", '
+        f'dictionary_file: "{tmp_path / "users"}"}}}}}}}}'
+    )
+    anna = tmp_path / "anna.json5"
+    anna.write_text('{transport: {auth: {usrpwd: {user: "anna", password: "secret"}}}}')
+    with Link.open(router_settings(["127.0.0.1:0"], zenoh_config=server)) as router:
+        with pytest.raises(NoRouterError, match="user and password"):
+            Link.open(client_settings(router.endpoints, wait=False))
+        settings = client_settings(router.endpoints, wait=False, zenoh_config=anna)
+        with Link.open(settings) as client:
+            assert client.is_connected()
+
+
+def test_a_waiting_client_tells_why_once_and_can_be_stopped() -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        nobody = f"127.0.0.1:{closed.getsockname()[1]}"
+    told: list[Finding] = []
+    stop = threading.Event()
+
+    def on_wait(finding: Finding) -> None:
+        told.append(finding)
+        threading.Timer(0.6, stop.set).start()
+
+    with pytest.raises(NoRouterError, match="stopped while waiting"):
+        Link.open(client_settings([nobody]), on_wait=on_wait, stop=stop)
+    assert [finding.reach for finding in told] == [Reach.UNREACHABLE]
+
+
+def test_a_waiting_client_gets_in_when_the_router_comes() -> None:
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{closed.getsockname()[1]}"
+    routers: list[Link] = []
+
+    def on_wait(finding: Finding) -> None:
+        routers.append(Link.open(router_settings([address])))
+
+    with Link.open(client_settings([address]), on_wait=on_wait) as client:
+        assert client.is_connected()
+    routers[0].close()
+
+
+def test_an_address_in_use_gets_one_line(router: Link) -> None:
+    with pytest.raises(LinkError, match="in use, probably by another router; join it with"):
+        Link.open(router_settings([router.endpoints[0]]))
+
+
+def test_doors_stay_closed_unless_told() -> None:
+    with pytest.raises(ConfigurationError, match="--insecure"):
+        Link.open(router_settings(["0.0.0.0:0"]))
+    with Link.open(router_settings(["0.0.0.0:0"], insecure=True)) as link:
+        assert link.is_connected()
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [("{mode: }", "expected"), ("{mood: 1}", "unknown field `mood`"), (None, "No such file")],
+)
+def test_a_bad_zenoh_configuration_gets_one_line(
+    tmp_path: Path, text: str | None, match: str
+) -> None:
+    path = tmp_path / "zenoh.json5"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ConfigurationError, match=match) as caught:
+        Link.open(router_settings(zenoh_config=path))
+    assert "\n" not in str(caught.value)
+    assert ".rs" not in str(caught.value)
+
+
+def test_a_configuration_file_is_obeyed_where_we_say_nothing(tmp_path: Path, router: Link) -> None:
+    path = tmp_path / "zenoh.json5"
+    path.write_text(f'{{connect: {{endpoints: ["{router.endpoints[0]}"]}}}}')
+    with Link.open(LinkSettings(wait=False, zenoh_config=path)) as link:
+        assert link.routers() == join_ids(router)
+
+
+def join_ids(router: Link) -> tuple[str, ...]:
+    return (str(router._session.zid()),)

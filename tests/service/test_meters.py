@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.service.meters import Brake, Latency
+
+
+def test_no_values_no_quantiles() -> None:
+    assert Latency().quantiles() is None
+
+
+def test_quantiles_of_known_values() -> None:
+    latency = Latency()
+    for ms in range(1, 102):
+        latency.add(ms * 1_000_000)
+    found = latency.quantiles()
+    assert found is not None
+    assert (found.p50, found.p99, found.max, found.count) == (51.0, 100.0, 101.0, 101)
+
+
+@given(st.lists(st.integers(0, 10**12), min_size=1, max_size=300))
+def test_only_the_newest_count(values: list[int]) -> None:
+    latency = Latency(kept=64)
+    for value in values:
+        latency.add(value)
+    found = latency.quantiles()
+    assert found is not None
+    newest = values[-64:]
+    assert found.max == max(newest) / 1e6
+    assert found.count == len(values)
+    assert min(newest) / 1e6 <= found.p50 <= found.p99 <= found.max
+
+
+def test_a_brake_lets_one_line_per_period_through_and_counts_the_rest() -> None:
+    brake = Brake(period_s=10.0)
+    assert brake.passes("a", 0) == 1
+    assert brake.passes("a", 1_000_000_000, times=5) is None
+    assert brake.passes("b", 1_000_000_000) == 1
+    assert brake.passes("a", 9_999_999_999) is None
+    assert brake.passes("a", 10_000_000_000, times=2) == 8
+
+
+def test_a_brake_forgets_rather_than_grows() -> None:
+    brake = Brake()
+    for kind in range(10_000):
+        assert brake.passes(kind, kind) == 1
+    assert len(brake._kinds) <= 256
+
+
+@pytest.mark.parametrize("times", [1, 7])
+def test_a_line_stands_for_what_happened_at_once(times: int) -> None:
+    assert Brake().passes("x", 5, times=times) == times

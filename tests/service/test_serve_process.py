@@ -1,0 +1,229 @@
+"""`serve` as a process of its own, with a fake learner behind the real everything else."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from adaptive_contact.service.link import Link, Publisher, router_settings
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    JSON,
+    MSGPACK,
+    ContactEvent,
+    LearnerStatus,
+    Reject,
+    ServoSample,
+    contact_key,
+    encode,
+    learner_key,
+    servo_key,
+)
+
+pytestmark = pytest.mark.e2e
+
+Join = Callable[..., Link]
+Sample = Callable[..., ServoSample]
+
+
+def matched(publisher: Publisher) -> Publisher:
+    until = time.monotonic() + 5
+    while not publisher.matched:
+        assert time.monotonic() < until, f"nobody subscribes to {publisher.key}"
+        time.sleep(0.005)
+    return publisher
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_it_says_when_it_is_ready_and_ends_cleanly_within_two_seconds(
+    serve: Any, join: Join, sample: Sample, number: int
+) -> None:
+    served = serve()
+    assert (
+        "robot mini, legs lf rf; baseline none (`adaptive-contact fit` makes one)" in served.ready
+    )
+    client = join(served.endpoint)
+    matched(client.publisher(servo_key("lf"))).put(sample(1))
+    began = time.monotonic()
+    assert served.stop(number) == 0
+    assert time.monotonic() - began < 2.0
+    assert "Traceback" not in served.log.read_text()
+
+
+def test_json_in_json_out_and_structured_logs(
+    serve: Any, join: Join, inbox: Any, sample: Sample
+) -> None:
+    served = serve("--json", "--log-json")
+    client = join(served.endpoint, json=True)
+    got = inbox()
+    client.subscribe(ALL_CONTACT, got, history=True)
+    publisher = matched(client.publisher(servo_key("rf")))
+    publisher.put(sample(1))
+    publisher.put(sample(2, contact=True))
+    (received,) = got.wait(1)
+    assert received.encoding == JSON
+    assert json.loads(received.payload)["leg"] == "rf"
+    assert served.stop() == 0
+    lines = [json.loads(line) for line in served.log.read_text().splitlines()]
+    assert {"leg status", "figures"} <= {line["message"] for line in lines}
+
+
+def test_late_joiners_and_namespaces(serve: Any, join: Join, inbox: Any, sample: Sample) -> None:
+    served = serve("--namespace", "hexapod1")
+    source = join(served.endpoint, namespace="hexapod1")
+    stranger = join(served.endpoint)
+    publisher = matched(source.publisher(servo_key("lf")))
+    first = inbox(ContactEvent)
+    source.subscribe(contact_key("lf"), first, history=True)
+    stranger.publisher(servo_key("lf")).put(sample(90, contact=True))
+    publisher.put(sample(1, contact=True))
+    assert [event.seq for event in first.wait(1)] == [1]
+    late = inbox(ContactEvent)
+    join(served.endpoint, namespace="hexapod1").subscribe(ALL_CONTACT, late, history=True)
+    assert late.wait(1)[0].seq == 1
+    assert stranger.query(contact_key("lf")) == []
+    assert len(stranger.query(f"hexapod1/{contact_key('lf')}")) == 1
+
+
+def test_a_flood_on_one_leg_does_not_starve_the_other(
+    serve: Any, join: Join, inbox: Any, sample: Sample
+) -> None:
+    served = serve()
+    flooder, source = join(served.endpoint), join(served.endpoint)
+    events = inbox(ContactEvent)
+    source.subscribe(contact_key("rf"), events, history=True)
+    status = inbox(ServiceStatus)
+    source.subscribe(SERVICE_STATUS, status, history=True)
+    flood = matched(flooder.publisher(servo_key("lf")))
+    steady = matched(source.publisher(servo_key("rf")))
+    stop = threading.Event()
+    sent = 0
+
+    def pour() -> None:
+        nonlocal sent
+        payload = encode(sample(1))
+        while not stop.is_set():
+            for _ in range(50):  # 100 times the rate: 5,000 per second
+                flood.put_raw(payload, MSGPACK)
+                sent += 1
+            stop.wait(0.01)
+
+    pouring = threading.Thread(target=pour)
+    pouring.start()
+    delays = []
+    try:
+        for n in range(1, 61):
+            began = time.monotonic()
+            steady.put(sample(n, contact=n % 2 == 1))
+            events.wait(n)
+            delays.append(time.monotonic() - began)
+    finally:
+        stop.set()
+        pouring.join(5)
+    assert [event.seq for event in events.items] == list(range(1, 61))
+    assert sorted(delays)[30] < 0.05, "the median event waits no longer than a few ticks"
+    heard = status.wait(lambda items: items[-1].samples >= 60 + 0.2 * sent)[-1]
+    assert heard.callback_faults == 0
+    learner = inbox(LearnerStatus)
+    source.subscribe(learner_key("rf"), learner)
+    found = learner.wait(1)[0]
+    assert (found.ticks, found.rejects) == (60, {})
+
+
+def test_bad_input_is_counted_visible_and_harmless(
+    serve: Any, join: Join, inbox: Any, sample: Sample
+) -> None:
+    served = serve()
+    client = join(served.endpoint)
+    learner, status, events = inbox(LearnerStatus), inbox(ServiceStatus), inbox(ContactEvent)
+    client.subscribe(learner_key("lf"), learner)
+    client.subscribe(SERVICE_STATUS, status, history=True)
+    client.subscribe(contact_key("rf"), events, history=True)
+    bad = matched(client.publisher(servo_key("lf")))
+    for payload in (b"\xc1", bytes(300_000), b"\x80", encode(sample(1, measured=[0.0]))):
+        bad.put_raw(payload, MSGPACK)
+    wild = client.publisher("robot/leg/*/servo")
+    wild.put(sample(7, contact=True))
+    good = matched(client.publisher(servo_key("rf")))
+    good.put(sample(1, contact=True))
+    assert [event.seq for event in events.wait(1)] == [1]
+    counted = {
+        Reject.MALFORMED: 1,
+        Reject.TOO_LARGE: 1,
+        Reject.MISSING_FIELD: 1,
+        Reject.WRONG_JOINTS: 1,
+    }
+    learner.wait(lambda items: items[-1].rejects == counted)
+    status.wait(lambda items: items[-1].rejects == {Reject.UNKNOWN_LEG: 1})
+    assert served.stop() == 0
+    log = served.log.read_text()
+    assert "reason=unknown_leg" in log
+    assert "robot/leg/*/servo" in log
+
+
+def test_it_joins_a_router_waits_for_it_and_finds_it_again(
+    serve: Any, join: Join, inbox: Any, sample: Sample
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    served = serve("--connect", address, wait=False)
+    until = time.monotonic() + 10
+    while f"unreachable: nobody listens on {address}" not in served.log.read_text():
+        assert time.monotonic() < until, served.log.read_text()
+        time.sleep(0.02)
+    with Link.open(router_settings([address])) as first:
+        assert f"connected to {address}" in served.process.stdout.readline()
+        got = inbox(ContactEvent)
+        first.subscribe(contact_key("lf"), got, history=True)
+        matched(first.publisher(servo_key("lf"))).put(sample(1, contact=True))
+        assert got.wait(1)[0].seq == 1
+    with Link.open(router_settings([address])) as second:
+        again = inbox(ContactEvent)
+        second.subscribe(contact_key("lf"), again)
+        matched(second.publisher(servo_key("lf"))).put(sample(2))
+        assert again.wait(1)[0].contact is False
+    assert served.stop() == 0
+
+
+def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:
+    with socket.socket() as mute:  # accepts, says nothing
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        address = f"tcp/127.0.0.1:{mute.getsockname()[1]}"
+        served = serve("--connect", address, wait=False)
+        until = time.monotonic() + 10
+        while f"refused: {address} accepts connections" not in served.log.read_text():
+            assert time.monotonic() < until, served.log.read_text()
+            time.sleep(0.02)
+        began = time.monotonic()
+        assert served.stop() == 0
+        assert time.monotonic() - began < 2.0
+
+
+def test_a_killed_service_is_no_longer_alive(serve: Any, join: Join, inbox: Any) -> None:
+    with Link.open(router_settings(["127.0.0.1:0"])) as router:
+        served = serve("--connect", router.endpoints[0])
+        tokens = inbox()
+        router.watch_tokens("robot/service", tokens)
+        assert tokens.wait(1)[0] == ("robot/service", True)
+        served.process.kill()
+        assert tokens.wait(2)[1] == ("robot/service", False)
+        assert router.query(SERVICE_STATUS) == []
+
+
+def test_configuration_errors_are_one_line(serve: Any, command: Any) -> None:
+    served = serve("--listen", "0.0.0.0:0", wait=False)
+    assert served.process.wait(10) != 0
+    text = served.log.read_text()
+    assert "--insecure" in text
+    assert "Traceback" not in text
+    assert len(text.strip().splitlines()) == 1

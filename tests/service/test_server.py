@@ -1,0 +1,300 @@
+"""The service in this process, in lockstep: a real link, a fake learner, time as an argument."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.intake import Raw, Round
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.server import Service
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ALL_LEARNER,
+    MSGPACK,
+    ContactEvent,
+    LearnerStatus,
+    ModelReport,
+    Reject,
+    ServoSample,
+    contact_key,
+    decode,
+    encode,
+    learner_key,
+    model_key,
+    servo_key,
+)
+
+S = 1_000_000_000
+MS = 1_000_000
+Sample = Callable[..., ServoSample]
+
+
+class Lockstep:
+    """A service and a client of it, driven by hand."""
+
+    def __init__(self, router: Link, client: Link, fake: ModuleType, robot: Robot) -> None:
+        self.bank = fake.FakeBank(robot)
+        self.service = Service(router, self.bank, robot, baseline=None, now_ns=0)
+        self.client = client
+
+    def settle(self) -> None:
+        """A round trip: what the client has declared is known to the service after it."""
+        self.client.query(SERVICE_STATUS)
+
+    def work(self, now_ns: int, /, **samples: ServoSample | bytes) -> None:
+        raws = {
+            leg: Raw(payload if isinstance(payload, bytes) else encode(payload), MSGPACK, now_ns, 1)
+            for leg, payload in samples.items()
+        }
+        self.service.work(Round(samples=raws), now_ns)
+        self.service.look(now_ns)
+
+
+@pytest.fixture
+def step(router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot) -> Lockstep:
+    return Lockstep(router, join(router.endpoints[0]), fake, robot)
+
+
+def statuses(step: Lockstep, inbox: Any, leg: str) -> Any:
+    got = inbox(LearnerStatus)
+    step.client.subscribe(learner_key(leg), got)
+    step.settle()
+    return got
+
+
+def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Sample) -> None:
+    got = inbox(ContactEvent)
+    step.client.subscribe(ALL_CONTACT, got, history=True)
+    step.settle()
+    step.work(1, lf=sample(1), rf=sample(1))
+    step.work(2, lf=sample(2, contact=True), rf=sample(2))
+    step.work(3, lf=sample(3), rf=sample(3, contact=True))
+    events = got.wait(3)
+    assert sorted((e.leg, e.contact, e.seq) for e in events) == [
+        ("lf", False, 3),
+        ("lf", True, 2),
+        ("rf", True, 3),
+    ]
+    figures = step.service.status(4)
+    assert (figures.samples, figures.events) == (6, 3)
+    assert figures.event_latency is not None
+
+
+def test_one_round_is_one_update_of_all_legs(
+    step: Lockstep, sample: Sample, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches: list[list[str]] = []
+
+    def update(samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+        batches.append(sorted(samples))
+        return []
+
+    monkeypatch.setattr(step.bank, "update", update)
+    step.work(1, rf=sample(1), lf=sample(1))
+    assert batches == [["lf", "rf"]]
+
+
+def test_late_joiners_get_the_last_event(step: Lockstep, inbox: Any, sample: Sample) -> None:
+    step.work(1, lf=sample(1, contact=True))
+    step.work(2, lf=sample(2))
+    step.work(3, lf=sample(3, contact=True))
+    got = inbox(ContactEvent)
+    step.client.subscribe(contact_key("lf"), got, history=True)
+    assert got.wait(1)[0].seq == 3
+    (reply,) = step.client.query(ALL_CONTACT)
+    last = decode(reply.payload, ContactEvent)
+    assert isinstance(last, ContactEvent)
+    assert (last.leg, last.seq, last.contact) == ("lf", 3, True)
+
+
+def test_statuses_once_a_second_and_at_each_change(
+    step: Lockstep, inbox: Any, sample: Sample
+) -> None:
+    got = statuses(step, inbox, "lf")
+    for tick in range(171):  # 3.4 s
+        if tick == 60:
+            step.bank.learner("lf").word = "adapting"
+        step.work(tick * 20 * MS, lf=sample(tick), rf=sample(tick))
+    found = got.wait(5)
+    assert [status.status for status in found] == ["valid"] * 2 + ["adapting"] * 3
+    assert all(status.leg == "lf" for status in found)
+
+
+def test_a_leg_falls_silent_and_comes_back(step: Lockstep, inbox: Any, sample: Sample) -> None:
+    got = statuses(step, inbox, "lf")
+    tokens = inbox()
+    step.client.watch_tokens("robot/leg/*", tokens)
+    step.work(0, lf=sample(0), rf=sample(0))
+    assert got.wait(1)[0].status == "valid"
+    for ms in range(20, 620, 20):
+        step.work(ms * MS, rf=sample(ms))
+    silent = got.wait(2)[1]
+    assert silent.status == "silent"
+    assert silent.note is not None
+    assert silent.note.startswith("no sample for 0.5") or silent.note.startswith(
+        "no sample for 0.6"
+    )
+    step.work(800 * MS, lf=sample(900), rf=sample(800))
+    assert got.wait(3)[2].status == "valid"
+    changes = tokens.wait(lambda items: sum(key == "robot/leg/lf" for key, _ in items) >= 3)
+    assert [alive for key, alive in changes if key == "robot/leg/lf"] == [True, False, True]
+    assert all(alive for key, alive in changes if key == "robot/leg/rf")
+
+
+def test_a_leg_that_never_spoke_is_silent_from_the_start(step: Lockstep, inbox: Any) -> None:
+    got = statuses(step, inbox, "rf")
+    step.work(1200 * MS)
+    (status,) = got.wait(1)
+    assert (status.status, status.note) == ("silent", "no sample yet, after 1.2 s")
+
+
+def test_bad_payloads_are_counted_by_reason_and_seen(
+    step: Lockstep, inbox: Any, sample: Sample
+) -> None:
+    got = statuses(step, inbox, "lf")
+    whole = encode(sample(1))
+    nan = sample(2, measured=[float("nan"), 0.0, 0.0])
+    for n, payload in enumerate([b"\xc1", whole[:-3], b"\x80", encode(nan), b'{"v":1}', whole]):
+        step.work(n, lf=payload)
+    step.work(1000 * MS, lf=sample(3), rf=sample(3))
+    step.work(1100 * MS, lf=sample(4), rf=sample(3))
+    status = got.wait(lambda items: items[-1].ticks >= 2)[-1]
+    assert status.status == "valid"
+    assert status.rejects == {
+        Reject.MALFORMED: 3,
+        Reject.MISSING_FIELD: 1,
+        Reject.NOT_FINITE: 1,
+    }
+    assert "payload refused: malformed" in status.note
+
+
+def test_other_legs_do_not_notice_bad_payloads(step: Lockstep, inbox: Any, sample: Sample) -> None:
+    got = inbox(ContactEvent)
+    step.client.subscribe(contact_key("rf"), got, history=True)
+    step.settle()
+    for n in range(50):
+        step.work(n, lf=b"junk" * n, rf=sample(n, contact=n % 2 == 1))
+    assert len(got.wait(49)) == 49
+    assert step.bank.learner("rf").status.rejects == {}
+
+
+def test_dropped_samples_are_counted_for_their_leg(step: Lockstep, sample: Sample) -> None:
+    round_: Round[Any] = Round(samples={})
+    round_.overflow.update(lf=3, nobody=2)
+    step.service.work(round_, 5)
+    assert step.bank.learner("lf").status.rejects == {Reject.OVERFLOW: 3}
+    assert step.service.status(6).rejects == {Reject.OVERFLOW: 2}
+
+
+def test_a_new_leg_gets_a_learner_and_too_many_are_refused(
+    step: Lockstep, inbox: Any, sample: Sample, fake: ModuleType
+) -> None:
+    got = inbox(ContactEvent)
+    step.client.subscribe(contact_key("extra"), got, history=True)
+    step.settle()
+    step.work(1, extra=b"noise")
+    assert "extra" not in step.bank.legs, "noise on a key makes no leg"
+    step.work(2, extra=sample(1, contact=True))
+    assert got.wait(1)[0].leg == "extra"
+    assert step.service.status(3).legs["extra"].described is False
+    for n in range(fake.MAX_LEGS):
+        step.work(4, **{f"more{n}": sample(1)})
+    assert len(step.bank.legs) == fake.MAX_LEGS
+    # The noise before the leg was made, and the legs beyond the eighth.
+    assert step.service.status(5).rejects == {Reject.MALFORMED: 1, Reject.UNKNOWN_LEG: 3}
+
+
+def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> None:
+    got = inbox(ServiceStatus)
+    step.client.subscribe(SERVICE_STATUS, got, history=True)
+    step.service.work(Round(strangers=4, stranger="robot/leg/*/servo"), 1)
+    step.service.look(2 * S)
+    assert got.wait(1)[-1].rejects == {Reject.UNKNOWN_LEG: 4}
+
+
+def test_models_are_told_when_asked(
+    router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot
+) -> None:
+    bank = fake.FakeBank(robot)
+    service = Service(router, bank, robot, baseline=None, now_ns=0)
+    client = join(router.endpoints[0])
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=[stop])
+    worker.start()
+    try:
+        replies = client.query(model_key("*"))
+        reports = [decode(reply.payload, ModelReport, reply.encoding) for reply in replies]
+        assert sorted(r.leg for r in reports if isinstance(r, ModelReport)) == ["lf", "rf"]
+        bank.learner("lf").model_report = None
+        (one,) = client.query(model_key("*"))
+        assert one.key == model_key("rf")
+        (refusal,) = client.query(model_key("lf"))
+        assert refusal.error == "lf: no model yet, still learning"
+        (unknown,) = client.query(model_key("xx"))
+        assert unknown.error == "no such leg in robot/leg/xx/model; legs are lf, rf"
+    finally:
+        stop.set()
+        worker.join(3)
+    assert not worker.is_alive()
+
+
+def test_callbacks_only_enqueue(
+    router: Link,
+    join: Callable[..., Link],
+    fake: ModuleType,
+    robot: Robot,
+    sample: Sample,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Decoding and learning happen on the worker, whatever thread Zenoh calls on."""
+    threads: dict[str, set[str]] = {"read": set(), "update": set(), "offer": set()}
+    updated = threading.Event()
+    bank = fake.FakeBank(robot)
+    module = "adaptive_contact.service"
+
+    def spy(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            threads[name].add(threading.current_thread().name)
+            result = function(*args)
+            if name == "update":
+                updated.set()
+            return result
+
+        return call
+
+    from adaptive_contact.service import intake, server
+
+    monkeypatch.setattr(f"{module}.server.read", spy("read", server.read))
+    monkeypatch.setattr(f"{module}.intake.leg_of_key", spy("offer", intake.leg_of_key))
+    monkeypatch.setattr(bank, "update", spy("update", bank.update))
+    service = Service(router, bank, robot, baseline=None, now_ns=0)
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=[stop], name="worker")
+    worker.start()
+    publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
+    for n in range(1000):
+        publisher.put(sample(n))
+        if updated.wait(0.01):
+            break
+    stop.set()
+    worker.join(3)
+    assert threads["read"] == threads["update"] == {"worker"}
+    assert threads["offer"]
+    assert "worker" not in threads["offer"]
+
+
+def test_all_statuses_can_be_heard_by_wildcard(step: Lockstep, inbox: Any, sample: Sample) -> None:
+    got = inbox(LearnerStatus)
+    step.client.subscribe(ALL_LEARNER, got)
+    step.settle()
+    step.work(0, lf=sample(0), rf=sample(0))
+    step.work(50 * MS, lf=sample(1), rf=sample(1))
+    assert {status.leg for status in got.wait(2)} == {"lf", "rf"}
+    assert all(len(encode(status)) < 4096 for status in got.items)

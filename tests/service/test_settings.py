@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.settings import (
+    LinkSettings,
+    client_settings,
+    endpoint,
+    is_loopback,
+    router_settings,
+    tcp_address,
+)
+
+
+@pytest.mark.parametrize(
+    ("typed", "full"),
+    [
+        ("127.0.0.1", "tcp/127.0.0.1:7447"),
+        ("robot.local:8000", "tcp/robot.local:8000"),
+        (" tcp/127.0.0.1:1 ", "tcp/127.0.0.1:1"),
+        ("[::1]", "tcp/[::1]:7447"),
+        ("tls/robot:7447?so_sndbuf=1", "tls/robot:7447?so_sndbuf=1"),
+        ("unixsock-stream/tmp/z", "unixsock-stream/tmp/z"),
+    ],
+)
+def test_endpoints_are_completed(typed: str, full: str) -> None:
+    assert endpoint(typed) == full
+    assert endpoint(full) == full
+
+
+@pytest.mark.parametrize("typed", ["", "http/a:1", "tcp/a:b", "tcp/a:70000", "a:1:2", "tls/"])
+def test_bad_endpoints_get_one_line(typed: str) -> None:
+    with pytest.raises(ConfigurationError, match="endpoint") as caught:
+        endpoint(typed)
+    assert "\n" not in str(caught.value)
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_an_endpoint_or_a_clear_refusal(text: str) -> None:
+    try:
+        full = endpoint(text)
+    except ConfigurationError:
+        return
+    assert endpoint(full) == full
+
+
+@pytest.mark.parametrize("name", ["hexapod1", "lab/hexapod1", "a.b-c_d/9"])
+def test_good_namespaces(name: str) -> None:
+    assert client_settings(namespace=name).namespace == name
+
+
+@pytest.mark.parametrize("name", ["", "/a", "a/", "a//b", "*", "a/**", "a b", "$x", "é", "@/x"])
+def test_bad_namespaces(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="namespace"):
+        client_settings(namespace=name)
+
+
+def test_the_service_listens_on_loopback_unless_it_only_joins() -> None:
+    assert router_settings().listen == ("tcp/127.0.0.1:7447",)
+    joined = router_settings(connect=["10.0.0.1"])
+    assert (joined.mode, joined.listen) == ("client", ())
+    both = router_settings(["127.0.0.1:1"], ["10.0.0.1"])
+    assert (both.mode, both.connect) == ("router", ("tcp/10.0.0.1:7447",))
+
+
+@pytest.mark.parametrize(
+    ("locator", "loopback"),
+    [
+        ("tcp/127.0.0.1:1", True),
+        ("tcp/[::1]:1", True),
+        ("tcp/localhost:1", True),
+        ("tcp/0.0.0.0:1", False),
+        ("tcp/[::]:1", False),
+        ("tls/192.168.1.2:1", False),
+        ("tcp/robot:1", False),
+    ],
+)
+def test_loopback(locator: str, loopback: bool) -> None:
+    assert is_loopback(locator) is loopback
+
+
+def test_only_protocols_over_tcp_can_be_probed() -> None:
+    assert tcp_address("tls/[::1]:7") == ("::1", 7)
+    assert tcp_address("quic/a:7") is None
+
+
+def test_settings_refuse_what_cannot_be() -> None:
+    with pytest.raises(ConfigurationError, match="encoding"):
+        LinkSettings(encoding="text/plain")
+    with pytest.raises(ConfigurationError, match="does not listen"):
+        LinkSettings(mode="client", listen=("tcp/127.0.0.1:1",))

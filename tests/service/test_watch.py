@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from adaptive_contact.service.status import LegFacts, ServiceStatus
+from adaptive_contact.service.watch import View, Watch
+from adaptive_contact.service.watch_table import headline, table
+from adaptive_contact.wire import (
+    ContactEvent,
+    ContactTruth,
+    DriftLevel,
+    LearnerStatus,
+    ServoSample,
+    servo_key,
+    truth_key,
+)
+
+S = 1_000_000_000
+MS = 1_000_000
+
+
+def event(t_ms: float, *, contact: bool = True, leg: str = "rf") -> ContactEvent:
+    t_ns = int(t_ms * MS)
+    return ContactEvent(
+        leg=leg,
+        t_ns=t_ns,
+        seq=1,
+        onset_ns=t_ns,
+        contact=contact,
+        status="valid",
+        score=2.0,
+        residual=[0.1],
+        model_version=1,
+    )
+
+
+def status(ticks: int = 0, **fields: Any) -> LearnerStatus:
+    return LearnerStatus(
+        **{
+            "leg": "rf",
+            "t_ns": 0,
+            "status": "valid",
+            "model_version": 4,
+            "residual_rms": [0.004, 0.006],
+            "noise_floor": [0.004, 0.003],
+            "ticks": ticks,
+            **fields,
+        }
+    )
+
+
+def truth(t_ms: float, contact: bool) -> ContactTruth:
+    return ContactTruth(t_ns=int(t_ms * MS), contact=contact, force=2.0 if contact else 0.0)
+
+
+def drawn(view: View) -> str:
+    console = Console(width=180, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
+    console.print(table(view))
+    console.file.close()
+    return console.export_text()
+
+
+def row(watch: Watch, now_ns: int = 10 * S) -> Any:
+    (leg,) = watch.view(now_ns).legs
+    return leg
+
+
+def test_events_and_statuses_make_a_row() -> None:
+    watch = Watch()
+    for second in range(4):
+        watch.learner(status(ticks=50 * second, contacts=2, missed=3), second * S)
+    watch.event(event(1), 4 * S)
+    leg = row(watch, 5 * S)
+    assert (leg.leg, leg.contact, leg.status, leg.model_version) == ("rf", True, "valid", 4)
+    assert (leg.contact_age_s, leg.rate_hz, leg.missed, leg.contacts) == (1.0, 50.0, 3, 2)
+    assert leg.touches is None
+    assert not leg.stale
+    watch.event(event(2, contact=False), 6 * S)
+    assert row(watch, 7 * S).contact is False
+    assert row(watch, 7 * S).contact_age_s == 3.0
+    assert row(watch, 7 * S).stale, "the last status is 4 s old"
+
+
+def test_a_late_joiner_knows_how_old_the_contact_is() -> None:
+    watch = Watch()
+    watch.event(event(1), 10 * S, age_ns=4 * S)
+    assert row(watch, 11 * S).contact_age_s == 5.0
+
+
+def test_a_restarted_service_gives_no_negative_rate() -> None:
+    watch = Watch()
+    watch.learner(status(ticks=1000), 0)
+    watch.learner(status(ticks=10), 1 * S)
+    watch.learner(status(ticks=60), 2 * S)
+    assert row(watch, 2 * S).rate_hz == 50.0
+
+
+@pytest.mark.parametrize(
+    ("event_ms", "seen", "false_alarms"),
+    [
+        (1014, 1, 0),  # in time
+        (1120, 1, 0),  # the last moment
+        (1121, 0, 0),  # too late to count, but the foot is loaded: neither
+        (1000, 0, 0),  # at the onset itself, loaded
+        (900, 0, 1),  # in the air
+        (1600, 0, 1),  # after the release
+    ],
+)
+def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> None:
+    watch = Watch()
+    watch.truth("rf", truth(500, False))
+    watch.truth("rf", truth(1000, True))
+    watch.event(event(event_ms), 2 * S)
+    watch.truth("rf", truth(1500, False))
+    assert row(watch, 2 * S + 100 * MS).seen == 0, "not judged before truth had time to arrive"
+    leg = row(watch, 3 * S)
+    assert (leg.touches, leg.seen, leg.false_alarms) == (1, seen, false_alarms)
+    assert leg.latency_ms == (event_ms - 1000 if seen else None)
+
+
+def test_truth_that_comes_after_the_event_still_counts() -> None:
+    watch = Watch()
+    watch.truth("rf", truth(500, False))
+    watch.event(event(1020), 2 * S)
+    watch.view(2 * S + 10 * MS)
+    watch.truth("rf", truth(1000, True))
+    assert row(watch, 3 * S).latency_ms == 20.0
+
+
+def test_chatter_is_one_touch_and_one_event_matches_once() -> None:
+    watch = Watch()
+    for t_ms, contact in [(0, False), (100, True), (110, False), (130, True), (400, False)]:
+        watch.truth("rf", truth(t_ms, contact))
+    watch.event(event(112), 1 * S)
+    watch.event(event(450), 1 * S)
+    leg = row(watch, 2 * S)
+    assert (leg.touches, leg.seen, leg.false_alarms) == (1, 1, 1)
+
+
+def service(**fields: Any) -> ServiceStatus:
+    return ServiceStatus(
+        **{
+            "version": "1",
+            "robot": "mini",
+            "period_s": 0.02,
+            "baseline": None,
+            "legs": {"rf": LegFacts(joints=["a"]), "lf": LegFacts(joints=["a"])},
+            "uptime_s": 75.0,
+            **fields,
+        }
+    )
+
+
+def test_rows_come_in_the_order_of_the_robot() -> None:
+    watch = Watch()
+    watch.event(event(1, leg="aa"), 0)
+    watch.service(service())
+    assert [leg.leg for leg in watch.view(0).legs] == ["rf", "lf", "aa"]
+
+
+def test_the_table_says_what_matters() -> None:
+    watch = Watch()
+    watch.service(service(events=7, rejects={"unknown_leg": 2}))
+    watch.truth("rf", truth(0, False))
+    watch.truth("rf", truth(1000, True))
+    watch.event(event(1016), 1 * S)
+    watch.learner(
+        status(
+            rejects={"malformed": 3, "not_finite": 9},
+            note="something odd",
+            drift=DriftLevel(level=1.7),
+            contact=True,
+        ),
+        1 * S,
+    )
+    text = drawn(watch.view(2 * S))
+    for part in (
+        "mini  up 1.2 min  7 events",
+        "refused: unknown_leg 2",
+        "CONTACT",
+        "16 ms (16)",
+        "1/1",
+        "0.34°",
+        "2.0",
+        "v4",
+        "not_finite 9, malformed 3",
+        "something odd",
+    ):
+        assert part in text, f"{part!r} not in\n{text}"
+
+
+def test_without_truth_there_are_no_columns_of_it() -> None:
+    watch = Watch()
+    watch.learner(status(), 0)
+    assert "latency" not in drawn(watch.view(0))
+
+
+def test_the_headline_says_what_is_wrong_as_a_whole() -> None:
+    watch = Watch()
+    assert "router lost" in headline(watch.view(0, connected=False)).plain
+    assert "no service is running" in headline(watch.view(0, alive=False)).plain
+    assert "waiting for the service" in headline(watch.view(0, alive=True)).plain
+    watch.service(service(callback_faults=2))
+    assert "service gone" in headline(watch.view(0, alive=False)).plain
+    assert "2 callback faults" in headline(watch.view(0)).plain
+
+
+@pytest.mark.e2e
+def test_the_command_over_zenoh(
+    serve: Any, cli: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
+) -> None:
+    served = serve()
+    client = join(served.endpoint)
+    servo, real = client.publisher(servo_key("rf")), client.publisher(truth_key("rf"))
+    until = time.monotonic() + 5
+    while not servo.matched:
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    arguments = ("watch", "--connect", served.endpoint, "--once")
+    process = cli(*arguments, "--json", "--seconds", "1.5")
+    # Until it subscribes there is nobody for the truth; from then on it sees the touches.
+    until = time.monotonic() + 10
+    while not real.matched:
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    real.put(truth(0, False))
+    for seq in range(1, 20):
+        if seq == 9:
+            real.put(truth(20 * seq - 5, True))
+        servo.put(sample(seq, contact=seq >= 9))
+    out, _ = process.communicate(timeout=20)
+    assert process.returncode == 0
+    view = json.loads(out)
+    assert view["alive"]
+    assert view["service"]["robot"] == "mini"
+    (leg,) = [leg for leg in view["legs"] if leg["leg"] == "rf"]
+    assert (leg["contact"], leg["touches"], leg["seen"]) == (True, 1, 1)
+    assert leg["latency_ms"] == 5.0
+    table_process = cli(*arguments, "--seconds", "0.3")
+    out, _ = table_process.communicate(timeout=20)
+    assert "mini" in out
+    assert "CONTACT" in out

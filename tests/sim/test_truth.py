@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pytest
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.plant import Touch
+from adaptive_contact_sim.truth import Change, TruthTracker
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+N = len(LEGS)
+SUBSTEPS = 20
+
+
+def track(force: np.ndarray, touches: list[Touch] | None = None) -> list[Change]:
+    """Changes of leg 0 for a force per physics step; the other legs stay in the air."""
+    tracker = TruthTracker(0.001, SUBSTEPS)
+    changes = tracker.start(np.zeros(N), 0)
+    seen = tuple(deque(touches or []) for _ in LEGS)
+    for k in range(len(force) // SUBSTEPS):
+        rows = np.zeros((SUBSTEPS, N))
+        rows[:, 0] = force[k * SUBSTEPS : (k + 1) * SUBSTEPS]
+        changes += tracker.update(rows, seen, (k + 1) * SUBSTEPS)
+    return [c for c in changes if c.leg == 0]
+
+
+def reference(force: np.ndarray) -> list[tuple[int, bool]]:
+    """The same rule, on the whole trace at once; force[i] is physics step i + 1."""
+    changes = [(0, False)]
+    contact, quiet = False, 0
+    for i in range(len(force) - 20):
+        if contact:
+            quiet = quiet + 1 if force[i] < 0.1 else 0
+            if quiet == 60:
+                contact = False
+                changes.append((i + 1 - 59, False))
+        elif force[i] > 0.5 and np.mean(force[i : i + 20]) > 0.5:
+            contact, quiet = True, 0
+            changes.append((i + 1, True))
+    return changes
+
+
+def trace(*pieces: tuple[int, float]) -> np.ndarray:
+    return np.concatenate([np.full(steps, value) for steps, value in pieces])
+
+
+def test_a_touch_has_its_own_time_and_mean_force() -> None:
+    force = trace((107, 0.0), (3, 30.0), (190, 2.0), (200, 0.0))
+    changes = track(force)
+    assert [(c.step, c.contact) for c in changes] == [(0, False), (108, True), (301, False)]
+    assert changes[1].force_n == pytest.approx((3 * 30.0 + 17 * 2.0) / 20)
+    assert changes[2].force_n == 0.0
+
+
+def test_chatter_is_one_contact() -> None:
+    bounce = trace((5, 20.0), (35, 0.0)) if True else None
+    force = np.concatenate([trace((100, 0.0)), *[bounce] * 5, trace((100, 5.0), (200, 0.0))])
+    changes = track(force)
+    assert [c.contact for c in changes] == [False, True, False]
+    assert changes[1].step == 101
+    assert changes[2].step == 100 + 5 * 40 + 100 + 1
+
+
+def test_after_sixty_ms_in_the_air_it_is_a_new_one() -> None:
+    force = trace((100, 0.0), (50, 5.0), (59, 0.0), (50, 5.0), (60, 0.0), (50, 5.0), (100, 0.0))
+    changes = track(force)
+    assert [(c.step, c.contact) for c in changes] == [
+        (0, False),
+        (101, True),
+        (260, False),
+        (320, True),
+        (370, False),
+    ]
+
+
+def test_a_brush_is_no_contact_and_soft_ground_is_one() -> None:
+    assert [c.contact for c in track(trace((100, 0.0), (1, 8.0), (200, 0.0)))] == [False]
+    slow = np.concatenate([np.zeros(100), np.linspace(0.0, 3.0, 100), np.zeros(100)])
+    changes = track(slow)
+    assert [c.contact for c in changes] == [False, True, False]
+    # 0.5 N on a rise of 3 N in 100 ms, to the step.
+    assert changes[1].step == 101 + int(np.argmax(slow[100:] > 0.5))
+
+
+def test_loaded_at_the_start() -> None:
+    tracker = TruthTracker(0.001, SUBSTEPS)
+    forces = np.array([5.0, 5.0, 0.0, 5.0, 5.0, 5.0])
+    start = tracker.start(forces, 0)
+    assert [c.contact for c in start] == [True, True, False, True, True, True]
+    assert start[0].force_n == 5.0
+    changes = []
+    empty = tuple(deque() for _ in LEGS)
+    for k in range(8):
+        rows = np.tile(forces if k < 2 else np.zeros(N), (SUBSTEPS, 1))
+        changes += tracker.update(rows, empty, (k + 1) * SUBSTEPS)
+    assert sorted((c.leg, c.step, c.contact) for c in changes) == [
+        (leg, 41, False) for leg in (0, 1, 3, 4, 5)
+    ]
+
+
+def test_recent_is_up_to_date() -> None:
+    tracker = TruthTracker(0.001, SUBSTEPS)
+    tracker.start(np.zeros(N), 0)
+    empty = tuple(deque() for _ in LEGS)
+    rows = np.zeros((SUBSTEPS, N))
+    rows[12:, 0] = 4.0
+    tracker.update(rows, empty, 20)
+    assert tracker.recent(0) == 13
+    assert tracker.recent(1) is None
+    tracker.update(np.zeros((SUBSTEPS, N)), empty, 40)
+    assert tracker.recent(0) is None
+
+
+def test_touch_is_the_one_that_led_to_the_contact() -> None:
+    touches = [Touch(step, 3, 0.1 * step, False, 0) for step in (20, 95, 101, 140)]
+    change = track(trace((100, 0.0), (60, 5.0), (100, 0.0)), touches)[1]
+    assert change.touch is not None
+    assert change.touch.step == 95
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 90), st.sampled_from([0.0, 0.05, 0.3, 0.6, 2.0, 25.0])),
+        min_size=1,
+        max_size=25,
+    )
+)
+def test_equals_the_slow_rule_on_any_trace(pieces: list[tuple[int, float]]) -> None:
+    force = np.concatenate([trace(*pieces), np.zeros(100)])
+    force = force[: len(force) // SUBSTEPS * SUBSTEPS]
+    assert [(c.step, c.contact) for c in track(force)] == reference(force)
