@@ -42,9 +42,10 @@ check: env  ## ruff, types, import contracts
 
 bench: env  ## the design's figures and speeds, in out/bench (about ten minutes)
 	$(BIN)/python -m adaptive_contact bench --out out/bench
+	$(BIN)/python tests/service/bench_echo.py
 
 baseline: env  ## learn the shipped baseline anew
-	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod
+	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json
 
 wheel: env  ## the wheel, in dist
 	$(BIN)/python -m build --wheel --no-isolation

@@ -252,9 +252,7 @@ def leg_library_of(
         name=file_library.name,
         joints=joints,
         axes=axes,
-        window=Window(
-            file_library.past_measured, file_library.past_desired, file_library.preview
-        ),
+        window=Window(file_library.past_measured, file_library.past_desired, file_library.preview),
         slope_rad=file_library.slope_rad,
         period_s=file_library.period_s,
     )
@@ -298,7 +296,9 @@ def _baseline(file: _File) -> Baseline:
         shape = (CONTEXTS, len(WINDOWS), joints, joints)
         covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
         ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
-        legs[leg] = LegBaseline(LegModel(library, coefficients), NoiseModel(covariance, ticks), entry.rows)
+        legs[leg] = LegBaseline(
+            LegModel(library, coefficients), NoiseModel(covariance, ticks), entry.rows
+        )
     if not legs:
         raise IdentificationError("it has no legs; learn it anew")
     if len(file.tails) != len(WINDOWS):

@@ -1,8 +1,8 @@
 """From messages to stretches of samples to learn from.
 
-Samples go through the same stream guard as in the learner; a gap, a restart or a rejected sample ends
-a stretch.  What may be learned as free comes from the truth where a recording has it, and from
-the cautious part of each swing where it has not.
+Samples go through the same stream guard as in the learner; a gap, a restart or a rejected sample
+ends a stretch.  What may be learned as free comes from the truth where a recording has it, and
+from the cautious part of each swing where it has not.
 """
 
 from __future__ import annotations
@@ -115,9 +115,7 @@ class LegGatherer:
         return swing if inferred is None else np.where(told, swing, inferred)
 
 
-def untouched(
-    t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int
-) -> Mask:
+def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int) -> Mask:
     """Ticks that no contact of the truth is near.
 
     A touch that begins and ends between two readings leaves no tick in contact, but its mark on
@@ -161,9 +159,7 @@ def cautious(swing: Mask) -> Mask:
     return np.asarray(swing & (from_start > LIFT_OFF_TICKS) & (to_end > LAST_TICKS))
 
 
-def _exclude(
-    mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, period_ns: int
-) -> None:
+def _exclude(mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, period_ns: int) -> None:
     first = np.searchsorted(t_ns, onset - BEFORE_TICKS * period_ns)
     last = np.searchsorted(t_ns, release + AFTER_TICKS * period_ns, side="right")
     mask[first:last] = False

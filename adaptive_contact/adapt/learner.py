@@ -1,8 +1,8 @@
 """The learner of one leg: samples in, contact events out.
 
-:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the state
-machine.  :func:`advance` takes several learners one tick further and evaluates their libraries and
-statistics together, which is what makes six legs cost little more than one.
+:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
+state machine.  :func:`advance` takes several learners one tick further and evaluates their
+libraries and statistics together, which is what makes six legs cost little more than one.
 
 Recursive updates and refits have their place after the event: what a resolved swing confirms as
 free will be learned there (design, section 7).
@@ -189,29 +189,36 @@ class ContactLearner:
         )
         valid = None if sample.valid is None else np.array(sample.valid)
         judged = tracker.observe(np.array(sample.measured), valid)
-        return judged and self._swing_ticks > LIFT_OFF_TICKS
+        return judged and self._swing_ticks > 1
 
-    def decide(self, value: Array | None, sample: ServoSample) -> ContactEvent | None:
+    def decide(
+        self, value: Array | None, distance: float, sample: ServoSample
+    ) -> ContactEvent | None:
         """Turn the statistic of this tick into an event, or into none.
 
         Args:
             value: (windows,) of the statistic; None when this tick is not judged.
+            distance: of the last residual from zero, whitened and squared.
             sample: the tick's.
         """
-        tracker, decision = self.tracker, None
-        if tracker is None:
+        tracker = self.tracker
+        if tracker is None or value is None:
             return None
-        score, width = 0.0, 1
-        if value is not None:
-            assert self.thresholds is not None
-            scores = value / self.thresholds
-            best = int(np.nanargmax(scores)) if not np.isnan(scores).all() else 0
-            score, width = float(scores[best]), best + 1
-            decision = self._state.swing_tick(score, sample.t_ns, self._onset(sample, width))
-            if not self._state.contact:
-                self._recent.append(tracker.residuals[0].copy())
-        elif self._swing_ticks == 1:
-            decision = self._state.lift_off(sample.t_ns)
+        assert self.thresholds is not None
+        scores = value / self.thresholds
+        best = int(np.nanargmax(scores))
+        loaded = self._state.loaded
+        decision = self._state.swing_tick(
+            float(scores[best]),
+            distance / float(self.thresholds[0]),
+            sample.t_ns,
+            self._onset(sample, best + 1),
+            descending=self._descending,
+        )
+        if loaded and not self._state.loaded:
+            tracker.begin_swing()  # what was loaded must not enter a window of the free leg
+        elif not (loaded or self._state.contact):
+            self._recent.append(tracker.residuals[0].copy())
         if decision is None:
             return None
         if decision.contact:
@@ -265,10 +272,17 @@ class ContactLearner:
             self._swing_ticks = 0
             return
         self._swing_ticks += 1
-        if self._swing_ticks == 1 and self.tracker is not None:
-            self.tracker.begin_swing()
-        if self._swing_ticks == LIFT_OFF_TICKS + 1 and self.tracker is not None:
-            self.tracker.begin_swing()
+        if self._swing_ticks == 1:
+            self._state.begin_swing()
+            if self.tracker is not None:
+                self.tracker.begin_swing()
+
+    @property
+    def _descending(self) -> bool:
+        """Whether the command in force is past the lift; without geometry, the time says so."""
+        if self.leg.lengths_m is None:
+            return self._swing_ticks > 2 * LIFT_OFF_TICKS
+        return self._direction is Direction.DESCENT and self._swing_ticks > LIFT_OFF_TICKS
 
     def _onset(self, sample: ServoSample, width: int) -> int:
         tracker = self.tracker
@@ -337,12 +351,12 @@ def advance(
     events: list[ContactEvent | None] = [None] * len(work)
     admitted = [i for i, (learner, sample) in enumerate(work) if learner.admit(sample)]
     judged = [i for i in admitted if work[i][0].observe(work[i][1])]
-    values = _statistics([work[i][0] for i in judged])
-    by_index = dict(zip(judged, values, strict=True))
+    said = dict(zip(judged, _statistics([work[i][0] for i in judged]), strict=True))
     ready: list[Tracker] = []
     for i in admitted:
         learner, sample = work[i]
-        events[i] = learner.decide(by_index.get(i), sample)
+        value, distance = said.get(i, (None, 0.0))
+        events[i] = learner.decide(value, distance, sample)
         if learner.command(sample):
             assert learner.tracker is not None
             ready.append(learner.tracker)
@@ -352,21 +366,21 @@ def advance(
     return events
 
 
-def _statistics(learners: Sequence[ContactLearner]) -> list[Array]:
-    """(windows,) of the statistic for each learner; those with as many joints go together."""
+def _statistics(learners: Sequence[ContactLearner]) -> list[tuple[Array, float]]:
+    """Value (windows,) and distance for each learner; those with as many joints go together."""
     if not learners:
         return []
     trackers = [learner.tracker for learner in learners]
     assert all(t is not None for t in trackers)
     if len({t.residuals.shape for t in trackers if t is not None}) > 1:
         return [value for learner in learners for value in _statistics([learner])]
-    values = statistic(
+    said = statistic(
         np.stack([t.residuals for t in trackers if t is not None]),
         np.stack([t.increments for t in trackers if t is not None]),
         np.stack([learner.whitening for learner in learners]),
         np.array([t.usable for t in trackers if t is not None]),
     )
-    return list(values)
+    return list(zip(said.value, said.distance.tolist(), strict=True))
 
 
 def _predict(trackers: Sequence[Tracker]) -> None:
@@ -387,4 +401,3 @@ def _predict(trackers: Sequence[Tracker]) -> None:
     increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
     for tracker, increment in zip(trackers, increments, strict=True):
         tracker.foresee(increment)
-

@@ -1,7 +1,7 @@
 """Is this sample the next one of its leg's stream?  Bad samples are counted, never raised.
 
-One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the next
-one, the next one after a gap, the first one of a restart, and the rejected.
+One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the
+next one, the next one after a gap, the first one of a restart, and the rejected.
 """
 
 from __future__ import annotations

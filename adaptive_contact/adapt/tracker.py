@@ -18,6 +18,7 @@ from adaptive_contact.identify import LegModel
 __all__ = ["LIFT_OFF_TICKS", "MAX_STEP_RAD_S", "Tracker"]
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 DEPTH: Final = max(WINDOWS)
 # Ticks after the command lifts off in which the foot may still be loaded: the servo follows its
@@ -74,7 +75,7 @@ class Tracker:
         """Residuals of the stance before say nothing about this swing."""
         self.usable = 0
 
-    def observe(self, measured: Array, valid: Array | None) -> bool:
+    def observe(self, measured: Array, valid: Mask | None) -> bool:
         """Take in a reading.
 
         Args:
@@ -147,7 +148,7 @@ class Tracker:
         if self.predicted:
             self.increment = increment
 
-    def _repair(self, measured: Array, valid: Array | None) -> tuple[Array, bool]:
+    def _repair(self, measured: Array, valid: Mask | None) -> tuple[Array, bool]:
         if self.filled == 0:
             return measured, True
         bad = np.abs(measured - self.measured[0]) > self._max_step

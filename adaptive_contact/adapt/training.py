@@ -163,8 +163,7 @@ def learn(
         statistics.append(values)
     if not legs:
         raise IdentificationError(
-            "no leg has samples; expected robot/leg/*/servo of the legs "
-            f"{', '.join(robot.leg_ids)}"
+            f"no leg has samples; expected robot/leg/*/servo of the legs {', '.join(robot.leg_ids)}"
         )
     pooled = np.concatenate(statistics)
     tails = tuple(fit_tail(pooled[:, w]) for w in range(len(WINDOWS)))
@@ -239,9 +238,7 @@ def _learn_leg(
     return LegBaseline(model, noise, len(rows.target)), figures, values
 
 
-def _rows(
-    leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float
-) -> _Rows:
+def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> _Rows:
     theta, target, where, fold, position, judged = [], [], [], [], [], []
     swings = 0
     offset = 0
@@ -291,14 +288,16 @@ def swing_ticks(swing: Mask) -> Ints:
 
 def _inliers(rows: _Rows, library: Library) -> Mask:
     """Rows that a robust fit can explain; twice, as the first fit still carries the others."""
-    keep = np.isfinite(rows.theta).all(axis=1) & np.isfinite(rows.target).all(axis=1)
+    finite = np.isfinite(rows.theta).all(axis=1) & np.isfinite(rows.target).all(axis=1)
+    keep: Mask = np.asarray(finite)
     for _ in range(2):
         factor = _factor(rows, keep)
         fit = fit_sparse(factor, FitSettings())
         residual = rows.target - rows.theta @ fit.coefficients
         # Median absolute deviation: the outliers must not set the scale they are judged by.
         sigma = 1.4826 * np.median(np.abs(residual[keep]), axis=0)
-        keep &= (np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, 1e-12)).all(axis=1)
+        near = np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, 1e-12)
+        keep = np.asarray(keep & near.all(axis=1))
     return keep
 
 

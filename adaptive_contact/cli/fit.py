@@ -48,7 +48,7 @@ def fit(
             "--threshold",
             metavar="λ",
             min=0.0,
-            help="STLSQ's threshold in units of the residual; chosen on held-out swings if left out.",
+            help="STLSQ's threshold in units of the residual; without it, chosen on held-out swings.",
             show_default=False,
         ),
     ] = None,
@@ -155,4 +155,4 @@ def print_training(training: Training, robot: Robot, *, json: bool) -> None:
     for leg, entry in training.baseline.legs.items():
         console.print(f"\n[bold]{leg}[/bold] (rad)")
         for line in entry.model.equations():
-            console.print("  " + line, highlight=False, soft_wrap=True)
+            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)

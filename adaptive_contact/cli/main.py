@@ -28,7 +28,7 @@ app = typer.Typer(
 )
 
 # Command -> module with a function of the same name; order is the help's.
-_COMMANDS: Final = ("serve", "watch", "doctor", "record", "replay", "score", "fit")
+_COMMANDS: Final = ("serve", "watch", "doctor", "record", "replay", "score", "fit", "bench")
 
 
 def _register() -> None:
@@ -36,7 +36,9 @@ def _register() -> None:
         module = importlib.import_module(f"adaptive_contact.cli.{name}")
         app.command(name)(getattr(module, name))
     from adaptive_contact.cli import sim
+    from adaptive_contact.cli.baseline import baseline
 
+    sim.app.command("baseline")(baseline)
     app.add_typer(sim.app, name="sim")
 
 

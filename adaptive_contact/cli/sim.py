@@ -255,5 +255,6 @@ def list_(json: JsonOption = False) -> None:
         kinds.add_row(name, kind.unit, f"{kind.nominal:g}", accepted, kind.usual, kind.meaning)
     console.print(kinds)
     console.print(
-        "A value is absolute against nominal.  Shapes: step, ramp, pulse, walk (the last three with duration=SECONDS)"
+        "A value is absolute against nominal.  Shapes: step, ramp, pulse, walk (the last three "
+        "with duration=SECONDS)"
     )

@@ -1,32 +1,35 @@
-"""From scores to contact events: free, contact, released at lift-off.
+"""From scores to contact events: loaded, free, contact.
 
 The phase gates and never causes: outside a swing nothing is decided, and no event rests on the
-edge from swing to stance or on a stream that ends.  A contact ends when the next swing lifts off,
-or within its swing when the leg has moved freely again for :data:`REARM_TICKS`.
+edge from swing to stance or on a stream that ends.
+
+A swing begins *loaded*: after a pressed stance the foot comes off the ground 100 ms and more
+after its command does, and until then residuals say nothing about the swing.  It is *free* once
+the leg has followed the free model for :data:`CALM_TICKS`, in every direction, or when the
+descent begins.  Only a free leg can touch.  A contact ends in the next swing when the leg is
+free, or within its own swing when the leg has followed the model again for :data:`REARM_TICKS`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import enum
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["REARM_TICKS", "ContactState", "Decision", "onset_fraction"]
+__all__ = ["CALM_SCORE", "CALM_TICKS", "ContactState", "Decision", "onset_fraction"]
 
 Array = NDArray[np.float64]
 
-# A leg that follows the free model for so long within a swing touches nothing any more.
+# A tick is calm when its distance from the free model is below this share of the threshold: one
+# free tick in a thousand is not, while a foot let go of is at several times the threshold.
+CALM_SCORE: Final = 0.5
+# Calm ticks in a row that show a foot to be off the ground.  A foot about to leave it may look
+# calm for one tick, while the push along and the pull back cancel.
+CALM_TICKS: Final = 3
+# And within a swing, after a contact, one more.
 REARM_TICKS: Final = 4
-# "Follows": the score of every one of those ticks stays below this.
-REARM_SCORE: Final = 0.5
-
-
-class _State(enum.Enum):
-    FREE = "free"
-    CONTACT = "contact"
 
 
 class Decision(NamedTuple):
@@ -45,50 +48,65 @@ class Decision(NamedTuple):
 
 @dataclasses.dataclass
 class ContactState:
-    """State machine of one leg."""
+    """State machine of one leg.
 
-    _state: _State = _State.FREE
+    Attributes:
+        contact: whether the leg is held to touch.
+        loaded: whether the foot may still be on the ground from the stance before.
+    """
+
+    contact: bool = False
+    loaded: bool = True
     _calm: int = 0
-
-    @property
-    def contact(self) -> bool:
-        """Whether the leg is held to touch."""
-        return self._state is _State.CONTACT
+    _calm_since_ns: int = 0
 
     def reset(self) -> None:
         """Forget; the source started anew."""
-        self._state, self._calm = _State.FREE, 0
+        self.contact, self.loaded, self._calm = False, True, 0
 
-    def lift_off(self, t_ns: int) -> Decision | None:
-        """A swing has begun: a contact of the stance before is over."""
-        if self._state is _State.FREE:
-            return None
-        self.reset()
-        return Decision(contact=False, onset_ns=t_ns, score=0.0)
+    def begin_swing(self) -> None:
+        """The command lifts off; the foot may not have yet."""
+        self.loaded, self._calm = True, 0
 
-    def swing_tick(self, score: float, t_ns: int, onset_ns: int) -> Decision | None:
+    def swing_tick(
+        self, score: float, distance: float, t_ns: int, onset_ns: int, *, descending: bool
+    ) -> Decision | None:
         """Judge a swing tick.
 
         Args:
             score: statistic over threshold; NaN when nothing can be said, which changes nothing.
+            distance: from the free model in any direction, over the threshold.
             t_ns: of the tick.
             onset_ns: when the touch began, should this be one.
+            descending: the command is past the lift: what holds the leg now is no stance.
 
         Returns:
             The change of state, if there is one.
         """
         if score != score:
             return None
-        if self._state is _State.FREE:
-            if score <= 1.0:
+        self._calm = self._calm + 1 if distance < CALM_SCORE else 0
+        if self._calm == 1:
+            self._calm_since_ns = t_ns
+        if self.loaded:
+            if self._calm < CALM_TICKS and not descending:
                 return None
-            self._state, self._calm = _State.CONTACT, 0
-            return Decision(contact=True, onset_ns=onset_ns, score=score)
-        self._calm = self._calm + 1 if score < REARM_SCORE else 0
-        if self._calm < REARM_TICKS:
+            self.loaded = False
+            return self._release(t_ns, score)
+        if self.contact:
+            return self._release(t_ns, score) if self._calm >= REARM_TICKS else None
+        if score <= 1.0:
             return None
-        self.reset()
-        return Decision(contact=False, onset_ns=t_ns, score=score)
+        self.contact, self._calm = True, 0
+        return Decision(contact=True, onset_ns=onset_ns, score=score)
+
+    def _release(self, t_ns: int, score: float) -> Decision | None:
+        if not self.contact:
+            return None
+        self.contact = False
+        return Decision(
+            contact=False, onset_ns=self._calm_since_ns if self._calm else t_ns, score=score
+        )
 
 
 def onset_fraction(residual: Array, increment: Array) -> float:

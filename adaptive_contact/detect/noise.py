@@ -56,10 +56,14 @@ def context(desired: Array, before: Array, direction: Ints, quantum_rad: float) 
     )
 
 
-def context_of(desired: Sequence[float], before: Sequence[float], direction: int, quantum_rad: float) -> int:
+def context_of(
+    desired: Sequence[float], before: Sequence[float], direction: int, quantum_rad: float
+) -> int:
     """:func:`context` of one tick in plain floats, for the control loop."""
     speed = max(abs(a - b) for a, b in zip(desired, before, strict=True)) / quantum_rad
-    return direction * (len(SPEED_EDGES_QUANTA) + 1) + bisect.bisect_right(SPEED_EDGES_QUANTA, speed)
+    return direction * (len(SPEED_EDGES_QUANTA) + 1) + bisect.bisect_right(
+        SPEED_EDGES_QUANTA, speed
+    )
 
 
 def lagged(values: Array, depth: int) -> Array:
@@ -100,7 +104,7 @@ class NoiseModel:
         """(J,) rad, root mean square of single residuals over all contexts."""
         weight = self.ticks / self.ticks.sum()
         diagonal = np.diagonal(self.covariance[:, 0], axis1=-2, axis2=-1)
-        return np.sqrt(weight @ diagonal)
+        return np.asarray(np.sqrt(weight @ diagonal))
 
 
 def fit_noise(residual: Array, where: Ints, quantum_rad: float) -> NoiseModel:

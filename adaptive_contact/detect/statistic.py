@@ -1,29 +1,47 @@
 r"""The likelihood-ratio statistic of a contact.
 
-Free residuals are :math:`r \sim N(0, \Sigma_c)` in context c; a contact that began w ticks ago adds
-an unknown mean to the last w of them.  The generalised likelihood ratio of that against no contact is
+Free residuals are :math:`r \sim N(0, \Sigma_c)` in context c; a contact that began w ticks ago
+adds an unknown mean to the last w of them.  The generalised likelihood ratio of that against no
+contact is
 
 .. math:: T_w = \Big\| W_{c,w} \sum_{i<w} r[k-i] \Big\|^2 , \qquad
           W_{c,w}^\top W_{c,w} = \mathrm{cov}\Big(\sum_{i<w} r[k-i]\Big)^{-1} ,
 
 for w = 1, 2, 3, so that a hard contact shows in one tick and a soft one adds up.  A contact holds
-the leg back: windows whose whitened sum does not oppose the predicted motion count as zero.
+the leg back: windows whose whitened sum does not oppose the predicted motion count as zero.  How
+far the last tick is from free motion in *any* direction is told beside it: a foot that is still
+loaded after a stance is pushed along, not held back.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.detect.noise import WINDOWS, NoiseModel
 
-__all__ = ["statistic", "stream_statistic"]
+__all__ = ["Statistic", "statistic", "stream_statistic"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) -> Array:
+class Statistic(NamedTuple):
+    """What a tick's residuals say.
+
+    Attributes:
+        value: (..., windows) T, zero where it does not oppose the motion, NaN where the window
+            reaches further back than the sound residuals.
+        distance: (...,) T of the last tick alone, whatever its direction.
+    """
+
+    value: Array
+    distance: Array
+
+
+def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) -> Statistic:
     """Compute T for every window.
 
     Args:
@@ -34,15 +52,17 @@ def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) ->
             reach further back give NaN.
 
     Returns:
-        (..., windows), chi-square with J degrees of freedom on free ticks (or zero).
+        Each is chi-square with J degrees of freedom on free ticks.
     """
     total = np.cumsum(residual, axis=-2)
     motion = np.cumsum(increment, axis=-2)
     z = np.matmul(whiten, total[..., None])[..., 0]
     expected = np.matmul(whiten, motion[..., None])[..., 0]
     opposes = (z * expected).sum(axis=-1) < 0.0
-    value = np.where(opposes, np.square(z).sum(axis=-1), 0.0)
-    return np.where(np.asarray(WINDOWS) <= np.asarray(usable)[..., None], value, np.nan)
+    square = np.square(z).sum(axis=-1)
+    within = np.asarray(WINDOWS) <= np.asarray(usable)[..., None]
+    value = np.where(within, np.where(opposes, square, 0.0), np.nan)
+    return Statistic(value, square[..., 0])
 
 
 def stream_statistic(
@@ -60,4 +80,4 @@ def stream_statistic(
     Returns:
         (n, windows).
     """
-    return statistic(residual, increment, noise.whiten[where], usable)
+    return statistic(residual, increment, noise.whiten[where], usable).value

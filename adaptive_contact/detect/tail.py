@@ -56,7 +56,7 @@ class Tail:
         if abs(self.shape) < 1e-9:
             return self.rate * math.exp(-y)
         base = 1.0 + self.shape * y
-        return 0.0 if base <= 0.0 else float(self.rate * base ** (-1.0 / self.shape))
+        return 0.0 if base <= 0.0 else self.rate * math.pow(base, -1.0 / self.shape)
 
     def quantile(self, probability: float) -> float:
         """The value that a free tick exceeds with the given probability.
@@ -72,7 +72,7 @@ class Tail:
         ratio = self.rate / probability
         if abs(self.shape) < 1e-9:
             return self.level + self.scale * math.log(ratio)
-        return self.level + self.scale / self.shape * (ratio**self.shape - 1.0)
+        return self.level + self.scale / self.shape * (math.pow(ratio, self.shape) - 1.0)
 
 
 def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:

@@ -13,8 +13,8 @@ r"""Candidate libraries: the terms a leg model may be made of.
 ``linear``
     a constant, the positions and the commands.
 
-Every library predicts the increment :math:`\theta[k+1] - \theta[k]`: a ridge term then pulls towards
-"no motion" rather than towards the zero position.
+Every library predicts the increment :math:`\theta[k+1] - \theta[k]`: a ridge term then pulls
+towards "no motion" rather than towards the zero position.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Library:
     name: LibraryName
     joints: tuple[str, ...]
     axes: tuple[str, ...]
-    window: Window = Window()
+    window: Window = dataclasses.field(default_factory=Window)
     slope_rad: float = 0.164
     period_s: float = 0.02
 
@@ -118,7 +118,13 @@ class Library:
             return np.concatenate([one, columns], axis=-1)
         first, second = self._pairs
         return np.concatenate(
-            [one, columns, np.sin(columns), np.cos(columns), columns[..., first] * columns[..., second]],
+            [
+                one,
+                columns,
+                np.sin(columns),
+                np.cos(columns),
+                columns[..., first] * columns[..., second],
+            ],
             axis=-1,
         )
 

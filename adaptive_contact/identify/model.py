@@ -49,7 +49,7 @@ class LegModel:
     @property
     def support(self) -> NDArray[np.bool_]:
         """(p, J) which terms each joint uses."""
-        return self.coefficients != 0.0
+        return np.asarray(self.coefficients != 0.0)
 
     def increment(self, measured: Array, desired: Array, preview: Array) -> Array:
         """Predict the next movement.

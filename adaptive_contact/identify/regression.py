@@ -132,7 +132,7 @@ class Factor:
         if self.rows <= 0:
             return np.full(self.outputs, np.nan)
         r, qty = self.system
-        return np.sqrt(np.square(qty - r @ coefficients).sum(axis=0) / self.rows)
+        return np.asarray(np.sqrt(np.square(qty - r @ coefficients).sum(axis=0) / self.rows))
 
     def condition(self) -> float:
         """Condition number of Θ with its columns scaled to unit root mean square."""

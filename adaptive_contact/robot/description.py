@@ -100,7 +100,8 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.axes is not None:
             return self.axes
         first: Axis = "yaw" if len(self.joints) >= 3 else "pitch"
-        return (first, *(("pitch",) * (len(self.joints) - 1)))
+        pitch: Axis = "pitch"
+        return (first, *(pitch for _ in self.joints[1:]))
 
 
 class _Head(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -267,7 +268,9 @@ def _check(robot: Robot, source: str) -> None:
     for leg in robot.legs:
         where = f"[[leg]] '{leg.id}'"
         if not is_leg_id(leg.id):
-            fail(f"{where}: an id is 1 to 32 letters, digits, '_', '.' or '-' (it is part of a key)")
+            fail(
+                f"{where}: an id is 1 to 32 letters, digits, '_', '.' or '-' (it is part of a key)"
+            )
         if leg.id in seen:
             fail(f"{where}: the id is used twice; ids must differ")
         seen.add(leg.id)
@@ -301,7 +304,9 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: object) -> None:
     if leg.limits is not None:
         for low, high in zip(leg.limits.lower_rad, leg.limits.upper_rad, strict=True):
             if not -2 * math.pi <= low < high <= 2 * math.pi:
-                fail(f"{where}: limits {low} .. {high} rad; expected lower below upper, within 2 pi")
-    if leg.servos is not None and leg.servos.directions is not None:
-        if any(d not in (-1, 1) for d in leg.servos.directions):
-            fail(f"{where}: servos.directions are {list(leg.servos.directions)}; use 1 or -1")
+                fail(
+                    f"{where}: limits {low} .. {high} rad; expected lower below upper, within 2 pi"
+                )
+    directions = None if leg.servos is None else leg.servos.directions
+    if directions is not None and any(d not in (-1, 1) for d in directions):
+        fail(f"{where}: servos.directions are {list(directions)}; use 1 or -1")

@@ -14,7 +14,7 @@ from adaptive_contact.score.outcome import Row
 from adaptive_contact.score.score import Score
 from adaptive_contact.score.summary import RowFigures, Summary
 
-__all__ = ["JSON_VERSION", "as_json", "as_table"]
+__all__ = ["JSON_VERSION", "as_json", "as_table", "summary_json"]
 
 JSON_VERSION: Final = 1
 
@@ -35,8 +35,8 @@ def as_json(score: Score) -> dict[str, Any]:
     """Everything in a score, as a tree of numbers and texts; what is not known is None."""
     return {
         "v": JSON_VERSION,
-        **_summary(score.total),
-        "legs": {leg: _summary(summary) for leg, summary in score.legs.items()},
+        **summary_json(score.total),
+        "legs": {leg: summary_json(summary) for leg, summary in score.legs.items()},
         "rejects": score.rejects,
         "notes": list(score.notes),
     }
@@ -51,7 +51,8 @@ def as_table(score: Score) -> RenderableType:
     return Group(*parts)
 
 
-def _summary(summary: Summary) -> dict[str, Any]:
+def summary_json(summary: Summary) -> dict[str, Any]:
+    """Every figure of a summary, as a tree of numbers and texts."""
     return {
         "rows": {row.value: _row(figures) for row, figures in summary.rows.items()},
         "counted": _row(summary.counted),

@@ -22,7 +22,7 @@ _DETECTION_NS: Final = 120_000_000
 # Truth and events travel on different keys; an event is judged when truth had time to arrive.
 _JUDGE_AFTER_NS: Final = 250_000_000
 _STALE_NS: Final = 2_500_000_000
-_RATE_OVER_S: Final = 5.0
+_RATE_OVER_S: Final = 3.0
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -93,14 +93,15 @@ class _Truth:
                 return
             self.loaded_since_ns = truth.t_ns
             self.loads = [*self.loads[-20:], (truth.t_ns, None)]
-            in_air = self.released_ns
-            if in_air is None or truth.t_ns - in_air >= _AIR_NS:
+            # Whether a leg that was first seen loaded has been in the air, nobody knows.
+            if self.released_ns is not None and truth.t_ns - self.released_ns >= _AIR_NS:
                 self.touches = [*self.touches[-20:], _Touch(truth.t_ns)]
                 self.count += 1
-        elif self.loaded_since_ns is not None:
+            return
+        if self.loaded_since_ns is not None:
             self.loads[-1] = (self.loaded_since_ns, truth.t_ns)
             self.loaded_since_ns = None
-            self.released_ns = truth.t_ns
+        self.released_ns = truth.t_ns
 
     def judge(self, event: ContactEvent) -> None:
         for touch in self.touches:

@@ -125,7 +125,7 @@ def _against_truth(leg: LegView) -> list[Text]:
 
 def _model(leg: LegView) -> list[Text]:
     version = Text("-" if leg.model_version is None else f"v{leg.model_version}")
-    if not leg.residual_rms or leg.model_version == 0:
+    if not any(leg.noise_floor):  # no model yet
         return [Text("-", style="dim"), Text("-", style="dim"), version]
     worst = math.degrees(max(leg.residual_rms))
     ratios = [

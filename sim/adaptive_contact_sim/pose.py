@@ -37,6 +37,7 @@ _TURN_LIFT_M: Final = 0.05
 # An obstacle comes when the foot is this clear of it, m: above it, or (forward) before it.
 _CLEARANCE_M: Final = {False: 0.008, True: 0.03}
 _WAIT_TICKS: Final = 5
+_STUCK_TICKS: Final = 8
 _SLOW_M_S: Final = (0.02, 0.10)
 
 
@@ -111,6 +112,8 @@ class PoseSettings:
             raise ConfigurationError(
                 f"no approach '{self.approach}'; approaches are {', '.join(get_args(Approach))}"
             )
+        if self.path not in ("cartesian", "joint"):
+            raise ConfigurationError(f"path is '{self.path}'; expected cartesian or joint")
         if not 4 <= self.segment_ticks <= 500 or not 1 <= self.hold_ticks <= 500:
             raise ConfigurationError(
                 f"segments of {self.segment_ticks} ticks with holds of {self.hold_ticks}; expected "
@@ -124,6 +127,7 @@ class PoseSettings:
 class _Plan:
     """What the moving leg does next: goals, tick by tick, and where it is in them."""
 
+    leg: int
     joints: Array  # (n, 3) rad
     points: Array  # (n, 3) m, leg frame
     ascent: int  # ticks of ascent
@@ -163,6 +167,8 @@ class PoseMotion:
         self._point = np.array(_STANDING_M)
         self._side = 1.0
         self._plan = self._step_up()
+        # Always one plan ahead, so that a preview reaches past the end of a trial.
+        self._upcoming = self._next_plan()
 
     @property
     def start_joints(self) -> Array:
@@ -177,12 +183,12 @@ class PoseMotion:
     @property
     def leg(self) -> int:
         """Index of the leg that moves."""
-        return LEGS.index(self.settings.legs[self._turn % len(self.settings.legs)])
+        return self._plan.leg
 
     def step(self, world: World) -> Goal:
         """Goals for this tick."""
         if self._plan.tick >= len(self._plan.joints):
-            self._plan = self._next_plan()
+            self._begin_upcoming()
         plan, leg = self._plan, self.leg
         if plan.tick == 0:
             self._course.assign(leg)
@@ -190,8 +196,10 @@ class PoseMotion:
         descending = plan.ascent <= plan.tick < plan.swing
         if descending and plan.obstacle is not None:
             self._raise_obstacle(plan, world)
-        if not descending and swinging and world.touch_step[leg] is None and plan.tick >= 1:
-            self._course.clear()
+        if swinging and not descending and plan.tick >= 1:
+            # The obstacle goes when the foot has left it; a foot that slid under it never would.
+            if world.touch_step[leg] is None or plan.tick >= _STUCK_TICKS:
+                self._course.clear()
         goal = self._goals.copy()
         goal[leg] = plan.joints[plan.tick]
         if descending and self.settings.react_ms is not None:
@@ -209,10 +217,16 @@ class PoseMotion:
     def preview(self, ticks: int) -> Array:
         """(6, ticks, 3) rad, goals planned after this tick; the last repeats where none are."""
         ahead = np.repeat(self._goals[:, None, :], ticks, axis=1)
-        rest = self._plan.joints[self._plan.tick : self._plan.tick + ticks]
-        if len(rest) and self._plan.frozen is None:
-            ahead[self.leg, : len(rest)] = rest
-            ahead[self.leg, len(rest) :] = rest[-1]
+        plan, upcoming = self._plan, self._upcoming
+        own = plan.joints[plan.tick :]
+        if plan.frozen is not None:
+            own = np.repeat(plan.frozen[None], len(own), axis=0)
+        if upcoming.leg == plan.leg:
+            own = np.concatenate([own, upcoming.joints])
+        own = own[:ticks]
+        if len(own):
+            ahead[plan.leg] = own[-1]
+            ahead[plan.leg, : len(own)] = own
         return ahead
 
     def _react(self, plan: _Plan, world: World, leg: int) -> None:
@@ -261,9 +275,22 @@ class PoseMotion:
 
     # -- plans ---------------------------------------------------------------------------------
 
+    def _begin_upcoming(self) -> None:
+        """Go on to the next plan, and make the one after it."""
+        last, plan = self._plan, self._upcoming
+        if last.frozen is not None and plan.leg == last.leg:
+            # The leg stopped short of where this plan was to start.
+            start = self._geometry.feet(last.frozen)
+            if plan.ascent:
+                points, joints = self._line(start, plan.points[plan.ascent - 1], plan.ascent)
+                plan.points[: plan.ascent], plan.joints[: plan.ascent] = points, joints
+            else:
+                plan.points = _arc(start, plan.points[-1])
+                plan.joints = self._geometry.joints(plan.points)
+        self._plan = plan
+        self._upcoming = self._next_plan()
+
     def _next_plan(self) -> _Plan:
-        if self._plan.frozen is not None:
-            self._point = self._geometry.feet(self._plan.frozen)
         if self._trials_left > 0:
             self._trials_left -= 1
             return self._trial()
@@ -276,6 +303,10 @@ class PoseMotion:
         self._turn += 1
         self._trials_left = self.settings.trials_per_turn
         return self._step_up()
+
+    def _turning(self) -> int:
+        """Index of the leg whose turn it is, for plans being made."""
+        return LEGS.index(self.settings.legs[self._turn % len(self.settings.legs)])
 
     def _trial(self) -> _Plan:
         """One ascent, one descent, one hold."""
@@ -307,6 +338,7 @@ class PoseMotion:
         hold = self.settings.hold_ticks
         self._point = end
         return _Plan(
+            leg=self._turning(),
             joints=np.concatenate([up, fall, np.repeat(fall[-1:], hold, axis=0)]),
             points=np.concatenate([up_points, down_points, np.repeat(end[None], hold, axis=0)]),
             ascent=n,
@@ -332,13 +364,13 @@ class PoseMotion:
                 break
         points = _arc(np.array(_STANDING_M), end)
         self._point = end
-        return _Plan(self._geometry.joints(points), points, ascent=0, swing=0)
+        return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
     def _step_down(self) -> _Plan:
         """From wherever the leg is back to standing; no swing to be judged."""
         points = _arc(self._point, np.array(_STANDING_M))
         self._point = np.array(_STANDING_M)
-        return _Plan(self._geometry.joints(points), points, ascent=0, swing=0)
+        return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
 
 def _arc(start: Array, end: Array) -> Array:

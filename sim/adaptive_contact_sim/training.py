@@ -1,9 +1,9 @@
 """The shipped baseline: which runs it is learned from, and how.
 
-Every leg is recorded in pose (the paper's subspaces and its whole reach, fast and slow) and
-walking in every gait over rough ground and steps, on a robot with its own manufacturing spread.  Ticks near a touch
-are left out by the truth.  Seeds are kept apart: learning uses 1000 and up, tests and benchmarks
-others.
+Every leg is recorded in pose (the paper's subspaces and its whole reach, fast and slow) and walking
+in every gait over rough ground and steps, on a robot with its own manufacturing spread.  Ticks
+near a touch are left out by the truth.  Seeds are kept apart: learning uses 1000 and up, tests and
+benchmarks others.
 """
 
 from __future__ import annotations

@@ -23,7 +23,9 @@ def rows(seed: int, n: int, p: int, joints: int) -> tuple[np.ndarray, np.ndarray
 
 def factor_of(theta: np.ndarray, target: np.ndarray, pieces: int = 3) -> Factor:
     factor = Factor(theta.shape[1], target.shape[1])
-    for part, out in zip(np.array_split(theta, pieces), np.array_split(target, pieces), strict=True):
+    for part, out in zip(
+        np.array_split(theta, pieces), np.array_split(target, pieces), strict=True
+    ):
         factor.add(part, out)
     return factor
 

@@ -14,7 +14,9 @@ from adaptive_contact.identify import Library, Window, stack
 @given(
     st.integers(0, 30), st.integers(1, 3), st.integers(0, 4), st.integers(0, 4), st.integers(0, 3)
 )
-def test_every_row_holds_its_lags(n: int, joints: int, past: int, commands: int, ahead: int) -> None:
+def test_every_row_holds_its_lags(
+    n: int, joints: int, past: int, commands: int, ahead: int
+) -> None:
     rng = np.random.default_rng(n)
     measured, desired = rng.normal(size=(2, n, joints))
     rows = stack(measured, desired, Window(past, commands, ahead))
@@ -32,16 +34,22 @@ def test_every_row_holds_its_lags(n: int, joints: int, past: int, commands: int,
 
 @pytest.mark.parametrize("name", ["servo", "paper", "linear"])
 @pytest.mark.parametrize("joints", [1, 2, 3, 4])
-@pytest.mark.parametrize("window", [Window(3, 3, 0), Window(2, 2, 1), Window(0, 0, 0), Window(1, 3, 2)])
+@pytest.mark.parametrize(
+    "window", [Window(3, 3, 0), Window(2, 2, 1), Window(0, 0, 0), Window(1, 3, 2)]
+)
 def test_every_column_has_a_name_of_its_own(name: str, joints: int, window: Window) -> None:
-    library = Library(name, tuple("abcd"[:joints]), ("yaw", "pitch", "pitch", "pitch")[:joints], window)  # type: ignore[arg-type]
+    library = Library(
+        name, tuple("abcd"[:joints]), ("yaw", "pitch", "pitch", "pitch")[:joints], window
+    )  # type: ignore[arg-type]
     rows = stack(*np.random.default_rng(0).normal(size=(2, 20, joints)), window)
     theta = library.evaluate(rows.measured, rows.desired, rows.preview)
     assert theta.shape == (len(rows.tick), library.size)
     assert len(set(library.names)) == library.size
     # Batched over any leading shape.
     np.testing.assert_array_equal(
-        library.evaluate(rows.measured[:4, None], rows.desired[:4, None], rows.preview[:4, None])[:, 0],
+        library.evaluate(rows.measured[:4, None], rows.desired[:4, None], rows.preview[:4, None])[
+            :, 0
+        ],
         theta[:4],
     )
 

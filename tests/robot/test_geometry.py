@@ -15,7 +15,9 @@ LENGTHS = (0.052, 0.066, 0.138)
 AXES = ("yaw", "pitch", "pitch")
 
 
-def foot_by_rotations(q: list[float], lengths: tuple[float, ...], axes: tuple[str, ...]) -> np.ndarray:
+def foot_by_rotations(
+    q: list[float], lengths: tuple[float, ...], axes: tuple[str, ...]
+) -> np.ndarray:
     """Chain of homogeneous rotations, link after link (pitch up = rotation about -y)."""
     turn = Rotation.identity()
     point = np.zeros(3)
@@ -28,7 +30,9 @@ def foot_by_rotations(q: list[float], lengths: tuple[float, ...], axes: tuple[st
 
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_three_joints_match_a_chain_of_rotations(q: list[float]) -> None:
-    np.testing.assert_allclose(foot(q, LENGTHS, AXES), foot_by_rotations(q, LENGTHS, AXES), atol=1e-12)
+    np.testing.assert_allclose(
+        foot(q, LENGTHS, AXES), foot_by_rotations(q, LENGTHS, AXES), atol=1e-12
+    )
 
 
 @given(st.floats(-1.2, 1.2), st.floats(-1.5, 1.5), st.floats(-2.6, -0.1))

@@ -198,6 +198,15 @@ def test_bad_messages_are_counted_and_change_nothing() -> None:
     assert any("9 messages could not be used" in note for note in score.notes)
 
 
+def test_a_sample_that_comes_twice_counts_once() -> None:
+    samples = walk(2)
+    twice = [m for sample in samples for m in (sample, sample)]
+    once = score_messages([*samples, air(), *truth(400, 780), *events(420)], ROBOT)
+    score = score_messages([*twice, air(), *truth(400, 780), *events(420)], ROBOT)
+    assert score.total == once.total
+    assert score.rejects == {"time_backwards": 80}
+
+
 def test_runs_that_follow_each_other_are_scored_together() -> None:
     first, second = walk(2, run=7), walk(2, run=9, start=100)
     score = score_messages([*first, *second, air()], ROBOT, [])
@@ -208,6 +217,10 @@ def test_runs_that_overlap_are_refused() -> None:
     restarted = [*walk(3, run=7), *walk(3, run=9), air()]
     with pytest.raises(RecordingError, match="runs whose times overlap"):
         score_messages(restarted, ROBOT, [])
+    # Two sources at once, whose times happen never to go back.
+    one, other, again = walk(1, run=7), walk(1, run=9, start=50), walk(1, run=7, start=100)
+    with pytest.raises(RecordingError, match="runs whose times overlap"):
+        score_messages([*one, *other, *again, air()], ROBOT, [])
     interleaved = [m for pair in zip(walk(2, run=7), walk(2, run=9), strict=True) for m in pair]
     with pytest.raises(RecordingError, match="runs whose times overlap"):
         score_messages([*interleaved, air()], ROBOT, [])

@@ -224,7 +224,7 @@ def events_of(case: Case) -> Events:
     return Events(times, np.array([flag for _, flag in case.events], dtype=bool), times - 5 * MS)
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=1000, deadline=None)
 @given(cases())
 def test_equals_the_slow_reference(case: Case) -> None:
     expected = reference(case)

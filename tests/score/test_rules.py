@@ -353,6 +353,32 @@ class TestFigures:
         assert latency.p95_ms == pytest.approx(29.405)
         assert latency.p99_ms == pytest.approx(29.801)
 
+    def test_counted_leaves_out_what_may_be_beyond_any_detector(self) -> None:
+        phases = "s" * 30 + "." * 5
+        kinds: list[dict[str, float | bool | str | None]] = [
+            {"speed": 0.4},
+            {"speed": 0.15},
+            {"speed": 0.05},
+            {"speed": 0.4, "surface": "soft"},
+            {"speed": None},
+            {"speed": 0.01},
+            {"speed": 0.4, "grazing": True},
+        ]
+        truth = list(AIR)
+        for k, kind in enumerate(kinds):
+            truth += touch(700 * k + 300, 700 * k + 400, **kind)  # type: ignore[arg-type]
+        late = 700 * len(kinds) + 570
+        outcome = judge(phases * (len(kinds) + 1), truth + touch(late))
+        summary = summarise([outcome])
+        assert {
+            row.value: figures.touches for row, figures in summary.rows.items()
+        } == dict.fromkeys(
+            ["headline", "mid", "slow", "soft", "unknown", "creep", "grazing", "late"], 1
+        )
+        assert summary.counted.touches == 5
+        assert summary.lost_swings == 5
+        assert outcome.swings.touches.tolist() == [1, 1, 1, 1, 1, 0, 0, 0]
+
     def test_legs_add_up(self) -> None:
         one = judge(WALK, AIR + touch(500), 520)
         other = judge(WALK, AIR + touch(500), 300)

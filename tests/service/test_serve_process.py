@@ -65,12 +65,15 @@ def test_json_in_json_out_and_structured_logs(
     client = join(served.endpoint, json=True)
     got = inbox()
     client.subscribe(ALL_CONTACT, got, history=True)
+    learner = inbox(LearnerStatus)
+    client.subscribe(learner_key("rf"), learner)
     publisher = matched(client.publisher(servo_key("rf")))
     publisher.put(sample(1))
     publisher.put(sample(2, contact=True))
     (received,) = got.wait(1)
     assert received.encoding == JSON
     assert json.loads(received.payload)["leg"] == "rf"
+    learner.wait(lambda items: any(status.ticks == 2 for status in items))
     assert served.stop() == 0
     lines = [json.loads(line) for line in served.log.read_text().splitlines()]
     assert {"leg status", "figures"} <= {line["message"] for line in lines}

@@ -133,6 +133,14 @@ def test_truth_that_comes_after_the_event_still_counts() -> None:
     assert row(watch, 3 * S).latency_ms == 20.0
 
 
+def test_a_leg_first_seen_loaded_has_not_touched() -> None:
+    watch = Watch()
+    watch.truth("rf", truth(1000, True))
+    watch.event(event(1020), 1 * S)
+    leg = row(watch, 2 * S)
+    assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
+
+
 def test_chatter_is_one_touch_and_one_event_matches_once() -> None:
     watch = Watch()
     for t_ms, contact in [(0, False), (100, True), (110, False), (130, True), (400, False)]:

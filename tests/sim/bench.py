@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+
 from adaptive_contact_sim.elements import N_SERVOS
 from adaptive_contact_sim.gear import GearTrain
 from adaptive_contact_sim.servo import ServoBank, ServoParameters

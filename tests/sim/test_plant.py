@@ -3,18 +3,18 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+
+from adaptive_contact.errors import ConfigurationError, SimulationDiverged
 from adaptive_contact_sim.elements import JOINTS, LEGS, PARTS, Elements, servo_indices
 from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.pose import PoseSettings
-from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.servo import ServoParameters, manufactured
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-
-from adaptive_contact.errors import ConfigurationError, SimulationDiverged
 
 ROBOTS = {
     "rough": SimulationSettings(motion=WalkSettings(), terrain=TerrainSettings(kind="rough")),
@@ -70,7 +70,7 @@ def test_model_file_agrees_with_the_robot_description() -> None:
     for _ in range(20):
         joints = rng.uniform(geometry.lower_rad, geometry.upper_rad, (len(LEGS), len(JOINTS)))
         plant.place(np.array([0.0, 0.0, 0.5]), np.array([1.0, 0, 0, 0]), joints.reshape(-1))
-        feet = geometry.to_body(geometry.feet(joints)) + [0.0, 0.0, 0.5]
+        feet = geometry.to_body(geometry.feet(joints)) + np.array([0.0, 0.0, 0.5])
         assert np.allclose(plant.foot_positions(), feet, atol=1e-5)
     for leg in LEGS:
         for k, joint in enumerate(JOINTS):
@@ -100,7 +100,7 @@ def test_legs_touch_ground_and_obstacles_only() -> None:
         sim.advance()
         for pair in sim.plant.data.contact.geom:
             assert (legs[pair] >= 0).sum() <= 1
-            for geom, other in (pair, pair[::-1]):
+            for geom, other in (tuple(pair), tuple(reversed(pair))):
                 if sim.plant.model.geom(int(other)).name.startswith("obstacle_"):
                     assert legs[geom] == LEGS.index("rf")
 
@@ -133,8 +133,7 @@ def test_divergence_raises(bad: float) -> None:
     sim.advance()
     sim.plant.data.qvel[8] = bad
     with pytest.raises(SimulationDiverged, match="at 0"):
-        for _ in range(5):
-            sim.advance()
+        sim.advance()
 
 
 def test_payload_never_compounds() -> None:

@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from adaptive_contact_sim.elements import N_SERVOS
 from adaptive_contact_sim.servo import (
     CENTRE_STEPS,
@@ -13,8 +16,6 @@ from adaptive_contact_sim.servo import (
     duty,
     manufactured,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from .bench import every, make_bench
 

@@ -4,11 +4,12 @@ from collections import deque
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Touch
 from adaptive_contact_sim.truth import Change, TruthTracker
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 N = len(LEGS)
 SUBSTEPS = 20
@@ -55,7 +56,7 @@ def test_a_touch_has_its_own_time_and_mean_force() -> None:
 
 
 def test_chatter_is_one_contact() -> None:
-    bounce = trace((5, 20.0), (35, 0.0)) if True else None
+    bounce = trace((5, 20.0), (35, 0.0))
     force = np.concatenate([trace((100, 0.0)), *[bounce] * 5, trace((100, 5.0), (200, 0.0))])
     changes = track(force)
     assert [c.contact for c in changes] == [False, True, False]

@@ -1,0 +1,39 @@
+"""``adaptive-contact sim baseline``: learn the shipped baseline anew."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._sim_options import needs_simulator
+
+__all__ = ["baseline"]
+
+
+def baseline(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON).")
+    ] = Path("baseline.json"),
+    processes: Annotated[
+        int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
+    ] = 2,
+    json: JsonOption = False,
+) -> None:
+    """Record the simulated robot and learn its baseline; the result depends on no clock."""
+    from adaptive_contact.adapt import save_baseline
+    from adaptive_contact.cli.fit import print_training
+    from adaptive_contact.robot import shipped_robot
+
+    with needs_simulator():
+        from adaptive_contact_sim.training import learn_shipped
+
+    robot = shipped_robot()
+    training = learn_shipped(
+        robot, processes=processes, progress=lambda line: typer.echo(line, err=True)
+    )
+    save_baseline(training.baseline, out)
+    print_training(training, robot, json=json)
+    typer.echo(f"baseline written to {out}", err=True)

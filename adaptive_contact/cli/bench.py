@@ -1,0 +1,140 @@
+"""``adaptive-contact bench``: the headline figures and the speeds, reproduced."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from adaptive_contact.cli._options import BaselineOption, JsonOption
+from adaptive_contact.cli._sim_options import needs_simulator
+
+if TYPE_CHECKING:
+    from adaptive_contact.score import Summary
+
+__all__ = ["bench"]
+
+
+def bench(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where bench.json goes.")
+    ] = Path("out/bench"),
+    baseline: BaselineOption = None,
+    speeds_only: Annotated[
+        bool, typer.Option("--speeds", help="Leave the headline runs out (minutes of work).")
+    ] = False,
+    processes: Annotated[
+        int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
+    ] = 2,
+    json: JsonOption = False,
+) -> None:
+    """Measure recall, latency and false alarms on unseen runs, and how fast everything is."""
+    import msgspec
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from adaptive_contact.adapt.baseline import load_baseline, shipped_baseline
+    from adaptive_contact.errors import BaselineError
+    from adaptive_contact.robot import shipped_robot
+    from adaptive_contact.score.tables import summary_json
+
+    with needs_simulator():
+        from adaptive_contact_sim import SimulationSettings, TerrainSettings, WalkSettings
+        from adaptive_contact_sim.arrays import record_arrays
+        from adaptive_contact_sim.benchmark import real_time_factor
+        from adaptive_contact_sim.headline import HEADLINE_RUNS, run_headline
+        from adaptive_contact_sim.speed import fit_speed, tick_speed
+
+    robot = shipped_robot()
+    known = shipped_baseline(robot.name) if baseline is None else load_baseline(baseline)
+    if known is None:
+        raise BaselineError(f"no baseline ships for '{robot.name}'; give one with --baseline")
+    console = Console(stderr=True)
+    rows: dict[str, Summary] = {}
+    if not speeds_only:
+        with Progress(console=console) as bar:
+            task = bar.add_task("headline runs", total=sum(r.seconds for r in HEADLINE_RUNS))
+            rows = run_headline(
+                robot,
+                known,
+                processes=processes,
+                progress=lambda spec: bar.advance(task, spec.seconds),
+            )
+    console.print("measuring speeds", highlight=False)
+    # The walk of the speeds is no row of the table; any seed would do.
+    settings = SimulationSettings(
+        motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=2900
+    )
+    run = record_arrays(settings, 120.0)
+    tick, fit = tick_speed(run, robot, known), fit_speed(run, "rf", robot)
+    simulator = real_time_factor(seconds=20.0)
+    out.mkdir(parents=True, exist_ok=True)
+    result = {
+        "rows": {name: summary_json(summary) for name, summary in rows.items()},
+        "six_leg_tick": tick,
+        "compressed_fit": fit,
+        "simulator": simulator,
+        "baseline": known.origin,
+    }
+    text = msgspec.json.format(msgspec.json.encode(result), indent=2)
+    (out / "bench.json").write_bytes(text + b"\n")
+    if json:
+        typer.echo(text.decode())
+        return
+    if rows:
+        _print_rows(rows)
+    speeds = Table(title="Speeds", show_header=False)
+    speeds.add_row("six-leg tick", f"median {tick.median_ms:.3f} ms, p99 {tick.p99_ms:.3f} ms")
+    speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
+    speeds.add_row(
+        "compressed fit",
+        f"{fit.ratio:.0f} x faster than PySINDy on {fit.rows} rows, {fit.terms} terms "
+        f"({1e3 * fit.compressed_s:.1f} ms; factor built once in {1e3 * fit.build_s:.0f} ms; "
+        f"same support: {fit.same_support})",
+    )
+    speeds.add_row(
+        "simulator",
+        f"{simulator.factor:.1f} x real time on one core (engine alone {simulator.engine:.1f} x)",
+    )
+    Console(width=None if Console().is_terminal else 120).print(speeds)
+    console.print(f"figures in {out / 'bench.json'}", highlight=False)
+
+
+def _print_rows(rows: dict[str, Summary]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from adaptive_contact.score import Row
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    table = Table(title="Default detector, runs it has not seen (95 % intervals)")
+    for name in (
+        "row",
+        "touches",
+        "recall",
+        "latency p50/p95/p99 ms",
+        "false alarms",
+        "per robot-hour",
+    ):
+        table.add_column(name, justify="left" if name == "row" else "right")
+    for name, summary in rows.items():
+        row = summary.rows[Row.HEADLINE]
+        late = row.latency
+        low, high = (100 * limit for limit in row.interval)
+        recall = "-" if row.recall is None else f"{100 * row.recall:.2f} % ({low:.2f}-{high:.2f})"
+        hours = summary.per_hour_interval
+        table.add_row(
+            name,
+            str(row.touches),
+            recall,
+            "-"
+            if late is None
+            else f"{late.median_ms:.0f} / {late.p95_ms:.0f} / {late.p99_ms:.0f}",
+            f"{summary.false_alarms} in {summary.judged_ticks} ticks",
+            f"{summary.per_hour:.1f} ({hours.low:.1f}-{hours.high:.1f})",
+        )
+    console.print(table)

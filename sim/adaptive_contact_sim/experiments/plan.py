@@ -1,0 +1,184 @@
+"""What is simulated for what: the seeds, sizes and settings of every experiment.
+
+Training, tuning and reporting never share a seed.  A *leg-run* is one leg of one manufactured
+robot: its servos differ from every other's, and it has models of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
+from adaptive_contact_sim.simulation import SimulationSettings
+
+__all__ = ["FULL", "QUICK", "STIFFNESS_N_M", "LegRun", "Piece", "Plan", "Role"]
+
+Role = Literal["train", "tune", "free", "touch"]
+
+# Ticks of a trial in pose: ascent, descent, hold; and swing ticks among them.
+_TRIAL_TICKS: Final = 23
+_TRIAL_SWING: Final = 20
+# Soft ground: foam, turf, packed soil under a foot of 8 mm radius (assumed range of the simulator).
+STIFFNESS_N_M: Final = (300.0, 1000.0, 3000.0)
+# Seeds by role: ranges that cannot meet.
+_SEEDS: Final = {"train": 1_000_000, "tune": 2_000_000, "free": 3_000_000, "touch": 4_000_000}
+# Pieces of this many simulated seconds: long enough to be worth a process's time, short enough
+# that an interruption loses little.
+_PIECE_S: Final = 300.0
+
+
+@dataclass(frozen=True)
+class LegRun:
+    """One leg of one robot."""
+
+    robot_seed: int
+    leg: str
+
+    @property
+    def name(self) -> str:
+        """Such as ``0-rf``."""
+        return f"{self.robot_seed}-{self.leg}"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One stretch of simulation of one leg.
+
+    Attributes:
+        leg_run: whose.
+        role: what it is for.
+        kind: how the leg moves and what it meets.
+        seconds: simulated.
+        settings: all that decides it.
+    """
+
+    leg_run: LegRun
+    role: Role
+    kind: str
+    seconds: float
+    settings: SimulationSettings
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much of everything.
+
+    Attributes:
+        name: ``full`` or ``quick``.
+        robots: seeds of the robots; each has the ``legs``.
+        train_segments, test_segments: the paper's dataset (4.1), one leg of robot 0.
+        train_s, tune_s: free motion per leg-run by kind, s.
+        free_s: reported free motion per leg-run by kind, s.
+        touch_s: reported collisions per leg-run by kind, s.
+        tune_touch_s: collisions per leg-run on which baselines choose their settings.
+        collisions: how many are drawn in detail (Figure 5).
+    """
+
+    name: Literal["full", "quick"]
+    robots: tuple[int, ...]
+    legs: tuple[str, ...]
+    train_segments: int
+    test_segments: int
+    train_s: dict[str, float]
+    tune_s: dict[str, float]
+    free_s: dict[str, float]
+    touch_s: dict[str, float]
+    tune_touch_s: float
+    collisions: int = 10
+    seed: int = 0
+
+    @property
+    def leg_runs(self) -> tuple[LegRun, ...]:
+        """Every leg of every robot."""
+        return tuple(LegRun(robot, leg) for robot in self.robots for leg in self.legs)
+
+    def pieces(self, role: Role) -> list[Piece]:
+        """All stretches of a role."""
+        found = []
+        for index, leg_run in enumerate(self.leg_runs):
+            base = _SEEDS[role] + 1000 * (self.seed * 100 + index)
+            count = 0
+            for kind, seconds in self._times(role).items():
+                parts = max(1, round(seconds / _PIECE_S))
+                for _ in range(parts):
+                    settings = _settings(leg_run, kind, base + count, role)
+                    found.append(Piece(leg_run, role, kind, seconds / parts, settings))
+                    count += 1
+        return found
+
+    def paper_piece(self, role: Literal["train", "tune"]) -> Piece:
+        """The paper's own dataset (4.1): both subspaces, one leg, the segments asked for."""
+        segments = self.train_segments if role == "train" else self.test_segments
+        leg_run = LegRun(0, "rf")
+        ticks = segments // 2 * _TRIAL_TICKS + 50
+        seed = {"train": 11, "tune": 12}[role] + 100 * self.seed
+        motion = PoseSettings(legs=(leg_run.leg,), workspace="paper")
+        settings = SimulationSettings(motion=motion, seed=seed, robot_seed=leg_run.robot_seed)
+        return Piece(leg_run, role, "paper", ticks * PERIOD_S, settings)
+
+    def _times(self, role: Role) -> dict[str, float]:
+        if role == "train":
+            return self.train_s
+        if role == "tune":
+            return self.tune_s | {"hard": self.tune_touch_s}
+        return self.free_s if role == "free" else self.touch_s
+
+
+def _settings(leg_run: LegRun, kind: str, seed: int, role: Role) -> SimulationSettings:
+    """Settings of a stretch of the whole workspace, by kind."""
+    # Kinds of free motion carry the name of the approach; the others meet something.
+    obstacle: dict[str, tuple[Any, ObstacleSettings]] = {
+        "descent": ("descent", ObstacleSettings()),
+        "slow": ("slow", ObstacleSettings()),
+        "forward": ("forward", ObstacleSettings()),
+        "hard": ("descent", ObstacleSettings(probability=0.6)),
+        "hard slow": ("slow", ObstacleSettings(probability=0.9)),
+        "hard forward": ("forward", ObstacleSettings(probability=0.6)),
+        "graze": ("graze", ObstacleSettings(probability=0.6)),
+    }
+    for stiffness in STIFFNESS_N_M:
+        soft = ObstacleSettings(probability=0.6, soft=1.0, stiffness_n_m=(stiffness, stiffness))
+        obstacle[f"soft {stiffness:.0f}"] = ("descent", soft)
+    approach, obstacles = obstacle[kind]
+    motion = PoseSettings(
+        legs=(leg_run.leg,), workspace="whole", approach=approach, obstacles=obstacles
+    )
+    return SimulationSettings(motion=motion, seed=seed, robot_seed=leg_run.robot_seed)
+
+
+_TOUCH_S: Final = {
+    "hard": 100.0,
+    "hard forward": 50.0,
+    "hard slow": 80.0,
+    **{f"soft {stiffness:.0f}": 25.0 for stiffness in STIFFNESS_N_M},
+    "graze": 40.0,
+}
+
+# 24 leg-runs; 24 x 5,250 s of free motion hold a little more than 5.4 million swing ticks.
+FULL: Final = Plan(
+    name="full",
+    robots=(0, 1, 2, 3),
+    legs=LEGS,
+    train_segments=5000,
+    test_segments=1000,
+    train_s={"descent": 160.0, "slow": 60.0, "forward": 40.0},
+    tune_s={"descent": 100.0, "slow": 40.0, "forward": 25.0},
+    free_s={"descent": 3750.0, "slow": 750.0, "forward": 800.0},
+    touch_s=_TOUCH_S,
+    tune_touch_s=40.0,
+)
+QUICK: Final = Plan(
+    name="quick",
+    robots=(0,),
+    legs=("rf", "lm", "rr"),
+    train_segments=1500,
+    test_segments=400,
+    train_s=FULL.train_s,
+    tune_s=FULL.tune_s,
+    free_s={"descent": 300.0, "slow": 75.0, "forward": 75.0},
+    touch_s={kind: 0.6 * seconds for kind, seconds in _TOUCH_S.items()},
+    tune_touch_s=40.0,
+)

@@ -1,0 +1,97 @@
+"""Regression rows of simulated streams, and the floor that no prediction gets below."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.identify import Factor, Library, Rows, stack
+from adaptive_contact_sim.encoder import EncoderSettings
+from adaptive_contact_sim.experiments.data import Stream
+from adaptive_contact_sim.servo import QUANTUM_RAD
+
+__all__ = ["FreeRows", "blockwise", "factor_of", "free_rows", "noise_floor", "rms_deg"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Rows whose regressors are held at once: 295 doubles each, some tens of megabytes.
+BLOCK: Final = 20_000
+
+
+class FreeRows(NamedTuple):
+    """Windows of free swing ticks.
+
+    Attributes:
+        windows: (n, ...) the windows with what came next.
+        swing: (n,) number of the swing each lies in, for folds.
+    """
+
+    windows: Rows
+    swing: Ints
+
+
+def free_rows(stream: Stream, library: Library) -> FreeRows:
+    """Windows whose tick and successor are free swing ticks.
+
+    Args:
+        stream: one leg's.
+        library: whose window is cut.
+    """
+    cut = stack(stream.measured, stream.desired, library.window)
+    use = stream.swing & ~stream.touched
+    rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1])
+    number = np.cumsum(np.diff(stream.swing.astype(int), prepend=0) == 1)
+    return FreeRows(Rows(*(part[rows] for part in cut)), number[cut.tick[rows]])
+
+
+def blockwise(library: Library, windows: Rows, coefficients: Array) -> Array:
+    """Predict movements block by block, so that Θ never stands whole in memory.
+
+    Args:
+        library: the terms.
+        windows: n of them.
+        coefficients: (p, q).
+
+    Returns:
+        (n, q).
+    """
+    out = np.empty((len(windows.tick), coefficients.shape[1]))
+    for start in range(0, len(out), BLOCK):
+        part = slice(start, start + BLOCK)
+        theta = library.evaluate(
+            windows.measured[part], windows.desired[part], windows.preview[part]
+        )
+        out[part] = theta @ coefficients
+    return out
+
+
+def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
+    """The compressed regression of windows on a target, (n, q)."""
+    factor = Factor(library.size, target.shape[1])
+    for start in range(0, len(target), BLOCK):
+        part = slice(start, start + BLOCK)
+        theta = library.evaluate(
+            windows.measured[part], windows.desired[part], windows.preview[part]
+        )
+        factor.add(theta, target[part])
+    return factor
+
+
+def noise_floor(encoder: EncoderSettings | None = None) -> float:
+    r"""Standard deviation of a reading about the true angle, rad.
+
+    Noise of :math:`\sigma` steps before rounding, and rounding itself, uniform over a step:
+    :math:`q\sqrt{\sigma^2 + 1/12}`.  What is to be predicted is a reading, so that no model's
+    residual is smaller.
+    """
+    settings = encoder or EncoderSettings()
+    return QUANTUM_RAD * math.sqrt(settings.noise_steps**2 + 1.0 / 12.0)
+
+
+def rms_deg(residual: Array) -> list[float]:
+    """Root mean square of every column, degrees."""
+    return [float(v) for v in np.degrees(np.sqrt(np.square(residual).mean(axis=0)))]

@@ -1,0 +1,163 @@
+"""Results of stages on disk, each under a key of everything that decides it.
+
+A stage that was made is never made again: an interrupted run goes on where it stopped, and ends
+with the same numbers, as every stage is a pure function of its key.  The key of recorded data
+holds a fingerprint of the simulator's *behaviour* (a short run, hashed), that of an evaluation a
+hash of the source that evaluates: a changed simulator or detector is never shown old numbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import adaptive_contact
+import adaptive_contact_sim
+from adaptive_contact.errors import ConfigurationError
+
+__all__ = ["Store", "physics_fingerprint", "plain", "source_fingerprint"]
+
+Arrays = dict[str, NDArray[Any]]
+
+FORMAT: Final = 1
+# Packages whose source decides what an evaluation gives.
+_EVALUATING: Final = ("identify", "detect", "adapt", "score", "robot")
+
+
+class Store:
+    """A folder of results.
+
+    Args:
+        root: made if need be.
+
+    Raises:
+        ConfigurationError: it cannot be made, or written to.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"{root}: cannot be made ({error.strerror}); give another folder with --out"
+            ) from error
+
+    def path(self, stage: str, key: object, suffix: str) -> Path:
+        """Where the result of a stage with these settings lives."""
+        text = json.dumps([FORMAT, stage, plain(key)], sort_keys=True, allow_nan=False)
+        return self.root / f"{stage}-{hashlib.sha256(text.encode()).hexdigest()[:20]}{suffix}"
+
+    def arrays(self, stage: str, key: object, make: Callable[[], Mapping[str, Any]]) -> Arrays:
+        """The arrays of a stage, made now unless they are there."""
+        path = self.path(stage, key, ".npz")
+        found = read_arrays(path)
+        if found is None:
+            found = {name: np.asarray(value) for name, value in make().items()}
+            write_arrays(path, found)
+        return found
+
+    def tree(self, stage: str, key: object, make: Callable[[], Any]) -> Any:
+        """A stage's tree of numbers and texts, made now unless it is there.
+
+        What comes back went through JSON either way, so that a resumed run sees what an
+        uninterrupted one sees.
+        """
+        path = self.path(stage, key, ".json")
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            text = json.dumps(plain(make()), allow_nan=False)
+            _write(path, text.encode())
+            return json.loads(text)
+
+
+def read_arrays(path: Path) -> Arrays | None:
+    """Arrays of a file; None where there is none, or none that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, KeyError):
+        return None  # never written, or cut by a full disk: made anew
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays to a file, whole or not at all."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **dict(arrays))  # type: ignore[arg-type]
+    _write(path, buffer.getvalue())
+
+
+def plain(value: Any) -> Any:
+    """A tree of dicts, lists, numbers and texts; not-a-number and infinities become None."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in (sorted(value) if isinstance(value, set | frozenset) else value)]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+@functools.cache
+def physics_fingerprint() -> str:
+    """Hash of a second of every kind of motion: what the simulator does, not how it is written."""
+    from adaptive_contact_sim.arrays import record_arrays
+    from adaptive_contact_sim.obstacles import ObstacleSettings
+    from adaptive_contact_sim.pose import PoseSettings
+    from adaptive_contact_sim.simulation import SimulationSettings
+
+    digest = hashlib.sha256()
+    approaches: tuple[Any, ...] = ("descent", "slow", "forward", "graze")
+    for approach in approaches:
+        motion = PoseSettings(
+            workspace="whole",
+            approach=approach,
+            obstacles=ObstacleSettings(probability=1.0, soft=0.5),
+        )
+        run = record_arrays(SimulationSettings(motion=motion, seed=12345), 2.0)
+        leg = run.legs["rf"]
+        for part in (leg.measured, leg.desired, leg.swing, leg.force_n):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        digest.update(repr(leg.onsets).encode())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def source_fingerprint() -> str:
+    """Hash of the source that evaluates: identification, detection, learner, score, experiments."""
+    product = Path(adaptive_contact.__file__).parent
+    simulator = Path(adaptive_contact_sim.__file__).parent
+    folders = [product / name for name in _EVALUATING] + [simulator / "experiments"]
+    digest = hashlib.sha256()
+    for folder in folders:
+        for file in sorted(folder.glob("*.py")):
+            digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _write(path: Path, data: bytes) -> None:
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be written ({error.strerror}); free some space, or give another "
+            "folder with --out"
+        ) from error

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from adaptive_contact.cli.sim import app
+from adaptive_contact.errors import AdaptiveContactError, MissingExtraError
+from adaptive_contact.service.recording import read_recording
+from adaptive_contact_sim.drift import KINDS
+
+RUN = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def own_signals() -> Iterator[None]:
+    """Commands take SIGINT and SIGTERM over; give them back."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def fails(*arguments: str) -> str:
+    result = RUN.invoke(app, arguments)
+    assert isinstance(result.exception, AdaptiveContactError), result.output
+    message = str(result.exception)
+    assert "\n" not in message
+    return message
+
+
+def test_list_shows_scenarios_and_kinds() -> None:
+    result = RUN.invoke(app, ["list"])
+    assert result.exit_code == 0
+    for word in ("walk-rough", "pose-free", *KINDS):
+        assert word in result.output
+    table = json.loads(RUN.invoke(app, ["list", "--json"]).output)
+    assert table["drift"]["supply"]["nominal"] == 12.0
+    assert table["scenarios"]["walk-mud"]["seconds"] == 240.0
+
+
+def test_an_offline_walk_is_recorded(tmp_path: Path) -> None:
+    file = tmp_path / "walk.mcap"
+    result = RUN.invoke(
+        app,
+        ["walk", "--offline", "--seconds", "2", "--gait", "ripple", "--terrain", "steps", "--seed",
+         "3", "--drift", "friction:leg=rf,value=4@1s", "--dropped", "0.01", "--preview", "2",
+         "--record", str(file)],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "ripple walk on steps ground, stop on truth, seed 3, 1 drifts" in result.output
+    assert "simulated 2.0 s" in result.output
+    keys = {record.key for record in read_recording(file)}
+    assert "robot/leg/rf/servo" in keys
+    assert "robot/sim/drift" in keys
+
+
+def test_an_offline_pose_is_pictured(tmp_path: Path) -> None:
+    picture = tmp_path / "pose.png"
+    result = RUN.invoke(
+        app,
+        ["pose", "--offline", "--seconds", "2", "--leg", "all", "--obstacles", "0.5", "--soft",
+         "0.5", "--approach", "slow", "--workspace", "whole", "--path", "joint", "--react-ms",
+         "60", "--render", str(picture)],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert picture.stat().st_size > 10_000
+
+
+def test_options_change_a_scenario() -> None:
+    result = RUN.invoke(
+        app, ["walk", "--scenario", "walk-mud", "--offline", "--seconds", "1", "--gait", "wave"]
+    )
+    assert result.exit_code == 0, result.output
+    assert "wave walk on rough ground, stop on truth, seed 4, 2 drifts" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("walk", "--offline"), "give --seconds"),
+        (("walk", "--offline", "--seconds", "0"), "expected above 0"),
+        (("walk", "--gait", "trot", "--offline"), "gaits are tripod"),
+        (("walk", "--terrain", "sand", "--offline"), "terrains are"),
+        (("walk", "--stop-on", "luck"), "truth, service, never"),
+        (("walk", "--stop-on", "service", "--offline", "--seconds", "1"), "without a network"),
+        (("walk", "--speed", "fast"), "expected a factor above 0"),
+        (("walk", "--speed", "nan"), "expected a factor above 0"),
+        (("walk", "--drift", "fiction:value=3"), "did you mean 'friction'"),
+        (("walk", "--scenario", "pose-free"), "use that command"),
+        (("walk", "--scenario", "walk-rouhg"), "did you mean 'walk-rough'"),
+        (("pose", "--leg", "rx", "--offline"), "expected some of lf"),
+        (("pose", "--obstacles", "2", "--offline"), "expected 0 to 1"),
+        (("pose", "--dropped", "0.9", "--offline"), "expected 0 to 0.5"),
+        (("inject", "friction"), "has no value"),
+        (("inject", "friction", "--value", "99"), "expected 0.1 to 10"),
+        (("inject", "friktion", "--value", "2"), "friktion"),
+        (("inject", "friction", "--value", "2", "--connect", "tcp/127.0.0.1:1"), "unreachable"),
+    ],
+)
+def test_a_bad_command_line_gets_one_line(arguments: tuple[str, ...], words: str) -> None:
+    assert words in fails(*arguments)
+
+
+def test_without_mujoco_it_says_which_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [n for n in sys.modules if n.partition(".")[0] == "adaptive_contact_sim"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    result = RUN.invoke(app, ["list"])
+    assert isinstance(result.exception, MissingExtraError)
+    assert "adaptive-contact[sim]" in str(result.exception)

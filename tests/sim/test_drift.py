@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import Drift
+from adaptive_contact_sim.drift import KINDS, DriftSchedule, Injection
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+
+RF = LEGS.index("rf")
+
+
+def schedule(*injections: tuple[Drift, float]) -> DriftSchedule:
+    return DriftSchedule(Injection(drift, at) for drift, at in injections)
+
+
+def test_nothing_drifts_at_first() -> None:
+    plan = DriftSchedule()
+    assert not plan.due(0.0)
+    assert plan.holds() == {}
+    for name, values in plan.values(0.0).items():
+        assert np.all(values == KINDS[name].nominal)
+
+
+def test_step_takes_its_joints_and_no_others() -> None:
+    plan = schedule((Drift(kind="friction", value=4.0, leg="rf", joint="femur"), 2.0))
+    assert not plan.due(1.98)
+    assert plan.values(1.98)["friction"].max() == 1.0
+    assert plan.due(2.0)
+    values = plan.values(2.0)["friction"]
+    assert values[RF, 1] == 4.0
+    assert values.sum() == 17 + 4.0
+    assert not plan.due(2.02)
+    assert plan.holds() == {"friction": {"rf": {"femur": 4.0}}}
+
+
+def test_value_is_absolute_and_nominal_takes_it_back() -> None:
+    plan = DriftSchedule()
+    for at, value in ((1.0, 4.0), (2.0, 4.0), (3.0, 2.0), (4.0, 1.0)):
+        plan.add(Injection(Drift(kind="friction", value=value), at))
+        assert np.all(plan.values(at)["friction"] == value)
+    assert plan.holds() == {}
+
+
+def test_ramp_starts_where_the_joint_is() -> None:
+    ramp = Drift(kind="supply", value=9.0, shape="ramp", duration_s=10.0)
+    plan = schedule((ramp, 5.0))
+    assert plan.values(5.0)["supply"][0, 0] == 12.0
+    assert plan.values(10.0)["supply"][0, 0] == pytest.approx(10.5)
+    # Half way, one leg turns back up; the others go on.
+    plan.add(
+        Injection(Drift(kind="supply", value=12.0, leg="lf", shape="ramp", duration_s=1.0), 10.0)
+    )
+    assert plan.values(10.5)["supply"][0, 0] == pytest.approx(11.25)
+    assert plan.values(10.5)["supply"][1, 0] == pytest.approx(10.35)
+    last = plan.values(15.0)["supply"]
+    assert last[0, 0] == 12.0
+    assert np.all(last[1:] == 9.0)
+    assert not plan.due(15.1)
+
+
+def test_pulse_goes_back_to_what_was_before() -> None:
+    plan = schedule(
+        (Drift(kind="offset", value=0.01, leg="rm"), 0.0),
+        (Drift(kind="offset", value=0.05, shape="pulse", duration_s=2.0), 1.0),
+    )
+    assert plan.values(0.5)["offset"][4, 0] == 0.01
+    assert np.all(plan.values(2.9)["offset"] == 0.05)
+    after = plan.values(3.0)["offset"]
+    assert np.all(after[4] == 0.01)
+    assert np.all(np.delete(after, 4, axis=0) == 0.0)
+
+
+@given(st.integers(0, 10_000))
+def test_random_walk_stays_between_nominal_and_value(seed: int) -> None:
+    walk = Drift(kind="friction", value=5.0, shape="walk", duration_s=20.0, seed=seed)
+    values = []
+    plan, again = schedule((walk, 0.0)), schedule((walk, 0.0))
+    for t in np.arange(0.0, 25.0, 0.1):
+        value = plan.values(t)["friction"][0, 0]
+        assert value == again.values(t)["friction"][0, 0]
+        values.append(value)
+    assert min(values) >= 1.0
+    assert max(values) <= 5.0
+    assert np.ptp(values) > 0.2
+    assert values[-1] == values[201]  # it stays where it ended
+
+
+def test_many_small_moves_are_one_large() -> None:
+    """Time may be asked for in any steps; what holds depends on the time alone."""
+    ramp = Drift(kind="mass", value=0.08, leg="lr", shape="ramp", duration_s=7.0)
+    fine, coarse = schedule((ramp, 1.0)), schedule((ramp, 1.0))
+    for t in np.arange(0.0, 5.0, 0.02):
+        fine.values(t)
+    assert fine.values(5.0)["mass"][2, 0] == coarse.values(5.0)["mass"][2, 0]
+
+
+@pytest.mark.parametrize(
+    ("drift", "words"),
+    [
+        (Drift(kind="friction", value=50.0), "expected 0.1 to 10"),
+        (Drift(kind="supply", value=0.0), "expected 7 to 14 V"),
+        (Drift(kind="friction", value=float("nan")), "expected 0.1 to 10"),
+        (Drift(kind="friction", value=2.0, leg="rx"), "no leg 'rx'"),
+        (Drift(kind="friction", value=2.0, joint="knee"), "no joint 'knee'"),
+        (Drift(kind="mass", value=0.05, joint="tibia"), "leave out the joint"),
+        (Drift(kind="friction", value=2.0, shape="ramp"), "duration"),
+        (Drift(kind="friction", value=2.0, duration_s=-1.0), "expected 0 to"),
+        (Drift(kind="friction", value=2.0, seed=-1), "expected 0 or more"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(drift: Drift, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words) as caught:
+        DriftSchedule([Injection(drift)])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        ("friction", 4.0),
+        ("viscous", 10.0),
+        ("supply", 9.4),
+        ("compliance", 2.0),
+        ("winding", 1.16),
+        ("backlash", 0.02),
+        ("offset", 0.015),
+        ("mass", 0.08),
+    ],
+)
+def test_every_kind_changes_how_its_leg_moves_and_only_then(kind: str, value: float) -> None:
+    quiet = SimulationSettings()
+    drift = Drift(kind=kind, value=value, leg="rf")
+    nominal = Simulation(quiet)
+    drifting = Simulation(SimulationSettings(drift=(Injection(drift, 1.5),)))
+    apart = 0.0
+    for k in range(150):
+        nominal.advance()
+        drifting.advance()
+        difference = np.abs(nominal.plant.joint_angles - drifting.plant.joint_angles)
+        if k < 75:
+            assert difference.max() == 0.0
+        apart = max(apart, float(difference[9:12].max()))
+    assert apart > 0.003
+    assert list(drifting.now_holds()) == [kind]
+
+
+def test_injected_twice_is_injected_once() -> None:
+    once, twice = Simulation(SimulationSettings()), Simulation(SimulationSettings())
+    for sim, times in ((once, 1), (twice, 3)):
+        for _ in range(60):
+            sim.advance()
+        for _ in range(times):
+            sim.inject(Drift(kind="mass", value=0.06, leg="rf"))
+            sim.inject(Drift(kind="compliance", value=2.0, leg="rf"))
+            sim.inject(Drift(kind="backlash", value=0.01, leg="rf"))
+        for _ in range(60):
+            sim.advance()
+    assert np.array_equal(once.plant.data.qpos, twice.plant.data.qpos)
+
+
+def test_dropout_reaches_the_readings() -> None:
+    sim = Simulation(SimulationSettings())
+    sim.inject(Drift(kind="dropout", value=0.3, leg="rf"))
+    lost = np.zeros(18)
+    for _ in range(200):
+        sim.advance()
+        lost += ~sim.reading.valid
+    assert 30 < lost[9:12].mean() < 90
+    assert lost[:9].sum() + lost[12:].sum() == 0

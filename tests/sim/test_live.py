@@ -1,0 +1,334 @@
+"""The simulator on the wire: against a fake link, and in a process of its own over Zenoh."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from adaptive_contact.service.link import Link, client_settings, router_settings
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    ALL_SERVO,
+    ALL_TRUTH,
+    MSGPACK,
+    SIM_DRIFT,
+    ContactEvent,
+    ContactTruth,
+    Drift,
+    DriftReply,
+    Message,
+    ServoSample,
+    contact_key,
+    decode,
+    encode,
+)
+from adaptive_contact_sim.live import run_live
+from adaptive_contact_sim.pace import Pace
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+
+
+class FakeRequest:
+    def __init__(self, payload: bytes) -> None:
+        self.payload = payload
+        self.encoding = MSGPACK
+        self.replies: list[DriftReply] = []
+        self.closed = False
+
+    def reply(self, message: DriftReply, key: str) -> None:
+        assert key == SIM_DRIFT
+        self.replies.append(message)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class FakeLink:
+    """Keeps what is published; lets a test ask and tell."""
+
+    def __init__(self) -> None:
+        self.published: list[tuple[str, Message]] = []
+        self.sinks: dict[str, Callable] = {}
+
+    def publisher(self, key: str, **_: object) -> FakeLink.Out:
+        return FakeLink.Out(self, key)
+
+    def queryable(self, key: str, sink: Callable) -> FakeLink.Held:
+        self.sinks[key] = sink
+        return FakeLink.Held(self, key)
+
+    subscribe = queryable
+
+    class Out:
+        def __init__(self, link: FakeLink, key: str) -> None:
+            self.link, self.key = link, key
+
+        def put(self, message: Message) -> None:
+            self.link.published.append((self.key, message))
+
+    class Held:
+        def __init__(self, link: FakeLink, key: str) -> None:
+            self.link, self.key = link, key
+
+        def close(self) -> None:
+            del self.link.sinks[self.key]
+
+
+def run_fake(
+    sim: Simulation, seconds: float, on_tick: Callable[[FakeLink, Tick], None]
+) -> FakeLink:
+    link = FakeLink()
+    outcome = run_live(
+        sim,
+        link,
+        seconds=seconds,
+        pace=Pace(0.0),
+        stop=threading.Event(),
+        listen=True,
+        on_tick=lambda tick: on_tick(link, tick),
+    )
+    assert outcome.ticks == sim.ticks == round(seconds / 0.02)
+    assert link.sinks == {}  # all withdrawn at the end
+    return link
+
+
+def test_everything_a_tick_gives_is_published_in_order() -> None:
+    settings = SimulationSettings(motion=WalkSettings(), seed=1)
+    link = run_fake(Simulation(settings), 2.0, lambda *_: None)
+    published = iter(link.published)
+    for tick in Simulation(settings).run(2.0):
+        for leg, sample in tick.samples.items():
+            assert next(published) == (f"robot/leg/{leg}/servo", sample)
+        for truth in tick.truth:
+            assert next(published) == (f"robot/leg/{truth.leg}/truth", truth.message)
+
+
+def test_drifts_are_answered_with_what_holds() -> None:
+    asked: list[FakeRequest] = []
+    payloads = deque(
+        [
+            b"",
+            encode(Drift(kind="friction", value=4.0, leg="rf", joint="femur")),
+            encode(Drift(kind="friction", value=4.0, leg="rf", joint="femur")),
+            encode(Drift(kind="friction", value=400.0)),
+            b"\xc1rubbish",
+            encode(Drift(kind="friction", value=1.0)),
+        ]
+    )
+
+    def ask(link: FakeLink, _: Tick) -> None:
+        if payloads:
+            asked.append(FakeRequest(payloads.popleft()))
+            link.sinks[SIM_DRIFT](asked[-1])
+
+    run_fake(Simulation(SimulationSettings()), 0.4, ask)
+    replies = [request.replies for request in asked]
+    assert all(len(r) == 1 for r in replies)
+    assert all(request.closed for request in asked)
+    nothing, first, again, refused, rubbish, undone = (r[0] for r in replies)
+    holds = {"friction": {"rf": {"femur": 4.0}}}
+    assert (nothing.ok, nothing.holds) == (True, {})
+    assert (first.ok, first.holds) == (True, holds)
+    assert (again.ok, again.holds) == (True, holds)
+    assert (refused.ok, refused.holds) == (False, holds)
+    assert "expected 0.1 to 10" in str(refused.error)
+    assert not rubbish.ok
+    assert "not a drift" in str(rubbish.error)
+    assert (undone.ok, undone.holds) == (True, {})
+
+
+def test_contact_events_stop_legs_and_bad_ones_do_not() -> None:
+    settings = SimulationSettings(
+        motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="flat"), seed=3
+    )
+
+    def tell(link: FakeLink, tick: Tick) -> None:
+        listen = link.sinks["robot/leg/*/contact"]
+        for truth in tick.truth:
+            event = ContactEvent(
+                leg=truth.leg,
+                t_ns=truth.message.t_ns,
+                seq=0,
+                onset_ns=truth.message.t_ns,
+                contact=truth.message.contact,
+                status="valid",
+                score=2.0,
+                residual=[0.0] * 3,
+                model_version=1,
+            )
+            listen(Received(contact_key(truth.leg), encode(event), MSGPACK, 0, None))
+        listen(Received("robot/leg/rf/contact", b"\xc1", MSGPACK, 0, None))
+        listen(Received("robot/leg/**/contact", b"\xc1", MSGPACK, 0, None))
+
+    deaf = run_fake(Simulation(settings), 6.0, lambda *_: None)
+    told = run_fake(Simulation(settings), 6.0, tell)
+    swings = [
+        sum(isinstance(m, ServoSample) and m.phase == "swing" for _, m in link.published)
+        for link in (deaf, told)
+    ]
+    assert swings[1] < 0.9 * swings[0]
+
+
+def test_a_stop_ends_the_run() -> None:
+    stop = threading.Event()
+    seen = []
+
+    def on_tick(tick: Tick) -> None:
+        seen.append(tick)
+        if len(seen) == 5:
+            stop.set()
+
+    sim = Simulation(SimulationSettings())
+    run_live(
+        sim, FakeLink(), seconds=None, pace=Pace(0.0), stop=stop, listen=False, on_tick=on_tick
+    )
+    assert len(seen) == 5
+
+
+class Clock:
+    """A clock and an event whose waiting moves it."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.waits: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now
+
+    def is_set(self) -> bool:
+        return False
+
+    def wait(self, seconds: float) -> bool:
+        self.waits.append(seconds)
+        self.now += seconds + 0.0003  # sleeps oversleep
+        return False
+
+
+def test_pace_does_not_drift() -> None:
+    clock = Clock()
+    pace = Pace(0.02, clock)
+    for _ in range(5000):
+        clock.now += 0.004  # the tick's own work
+        assert pace.wait(clock)
+    assert clock.now == pytest.approx(100.0, abs=0.001)
+    assert pace.late == 0
+
+
+def test_pace_catches_up_little_and_lets_go_of_much() -> None:
+    clock = Clock()
+    pace = Pace(0.02, clock)
+    clock.now += 0.07
+    for _ in range(4):
+        pace.wait(clock)
+    assert pace.late == 3  # three ticks in a burst, then on the grid again
+    assert clock.now == pytest.approx(0.08, abs=0.001)
+    clock.now += 10.0
+    for _ in range(10):
+        pace.wait(clock)
+    assert pace.late == 4
+    assert clock.now == pytest.approx(10.08 + 9 * 0.02, abs=0.01)
+
+
+def test_as_fast_as_possible_never_waits() -> None:
+    clock = Clock()
+    pace = Pace(0.0, clock)
+    assert all(pace.wait(clock) for _ in range(100))
+    assert clock.waits == []
+
+
+@pytest.fixture
+def router() -> Iterator[Link]:
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+        yield link
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "adaptive_contact", "sim", *arguments]
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_in_a_process_of_its_own(router: Link, number: int) -> None:
+    (address,) = router.endpoints
+    samples: list[tuple[float, ServoSample]] = []
+    truths: Counter[str] = Counter()
+    enough = threading.Event()
+
+    def take(received: Received) -> None:
+        sample = decode(received.payload, ServoSample, received.encoding)
+        assert isinstance(sample, ServoSample)
+        if received.key == "robot/leg/rf/servo":
+            samples.append((received.arrival_ns / 1e9, sample))
+            if len(samples) >= 100:
+                enough.set()
+
+    router.subscribe(ALL_SERVO, take)
+    router.subscribe(ALL_TRUTH, lambda r: truths.update([r.key]))
+    process = subprocess.Popen(
+        command("walk", "--terrain", "flat", "--connect", address, "--seed", "1"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        assert enough.wait(30.0)
+        with Link.open(client_settings([address])) as asker:
+            replies = asker.query(SIM_DRIFT, Drift(kind="friction", value=3.0, leg="lm"))
+        injected = subprocess.run(
+            command("inject", "supply", "--value", "10", "--connect", address),
+            capture_output=True,
+            text=True,
+            timeout=30,
+            check=True,
+        )
+    finally:
+        process.send_signal(number)
+        began = time.monotonic()
+        out, _ = process.communicate(timeout=10)
+    assert process.returncode == 0, out
+    assert time.monotonic() - began < 2.0
+    assert "Traceback" not in out
+    assert "x real time" in out
+    reply = decode(replies[0].payload, DriftReply, replies[0].encoding)
+    assert isinstance(reply, DriftReply)
+    assert reply.ok
+    assert reply.holds == {"friction": {"lm": dict.fromkeys(("coxa", "femur", "tibia"), 3.0)}}
+    assert "friction    lm  coxa 3" in injected.stdout
+    assert "supply" in injected.stdout
+    assert len(truths) == 6
+    # Paced by the wall clock, and stamped with it.
+    arrivals = [a for a, _ in samples]
+    rate = (len(arrivals) - 1) / (arrivals[-1] - arrivals[0])
+    assert rate == pytest.approx(50.0, rel=0.05)
+    assert [s.seq for _, s in samples] == list(range(samples[0][1].seq, samples[-1][1].seq + 1))
+    assert abs(samples[-1][1].t_ns / 1e9 - time.time()) < 60.0
+    assert samples[0][1].run is not None
+
+
+@pytest.mark.e2e
+def test_truth_waits_for_late_joiners(router: Link) -> None:
+    (address,) = router.endpoints
+    with subprocess.Popen(
+        command("pose", "--connect", address), stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert "publishing" in process.stdout.readline()
+        until = time.monotonic() + 10.0
+        found: dict[str, ContactTruth] = {}
+        while len(found) < 6 and time.monotonic() < until:
+            for reply in router.query(ALL_TRUTH):
+                truth = decode(reply.payload, ContactTruth, reply.encoding)
+                if isinstance(truth, ContactTruth):
+                    found[reply.key] = truth
+        process.terminate()
+        process.wait(10)
+    assert len(found) == 6
+    assert found["robot/leg/lf/truth"].contact

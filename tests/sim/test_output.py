@@ -1,0 +1,127 @@
+"""Recordings, pictures and films."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from adaptive_contact.errors import ConfigurationError, MissingExtraError, RecordingError
+from adaptive_contact.service.recording import read_recording
+from adaptive_contact.wire import ContactTruth, Drift, ServoSample, decode, servo_key, truth_key
+from adaptive_contact_sim import picture
+from adaptive_contact_sim.drift import Injection
+from adaptive_contact_sim.film import Film
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.picture import EnginePainter
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.recorder import record_file
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.stick import StickPainter
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+
+WALK = SimulationSettings(
+    motion=WalkSettings(),
+    terrain=TerrainSettings(kind="rough"),
+    seed=2,
+    drift=(Injection(Drift(kind="friction", value=3.0, leg="rf"), 1.0),),
+)
+HITS = SimulationSettings(
+    motion=PoseSettings(obstacles=ObstacleSettings(1.0, shapes=("plate",))), seed=3
+)
+
+
+def test_a_recording_is_the_run(tmp_path: Path) -> None:
+    path = tmp_path / "walk.mcap"
+    assert record_file(WALK, 3.0, path) == 150
+    by_key: dict[str, list] = {}
+    for record in read_recording(path):
+        by_key.setdefault(record.key, []).append(record)
+    expected_truth: dict[str, list[ContactTruth]] = {}
+    for k, tick in enumerate(Simulation(WALK).run(3.0)):
+        for leg, sample in tick.samples.items():
+            record = by_key[servo_key(leg)][k]
+            assert decode(record.payload, ServoSample, record.encoding) == sample
+        for truth in tick.truth:
+            expected_truth.setdefault(truth.leg, []).append(truth.message)
+    for leg, messages in expected_truth.items():
+        records = by_key[truth_key(leg)]
+        assert [decode(r.payload, ContactTruth, r.encoding) for r in records] == messages
+    (drift,) = by_key["robot/sim/drift"]
+    assert decode(drift.payload, Drift, drift.encoding) == WALK.drift[0].drift
+    assert drift.log_time_ns == 1_000_000_000
+
+
+def test_the_same_run_is_the_same_file(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        record_file(WALK, 2.0, tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_recording_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be written"):
+        record_file(WALK, 1.0, tmp_path / "none" / "walk.mcap")
+
+
+def engine_or_skip(sim: Simulation) -> EnginePainter:
+    try:
+        return EnginePainter(sim, 320, 240)
+    except ConfigurationError as error:
+        pytest.skip(f"no EGL on this machine: {error}")
+
+
+def seen(image: np.ndarray, colour: tuple[int, int, int], tolerance: int = 60) -> int:
+    return int((np.abs(image.astype(int) - colour).max(axis=2) < tolerance).sum())
+
+
+@pytest.mark.parametrize("kind", ["engine", "stick"])
+def test_pictures_show_which_feet_touch(kind: str) -> None:
+    sim = Simulation(HITS)
+    for _ in range(63):  # rf is in the air, high up
+        sim.advance()
+    painter = engine_or_skip(sim) if kind == "engine" else StickPainter(sim, 320, 240)
+    image = painter.paint(sim)
+    painter.close()
+    assert image.shape == (240, 320, 3)
+    assert image.dtype == np.uint8
+    assert seen(image, (237, 41, 36)) > 15
+    assert seen(image, (41, 140, 224)) > 10
+    # Robot, ground and sky: not one flat colour.
+    assert image.reshape(-1, 3).std(axis=0).min() > 15
+
+
+def test_png_gif_and_their_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim = Simulation(WALK)
+    monkeypatch.setattr(
+        picture, "EnginePainter", lambda *_: (_ for _ in ()).throw(ConfigurationError("no EGL"))
+    )
+    with Film(tmp_path / "a.gif", sim) as film, Film(tmp_path / "a.png", sim) as still:
+        assert film.fallback == "no EGL"
+        for _ in range(60):
+            sim.advance()
+            film.look()
+            still.look()
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert gif.n_frames == 15
+        assert gif.info["duration"] == 80
+        assert gif.size == (480, 360)
+    with Image.open(tmp_path / "a.png") as png:
+        assert png.size == (960, 720)
+
+
+def test_what_cannot_be_rendered_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sim = Simulation(HITS)
+    with pytest.raises(ConfigurationError, match=r"ending in \.png, \.gif, \.mp4"):
+        Film(tmp_path / "film.avi", sim)
+    with pytest.raises(ConfigurationError, match="folder does not exist"):
+        Film(tmp_path / "none" / "film.gif", sim)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingExtraError, match=r"adaptive-contact\[video\]"):
+        Film(tmp_path / "film.mp4", sim)
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(MissingExtraError, match=r"adaptive-contact\[plot\]"):
+        Film(tmp_path / "film.gif", sim)

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import WORKSPACES, PoseSettings
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+
+GEOMETRY = LegGeometry.of()
+
+
+def swings_of(swing: np.ndarray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], swing.astype(int), [0]])))
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def test_a_trial_is_the_papers() -> None:
+    """10 steps up, 10 down, between the subspaces, straight in space, 3 ticks of hold."""
+    leg = record_arrays(SimulationSettings(seed=1), 40.0).legs["rf"]
+    lower, upper = WORKSPACES["paper"]
+    feet = GEOMETRY.feet(leg.desired)
+    swings = swings_of(leg.swing)[:-1]
+    assert len(swings) > 70
+    slack = 0.0015  # of the goal registers' steps
+    for begin, end in swings:
+        assert end - begin == 20
+        assert not leg.swing[end : end + 3].any()
+        assert np.array_equal(
+            leg.desired[end : end + 3], np.repeat(leg.desired[end - 1 : end], 3, 0)
+        )
+        for point, space in ((feet[end - 1], lower), (feet[begin + 9], upper)):
+            low, high = space.height_m
+            assert low - slack < point[2] < high + slack
+            assert space.reach_m[0] - slack < np.hypot(*point[:2]) < space.reach_m[1] + slack
+        for part in (feet[begin : begin + 10], feet[begin + 9 : end]):
+            steps = np.diff(part, axis=0)
+            # Equal steps, all in one direction.
+            assert np.abs(steps - steps.mean(axis=0)).max() < 2.5 * slack
+    assert upper.height_m[0] - lower.height_m[1] == pytest.approx(0.05)
+    assert np.ptp(lower.height_m) == pytest.approx(0.05)
+    assert np.ptp(upper.height_m) == pytest.approx(0.05)
+
+
+def test_joint_paths_are_straight_in_the_joints() -> None:
+    leg = record_arrays(SimulationSettings(motion=PoseSettings(path="joint")), 10.0).legs["rf"]
+    for begin, _ in swings_of(leg.swing)[:-1]:
+        steps = np.diff(leg.desired[begin : begin + 10], axis=0)
+        assert np.abs(steps - steps.mean(axis=0)).max() < 0.0055
+
+
+def test_free_air_is_free_and_the_body_stands() -> None:
+    run = record_arrays(SimulationSettings(seed=2), 60.0)
+    assert len(run.legs["rf"].onsets) == 1  # standing at the start
+    assert not run.legs["rf"].contact[60:].any()
+    assert run.position_m[:, 2].min() > 0.15
+    assert np.degrees(np.arccos(run.rotation[:, 2, 2])).max() < 5.0
+    for leg in set(LEGS) - {"rf"}:
+        assert not run.legs[leg].swing.any()
+        assert run.legs[leg].contact.mean() > 0.99
+
+
+@pytest.mark.parametrize("approach", ["descent", "graze", "forward", "slow"])
+def test_obstacles_are_met_on_descents(approach: str) -> None:
+    motion = PoseSettings(approach=approach, obstacles=ObstacleSettings(probability=1.0))
+    run = record_arrays(SimulationSettings(motion=motion, seed=3), 60.0)
+    leg = run.legs["rf"]
+    onsets = [o for o in leg.onsets if o.tick > 60]
+    swings = swings_of(leg.swing)
+    assert len(onsets) >= 0.4 * len(swings)
+    late = 0
+    for onset in onsets:
+        inside = [b for b, e in swings if b <= onset.tick < e + 3]
+        assert inside  # never while the leg moves between turns
+        late += onset.tick - inside[0] >= 10
+    assert late >= 0.95 * len(onsets)  # in the descent, not the ascent
+    speeds = np.array([o.speed_m_s for o in onsets if o.speed_m_s is not None])
+    if approach == "slow":
+        assert np.median(speeds) < 0.1
+    else:
+        assert np.median(speeds) > 0.3
+    if approach == "graze":
+        assert np.mean([o.grazing for o in onsets]) > 0.6
+    # The obstacle leaves with the foot: no contact outlives the next ascent.
+    longest = max(end - begin for begin, end in swings_of(leg.contact[60:]))
+    assert longest < (140 if approach == "slow" else 35)
+
+
+def test_react_stops_the_command_and_ends_the_swing() -> None:
+    motion = PoseSettings(react_ms=60.0, obstacles=ObstacleSettings(probability=1.0))
+    leg = record_arrays(SimulationSettings(motion=motion, seed=4), 40.0).legs["rf"]
+    checked = 0
+    for begin, end in swings_of(leg.swing)[:-1]:
+        touched = [o.tick for o in leg.onsets if begin + 10 <= o.tick < end]
+        if touched and end - begin < 20:
+            # Three samples after the touch still say swing, and the command goes on.
+            assert 3 <= end - touched[0] - 1 <= 4
+            assert np.array_equal(leg.desired[end], leg.desired[end - 1])
+            checked += 1
+    assert checked > 20
+
+
+def test_legs_take_turns_without_a_swing_between() -> None:
+    motion = PoseSettings(legs=LEGS, trials_per_turn=3)
+    run = record_arrays(SimulationSettings(motion=motion), 25.0)
+    order = []
+    for k in range(len(run.t_ns)):
+        moving = [leg for leg in LEGS if run.legs[leg].swing[k]]
+        assert len(moving) <= 1
+        if moving and (not order or order[-1] != moving[0]):
+            order.append(moving[0])
+    assert order[:6] == list(LEGS)
+    for leg in LEGS:
+        begin, end = swings_of(run.legs[leg].swing)[0]
+        assert end - begin == 20
+    steps = np.abs(np.diff(run.legs["lm"].desired, axis=0))
+    assert steps.max() < 0.6  # no jump on changing turns
+
+
+def test_whole_workspace_is_larger() -> None:
+    reach = {}
+    for workspace in ("paper", "whole"):
+        motion = PoseSettings(workspace=workspace)
+        leg = record_arrays(SimulationSettings(motion=motion), 30.0).legs["rf"]
+        feet = GEOMETRY.feet(leg.desired[leg.swing])
+        reach[workspace] = np.ptp(feet, axis=0)
+    assert (reach["whole"] > 1.2 * reach["paper"]).all()
+
+
+def test_obstacles_do_not_shift_the_motion() -> None:
+    """The same seed moves the leg the same way, whatever is in its way."""
+    base = SimulationSettings(seed=9)
+    blocked = dataclasses.replace(
+        base, motion=PoseSettings(obstacles=ObstacleSettings(probability=1.0))
+    )
+    free, hit = (Simulation(s) for s in (base, blocked))
+    for _ in range(300):
+        free.advance()
+        hit.advance()
+        assert np.array_equal(free.desired, hit.desired)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"legs": ("rx",)}, "expected some of lf"),
+        ({"legs": ()}, "expected some of lf"),
+        ({"workspace": "big"}, "workspaces are paper, whole"),
+        ({"approach": "jump"}, "approaches are descent"),
+        ({"segment_ticks": 1}, "4 to 500"),
+        ({"trials_per_turn": 0}, "at least 1"),
+        ({"path": "zigzag"}, "cartesian"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        PoseSettings(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"probability": 1.5}, "expected 0 to 1"),
+        ({"soft": -1.0}, "expected 0 to 1"),
+        ({"shapes": ("cone",)}, "plate, sphere, edge"),
+        ({"where": (0.9, 0.1)}, "rising"),
+    ],
+)
+def test_obstacle_settings_are_checked(settings: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        ObstacleSettings(**settings)

@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import Drift
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.scenario import load_scenario, parse_scenario, shipped_scenarios
+from adaptive_contact_sim.simulation import Simulation
+from adaptive_contact_sim.walk import WalkSettings
+
+# Names are permanent: add, never rename.
+NAMES = {
+    "pose-collisions": PoseSettings,
+    "pose-free": PoseSettings,
+    "pose-worn": PoseSettings,
+    "walk-battery": WalkSettings,
+    "walk-mud": WalkSettings,
+    "walk-rough": WalkSettings,
+    "walk-soft": WalkSettings,
+    "walk-steps": WalkSettings,
+}
+
+FULL = """
+about = "all of it"
+mode = "walk"
+seconds = 12.5
+seed = 3
+robot_seed = 4
+[walk]
+gait = "wave"
+depth_m = [0.02, 0.03]
+[terrain]
+kind = "steps"
+relief_m = 0.02
+[encoder]
+dropped = 0.01
+[[drift]]
+kind = "friction"
+leg = "rf"
+joint = "all"
+value = 4
+at_s = 10
+[[drift]]
+kind = "offset"
+value = 0.01
+shape = "pulse"
+duration_s = 2
+"""
+
+
+def test_shipped_scenarios_keep_their_names_and_run() -> None:
+    shipped = shipped_scenarios()
+    assert set(NAMES) <= set(shipped)
+    seeds = [s.settings.seed for s in shipped.values()]
+    assert len(set(seeds)) == len(seeds)
+    for name, scenario in shipped.items():
+        assert scenario.about
+        assert scenario.seconds
+        if name in NAMES:
+            assert isinstance(scenario.settings.motion, NAMES[name])
+        Simulation(scenario.settings).advance()
+
+
+def test_every_setting_can_be_said() -> None:
+    scenario = parse_scenario(FULL, name="full")
+    settings = scenario.settings
+    assert (scenario.seconds, settings.seed, settings.robot_seed) == (12.5, 3, 4)
+    assert isinstance(settings.motion, WalkSettings)
+    assert settings.motion.gait == "wave"
+    assert settings.motion.depth_m == (0.02, 0.03)
+    assert (settings.terrain.kind, settings.terrain.relief_m) == ("steps", 0.02)
+    assert settings.encoder.dropped == 0.01
+    first, second = settings.drift
+    assert first.at_s == 10.0
+    assert first.drift == Drift(kind="friction", leg="rf", value=4.0)
+    assert second.at_s == 0.0
+    assert second.drift.shape == "pulse"
+
+
+def test_obstacles_are_a_table_of_the_pose() -> None:
+    text = 'mode = "pose"\n[pose]\nlegs = ["lf", "rr"]\n[pose.obstacles]\nprobability = 0.5\n'
+    motion = parse_scenario(text, name="p").settings.motion
+    assert isinstance(motion, PoseSettings)
+    assert motion.legs == ("lf", "rr")
+    assert motion.obstacles.probability == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", 'expected "pose" or "walk"'),
+        ('mode = "swim"', 'expected "pose" or "walk"'),
+        ("mode = ", "not valid TOML"),
+        ('mode = "walk"\nsecond = 3', "did you mean 'seconds'"),
+        ('mode = "walk"\nseconds = -3', "seconds is -3"),
+        ('mode = "walk"\nseconds = true', "seconds is True"),
+        ('mode = "walk"\nseed = 1.5', "seed is 1.5"),
+        ('mode = "walk"\n[pose]', r"has a table \[pose\]"),
+        ('mode = "pose"\n[terrain]', r"has a table \[terrain\]"),
+        ('mode = "walk"\n[walk]\ngiat = "wave"', "did you mean 'gait'"),
+        ('mode = "walk"\n[walk]\ngait = 3', r"\[walk\]"),
+        ('mode = "walk"\nwalk = 3', "not a table"),
+        ('mode = "walk"\n[walk]\nstride_m = 3.0', "expected 0 to 0.09 m"),
+        ('mode = "walk"\n[terrain]\nkind = "sand"', r"\[terrain\]"),
+        ('mode = "walk"\n[drift]\nkind = "mass"', r"write \[\[drift\]\]"),
+        ('mode = "walk"\n[[drift]]\nkind = "mass"', "has no value"),
+        ('mode = "walk"\n[[drift]]\nkind = "mass"\nvalue = 9.0', "expected 0 to 0.5 kg"),
+        ('mode = "pose"\n[pose.obstacles]\nprobability = 2.0', "expected 0 to 1"),
+    ],
+)
+def test_errors_are_one_line_that_names_the_file(text: str, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words) as caught:
+        parse_scenario(text, name="mine", source="mine.toml")
+    assert str(caught.value).startswith("mine.toml: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_loading(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(FULL, encoding="utf-8")
+    assert load_scenario(str(file)).name == "mine"
+    assert load_scenario("walk-mud").settings.seed == 4
+    with pytest.raises(ConfigurationError, match="did you mean 'walk-mud'"):
+        load_scenario("walk-mut")
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_scenario(str(tmp_path / "none.toml"))
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigurationError, match="UTF-8"):
+        load_scenario(str(file))

@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.arrays import Run, record_arrays
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.gait import GAITS, Swings, quintic
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+
+
+def walk(gait: str = "tripod", kind: str = "rough", seconds: float = 20.0, **motion: object) -> Run:
+    return record_arrays(
+        SimulationSettings(
+            motion=WalkSettings(gait=gait, **motion), terrain=TerrainSettings(kind=kind), seed=11
+        ),
+        seconds,
+    )
+
+
+def test_quintic_is_smooth() -> None:
+    x = np.linspace(-0.5, 1.5, 2001)
+    y = quintic(x)
+    assert y[0] == 0.0
+    assert y[-1] == 1.0
+    assert (np.diff(y) >= 0.0).all()
+    speed = np.gradient(y, x)
+    assert speed.max() == pytest.approx(1.875, abs=1e-3)
+    assert np.abs(np.gradient(speed, x)).max() < 6.0  # no kink at the ends
+
+
+@pytest.mark.parametrize(("name", "most"), [("tripod", 3), ("ripple", 2), ("wave", 1)])
+def test_gaits_never_lift_too_many(name: str, most: int) -> None:
+    gait = GAITS[name]
+    for clock in np.linspace(0.0, 1.0, 1000, endpoint=False):
+        up = [(clock + offset) % 1.0 < gait.share for offset in gait.offsets]
+        assert sum(up) <= most
+        if name == "tripod" and any(up):
+            assert up in ([True, False] * 3, [False, True] * 3)
+        if name == "ripple":
+            # Never two neighbours on one side.
+            for a, b in ((0, 1), (1, 2), (3, 4), (4, 5)):
+                assert not (up[a] and up[b])
+
+
+def test_swing_lifts_then_moves_then_comes_down() -> None:
+    feet = np.zeros((6, 3))
+    swings = Swings.at(feet)
+    swings.target_m[:] = [0.06, 0.02, -0.03]
+    swings.top_m[:] = 0.045
+    path = np.array([swings.feet(np.full(6, p))[0] for p in np.linspace(0, 1, 101)])
+    assert np.allclose(path[0], 0.0)
+    assert np.allclose(path[-1], [0.06, 0.02, -0.03])
+    assert path[:, 2].max() == pytest.approx(0.045)
+    # Most of the way forward is made in the air, well above the ground.
+    assert (path[(path[:, 0] > 0.012) & (path[:, 0] < 0.048), 2] > 0.01).all()
+    assert np.abs(np.diff(path, axis=0)).max() < 0.004
+
+
+@pytest.mark.parametrize(
+    ("gait", "kind"),
+    [("tripod", "rough"), ("ripple", "rough"), ("wave", "rough"), ("tripod", "steps"),
+     ("tripod", "soft"), ("ripple", "flat")],
+)  # fmt: skip
+def test_it_walks_and_touches(gait: str, kind: str) -> None:
+    run = walk(gait, kind)
+    way = np.linalg.norm(np.diff(run.position_m[::50, :2], axis=0), axis=1).sum()
+    pace = {"tripod": 0.04, "ripple": 0.02, "wave": 0.008}[gait]
+    assert way > pace * 20.0
+    assert np.abs(run.position_m[:, :2]).max() < 2.3
+    assert run.position_m[:, 2].min() > 0.07
+    assert np.degrees(np.arccos(run.rotation[:, 2, 2].clip(-1, 1))).max() < 14.0
+    speeds, left = [], []
+    for leg in LEGS:
+        stream = run.legs[leg]
+        swings = np.flatnonzero(np.diff(stream.swing.astype(int)) == 1)
+        in_swing = [o for o in stream.onsets if o.tick > 50 and stream.swing[o.tick]]
+        assert len(in_swing) >= 0.8 * (len(swings) - 1)
+        for onset in in_swing:
+            speeds.append(onset.speed_m_s)
+            after = stream.swing[onset.tick + 1 :]
+            if after.all():
+                continue
+            left.append(int(np.argmin(after)))
+    assert np.median(speeds) > 0.25
+    # The command goes on for 60 ms after a touch: three more samples say swing.
+    assert np.mean(np.array(left) >= 3) > 0.9
+    assert np.median(left) == 3
+
+
+def test_thirty_minutes_are_not_harder_than_one() -> None:
+    """The start is nothing special (half an hour itself is a benchmark, not a test)."""
+    run = walk(seconds=60.0)
+    tilt = np.degrees(np.arccos(run.rotation[:, 2, 2].clip(-1, 1)))
+    early, late = tilt[:1000], tilt[-1000:]
+    assert late.mean() < early.mean() + 1.0
+    assert run.position_m[-1000:, 2].min() > 0.08
+
+
+def test_never_stopped_legs_swing_to_the_end() -> None:
+    stopped, never = walk(kind="flat"), walk(kind="flat", stop_on="never")
+    assert never.legs["rf"].swing.mean() > 1.1 * stopped.legs["rf"].swing.mean()
+    assert never.position_m[:, 2].min() > 0.08
+
+
+def test_slower_reaction_swings_longer() -> None:
+    lengths = [walk(kind="flat", react_ms=r).legs["rm"].swing.sum() for r in (0.0, 60.0, 120.0)]
+    assert lengths[0] < lengths[1] < lengths[2]
+
+
+def test_service_stops_a_leg_only_when_it_says_so() -> None:
+    settings = SimulationSettings(
+        motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="flat"), seed=3
+    )
+    silent, told = Simulation(settings), Simulation(settings)
+    swings = {"silent": 0, "told": 0}
+    for _ in range(400):
+        for name, sim in (("silent", silent), ("told", told)):
+            tick = sim.tick()
+            swings[name] += tick.samples["rf"].phase == "swing"
+            if name == "told":
+                for truth in tick.truth:
+                    sim.notify_contact(truth.leg, truth.message.contact)
+    assert swings["told"] < 0.9 * swings["silent"]
+    told.notify_contact("nobody")  # unknown legs are ignored
+
+
+def test_a_stale_word_of_the_service_does_not_stop_the_next_swing() -> None:
+    settings = SimulationSettings(
+        motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="flat"), seed=3
+    )
+    free, stale = Simulation(settings), Simulation(settings)
+    for leg in LEGS:
+        stale.notify_contact(leg)  # before any swing, never taken back
+    for _ in range(150):
+        free.advance()
+        stale.advance()
+        assert free.phase == stale.phase
+
+
+def test_preview_continues_swings() -> None:
+    sim = Simulation(
+        SimulationSettings(
+            motion=WalkSettings(stop_on="never"),
+            terrain=TerrainSettings(kind="flat"),
+            preview_ticks=1,
+        )
+    )
+    errors = []
+    before = None
+    for tick in sim.run(4.0):
+        if before is not None:
+            for leg in LEGS:
+                now, last = tick.samples[leg], before[leg]
+                if now.phase == last.phase == "swing" and last.preview is not None:
+                    errors.append(np.abs(np.array(last.preview[0]) - now.desired).max())
+        before = tick.samples
+    assert len(errors) > 300
+    assert np.percentile(errors, 95) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"gait": "trot"}, "gaits are tripod, ripple, wave"),
+        ({"stop_on": "luck"}, "truth, service, never"),
+        ({"stride_m": 0.5}, "stride is 0.5 m; expected 0 to 0.09 m"),
+        ({"swing_s": 0.01}, "expected 0.3 to 3 s"),
+        ({"depth_m": (0.01, 0.03)}, "expected 0.02 to 0.06 m"),
+        ({"react_ms": -1.0}, "expected 0 to 1000 ms"),
+        ({"variability": float("nan")}, "expected 0 to 0.4"),
+    ],
+)
+def test_settings_are_checked(settings: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        WalkSettings(**settings)
+
+
+def test_seeds_vary_the_way() -> None:
+    base = SimulationSettings(motion=WalkSettings(), terrain=TerrainSettings(kind="flat"))
+    ends = [
+        record_arrays(dataclasses.replace(base, seed=s), 8.0).position_m[-1, :2] for s in (1, 2)
+    ]
+    assert np.linalg.norm(ends[0] - ends[1]) > 0.02
