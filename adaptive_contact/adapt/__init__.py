@@ -10,12 +10,14 @@ from adaptive_contact.adapt.baseline import (
     save_baseline,
     shipped_baseline,
 )
+from adaptive_contact.adapt.follower import LearnerMode
 from adaptive_contact.adapt.learner import ContactLearner
 
 __all__ = [
     "Baseline",
     "ContactLearner",
     "LearnerBank",
+    "LearnerMode",
     "LegBaseline",
     "load_baseline",
     "save_baseline",

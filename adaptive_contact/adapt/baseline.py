@@ -46,11 +46,13 @@ class LegBaseline:
     Attributes:
         model: one step ahead.
         noise: residuals on free ticks.
+        scale: (p,) root mean square of every regressor on free ticks.
         rows: ticks the model was fitted to.
     """
 
     model: LegModel
     noise: NoiseModel
+    scale: Array
     rows: int
 
 
@@ -113,6 +115,7 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     axes: tuple[str, ...]
     rows: int
     terms: dict[str, dict[str, float]]
+    scale: dict[str, float]
     covariance: list[list[list[list[float]]]]
     ticks: list[float]
 
@@ -273,6 +276,7 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         axes=library.axes,
         rows=known.rows,
         terms={name: dict(known.model.terms(j)) for j, name in enumerate(library.joints)},
+        scale=dict(zip(library.names, known.scale.tolist(), strict=True)),
         covariance=known.noise.covariance.tolist(),
         ticks=known.noise.ticks.tolist(),
     )
@@ -296,9 +300,11 @@ def _baseline(file: _File) -> Baseline:
         shape = (CONTEXTS, len(WINDOWS), joints, joints)
         covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
         ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
-        legs[leg] = LegBaseline(
-            LegModel(library, coefficients), NoiseModel(covariance, ticks), entry.rows
-        )
+        scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
+        if not (np.isfinite(scale).all() and (scale > 0).all()):
+            raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
+        model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
+        legs[leg] = LegBaseline(model, noise, scale, entry.rows)
     if not legs:
         raise IdentificationError("it has no legs; learn it anew")
     if len(file.tails) != len(WINDOWS):

@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline, unlike
+from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.refit import InlineRefitter, Refitter
+from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.stream import Accepted, StreamGuard
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS, Tracker
 from adaptive_contact.detect import (
@@ -27,15 +30,18 @@ from adaptive_contact.detect import (
     onset_fraction,
     statistic,
 )
+from adaptive_contact.identify import LegModel
 from adaptive_contact.robot import Leg, Robot, height
 from adaptive_contact.robot.phase import Direction, PhaseTracker
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
+    DriftLevel,
     LearnerStatus,
     ModelReport,
     ModelTerm,
     Phase,
+    RefitCounts,
     Reject,
     ServoSample,
     Status,
@@ -45,6 +51,8 @@ __all__ = ["ContactLearner", "advance"]
 
 Array = NDArray[np.float64]
 
+# Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
+ROWS_PER_TICK: Final = 3
 # Free residuals remembered for the status, about the swings of the last ten seconds.
 STATUS_TICKS: Final = 256
 
@@ -56,13 +64,23 @@ class ContactLearner:
         robot: the robot's description.
         leg: id of the leg.
         baseline: what is known of its free motion; without one the learner says ``learning``.
+        mode: how it follows changes of the leg.
+        refitter: does the sparse refits; in line where absent.
 
     Raises:
         ConfigurationError: the robot has no such leg.
         BaselineError: the baseline belongs to another robot.
     """
 
-    def __init__(self, robot: Robot, leg: str, baseline: Baseline | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        leg: str,
+        baseline: Baseline | None = None,
+        *,
+        mode: LearnerMode = LearnerMode.FULL,
+        refitter: Refitter | None = None,
+    ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
         self.robot = robot
@@ -83,15 +101,24 @@ class ContactLearner:
         self._command_before = self._command
         self._height = 0.0
         self._rising = False
+        self._last_region = 0
+        self._period_ns = round(robot.period_s * 1e9)
         self._axes = self.leg.joint_axes
         self._direction = Direction.DESCENT
         self._where = 0
         self.tracker: Tracker | None = None
         self.thresholds: Array | None = None
+        self._book = SwingBook()
+        self._follower: Follower | None = None
+        self._unit: Array | float = 1.0  # variance of this tick's residual over the baseline's
+        self._rising_foot = False
+        self._measured_height = 0.0
+        self._swing_open = False
         if self._known is not None:
             assert baseline is not None
             self.tracker = Tracker(self._known.model, self._quantum)
             self.thresholds = baseline.thresholds(robot.detector.false_alarms_per_hour)
+            self._follower = Follower(leg, self._known, mode, refitter or InlineRefitter())
 
     # -- public --------------------------------------------------------------------------------
 
@@ -116,10 +143,24 @@ class ContactLearner:
         return self._state.contact
 
     @property
+    def model(self) -> LegModel | None:
+        """The model in force, or None while there is none."""
+        return None if self._follower is None else self._follower.model
+
+    @property
     def whitening(self) -> Array:
         """(windows, J, J) for the context of the tick in hand."""
         assert self._known is not None
-        return np.asarray(self._known.noise.whiten[self._where])
+        whiten = self._known.noise.whiten[self._where]
+        return np.asarray(whiten / np.sqrt(self._unit))
+
+    def drain_confirmed(self) -> list[int]:
+        """Times of the ticks confirmed as free since the last call, ns."""
+        if self._follower is None:
+            return []
+        times = list(self._follower.confirmed_ns)
+        self._follower.confirmed_ns.clear()
+        return times
 
     @property
     def status(self) -> LearnerStatus:
@@ -135,7 +176,9 @@ class ContactLearner:
             model_version=self._version,
             residual_rms=rms,
             noise_floor=floor,
-            buffer=BufferCounts(),
+            buffer=BufferCounts() if self._follower is None else self._follower.buffer.counts,
+            drift=DriftLevel() if self._follower is None else self._follower.drift,
+            refits=RefitCounts() if self._follower is None else self._follower.refits,
             ticks=self._counts["ticks"],
             rejects={str(reason): n for reason, n in sorted(self._rejects.items())},
             missed=self._guard.missed,
@@ -149,7 +192,8 @@ class ContactLearner:
         """The model in terms and equations, or None while there is none."""
         if self._known is None:
             return None
-        model = self._known.model
+        assert self._follower is not None
+        model = self._follower.model
         joints = range(len(self.leg.joints))
         terms = [[ModelTerm(name=n, coefficient=c) for n, c in model.terms(j)] for j in joints]
         assert self.thresholds is not None
@@ -189,7 +233,14 @@ class ContactLearner:
         )
         valid = None if sample.valid is None else np.array(sample.valid)
         judged = tracker.observe(np.array(sample.measured), valid)
-        return judged and self._swing_ticks > 1
+        if self.leg.lengths_m is not None:
+            now = height(sample.measured, self.leg.lengths_m, self._axes)
+            self._rising_foot = now > self._measured_height
+            self._measured_height = now
+        judged = judged and self._swing_ticks > 1
+        if judged and self._follower is not None and tracker.theta is not None:
+            self._unit = self._follower.variance(tracker.theta)
+        return judged
 
     def decide(
         self, value: Array | None, distance: float, sample: ServoSample
@@ -219,10 +270,12 @@ class ContactLearner:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
         elif not (loaded or self._state.contact):
             self._recent.append(tracker.residuals[0].copy())
+        self._enter(distance, sample, calm=not loaded)
         if decision is None:
             return None
         if decision.contact:
             self._counts["contacts"] += 1
+            self._confirm(self._book.alarm(decision.onset_ns, self._period_ns))
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
@@ -238,13 +291,60 @@ class ContactLearner:
             self._counts["no_preview"] += 1
         return ready
 
+    def learn(self) -> None:
+        """The tick's share of learning: rows that wait, and refits that are due."""
+        if self._follower is None or self.tracker is None or not self._follower.learning:
+            return
+        self._follower.tick(ROWS_PER_TICK)
+        self.tracker.model = self._follower.model
+
     # -- private -------------------------------------------------------------------------------
+
+    def _enter(self, distance: float, sample: ServoSample, *, calm: bool) -> None:
+        """Enter the tick in the swing's book, and hand on what the book releases."""
+        follower, tracker = self._follower, self.tracker
+        if follower is None or tracker is None or not follower.learning:
+            return
+        assert tracker.last_theta is not None
+        target = tracker.residuals[0] + tracker.increments[0]
+        # The model's own doubt is part of the unit; the followed level is not.
+        level = distance * follower.level_in_force / len(target)
+        free = calm and not self._state.contact
+        row = Row(tracker.last_theta, target, level, sample.t_ns, self._rising_foot, free)
+        if follower.mode is LearnerMode.UNGATED:
+            follower.learn_now(row)
+            return
+        self._book.add(row, self._swing_ticks, descending=self._descending)
+        lift = self._book.take_lift()
+        if lift is not None:
+            follower.lift(lift, self._region(sample), sample.t_ns)
+
+    def _confirm(self, rows: list[Row]) -> None:
+        if self._follower is not None and rows:
+            self._follower.descent(rows, self._last_region)
+
+    def _region(self, sample: ServoSample) -> int:
+        """A coarse place in the workspace: where the first joint points, and how far it reaches."""
+        first = sample.desired[0]
+        bend = sample.desired[-1]
+        self._last_region = int(first > 0.2) - int(first < -0.2) + 1 + 3 * int(bend > -1.4)
+        return self._last_region
+
+    def _resolve(self) -> None:
+        """The swing is over: no alarm, or one that has been dealt with."""
+        if not self._swing_open or self._follower is None:
+            return
+        self._swing_open = False
+        self._confirm(self._book.resolve())
+        self._follower.swing_done()
 
     def _connect(self, result: Accepted, sample: ServoSample) -> None:
         tracker = self.tracker
         if result.restart:
             self._state.reset()
             self._swing_ticks = 0
+            self._swing_open = False
+            self._book.discard()
             self._command = self._command_before = sample.desired
             if self._phase is not None:
                 self._phase = PhaseTracker()
@@ -255,6 +355,7 @@ class ContactLearner:
                 tracker.bridge(np.array(sample.desired), result.missed)
             else:
                 tracker.restart()
+                self._book.discard()
 
     def _follow_phase(self, sample: ServoSample) -> None:
         phase: Phase | None = None
@@ -270,9 +371,15 @@ class ContactLearner:
             self._counts["no_phase"] += 1
         if phase != "swing":
             self._swing_ticks = 0
+            self._resolve()
             return
         self._swing_ticks += 1
         if self._swing_ticks == 1:
+            self._resolve()
+            self._swing_open = True
+            self._book.begin(sample.t_ns)
+            if self._follower is not None:
+                self._follower.begin_swing()
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()
@@ -287,7 +394,7 @@ class ContactLearner:
     def _onset(self, sample: ServoSample, width: int) -> int:
         tracker = self.tracker
         assert tracker is not None
-        period = round(self.robot.period_s * 1e9)
+        period = self._period_ns
         first = width - 1
         share = onset_fraction(tracker.residuals[first], tracker.increments[first])
         return sample.t_ns - first * period - round(share * period)
@@ -308,11 +415,11 @@ class ContactLearner:
 
     @property
     def _status(self) -> Status:
-        return "learning" if self._known is None else "valid"
+        return "learning" if self._follower is None else self._follower.status
 
     @property
     def _version(self) -> int:
-        return 0 if self._known is None else self._known.model.version
+        return 0 if self._follower is None else self._follower.model.version
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
         if baseline is None:
@@ -362,6 +469,7 @@ def advance(
             ready.append(learner.tracker)
         elif learner.tracker is not None:
             learner.tracker.predicted = False
+        learner.learn()
     _predict(ready)
     return events
 
@@ -399,5 +507,5 @@ def _predict(trackers: Sequence[Tracker]) -> None:
     )
     coefficients = np.stack([t.model.coefficients for t in trackers])
     increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
-    for tracker, increment in zip(trackers, increments, strict=True):
-        tracker.foresee(increment)
+    for tracker, row, increment in zip(trackers, theta, increments, strict=True):
+        tracker.foresee(row, increment)

@@ -46,6 +46,8 @@ class Tracker:
         self.measured = np.zeros((library.window.past_measured + 1, joints))
         self.desired = np.zeros((library.window.past_desired + 1, joints))
         self.preview = np.zeros((library.window.preview, joints))
+        self.theta: Array | None = None  # regressors of that prediction
+        self.last_theta: Array | None = None  # and of the tick observed last
         self.increment = np.zeros(joints)  # predicted for the tick to come
         self.residuals = np.zeros((DEPTH, joints))
         self.increments = np.zeros((DEPTH, joints))  # that were predicted for those residuals
@@ -90,6 +92,7 @@ class Tracker:
             self.residuals[1:] = self.residuals[:-1]
             self.increments[1:] = self.increments[:-1]
             self.increments[0] = self.increment
+            self.last_theta = self.theta
             np.subtract(reading, self.measured[0], out=self.residuals[0])
             self.residuals[0] -= self.increment
         if not sound:
@@ -137,16 +140,22 @@ class Tracker:
             self.usable = 0
             share = lost / (missed + 1)
             if self.command(last + share * (desired - last), None):
-                self.foresee(self.model.increment(self.measured, self.desired, self.preview))
+                theta = self.model.library.evaluate(self.measured, self.desired, self.preview)
+                self.foresee(theta, theta @ self.model.coefficients)
             else:
                 self.predicted = False
         self._unsure = UNSURE_TICKS
 
-    def foresee(self, increment: Array) -> None:
-        """Keep the movement predicted for the tick to come; one that is not finite is dropped."""
+    def foresee(self, theta: Array, increment: Array) -> None:
+        """Keep the movement predicted for the tick to come; one that is not finite is dropped.
+
+        Args:
+            theta: (p,) regressors of the prediction.
+            increment: (J,) rad.
+        """
         self.predicted = bool(np.isfinite(increment).all())
         if self.predicted:
-            self.increment = increment
+            self.theta, self.increment = theta, increment
 
     def _repair(self, measured: Array, valid: Mask | None) -> tuple[Array, bool]:
         if self.filled == 0:

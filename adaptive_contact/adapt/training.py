@@ -235,7 +235,8 @@ def _learn_leg(
         library_size=library.size,
         condition=fit.condition,
     )
-    return LegBaseline(model, noise, len(rows.target)), figures, values
+    known = LegBaseline(model, noise, whole.scale(), len(rows.target))
+    return known, figures, values
 
 
 def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> _Rows:

@@ -1,0 +1,6 @@
+"""Dynamixel buses: packets, control tables, a driver over the DynamixelSDK, and the control cycle.
+
+Only this package imports dynamixel_sdk and serial, and of it only :mod:`.port` and :mod:`.bus`:
+packets and tables are plain data, which the virtual bus of the simulator uses too.  Nothing here
+knows Zenoh; who runs a bridge hands it an :class:`~adaptive_contact.bridge.outlet.Outlet`.
+"""

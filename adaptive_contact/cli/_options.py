@@ -22,6 +22,8 @@ __all__ = [
     "LogLevel",
     "LogLevelOption",
     "NamespaceOption",
+    "NoStateOption",
+    "StateOption",
     "ZenohConfigOption",
     "client",
 ]
@@ -109,6 +111,19 @@ BaselineOption = Annotated[
         help="Model file to start from, made by `adaptive-contact fit`.",
         show_default=False,
     ),
+]
+StateOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--state",
+        metavar="DIR",
+        help="Where learned state is kept; by default $XDG_STATE_HOME/adaptive-contact, or "
+        "~/.local/state/adaptive-contact.",
+        show_default=False,
+    ),
+]
+NoStateOption = Annotated[
+    bool, typer.Option("--no-state", help="Neither restore nor keep what is learned.")
 ]
 LogLevelOption = Annotated[
     LogLevel,

@@ -48,7 +48,7 @@ def fit(
             "--threshold",
             metavar="λ",
             min=0.0,
-            help="STLSQ's threshold in units of the residual; without it, chosen on held-out swings.",
+            help="STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
             show_default=False,
         ),
     ] = None,

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import typer
 
@@ -23,21 +23,30 @@ from adaptive_contact.cli._options import (
     LogLevel,
     LogLevelOption,
     NamespaceOption,
+    NoStateOption,
+    StateOption,
     ZenohConfigOption,
 )
-from adaptive_contact.errors import LinkError
+from adaptive_contact.errors import ConfigurationError, LinkError
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.state import StateKeeper
 
 __all__ = ["serve"]
+
+# Python hands its lock on every 5 ms while a thread computes; a callback or the outbox would wait
+# as long for the worker.  At half a millisecond the hand-over costs nothing that can be measured.
+_SWITCH_S: Final = 0.0005
 
 
 def serve(
     config: ConfigOption = None,
     baseline: BaselineOption = None,
+    state: StateOption = None,
+    no_state: NoStateOption = False,
     listen: ListenOption = None,
     connect: ConnectOption = None,
     namespace: NamespaceOption = None,
@@ -70,6 +79,9 @@ def serve(
         zenoh_config=zenoh_config,
         insecure=insecure,
     )
+    if no_state and state is not None:
+        raise ConfigurationError("--state and --no-state contradict each other; give one of them")
+    sys.setswitchinterval(_SWITCH_S)
     robot, learned, origin = _load(config, baseline)
     bank = LearnerBank(robot, learned)
     try:
@@ -79,7 +91,10 @@ def serve(
             return
         raise
     try:
-        service = Service(link, bank, robot, baseline=origin, now_ns=time.monotonic_ns())
+        keeper = None if no_state else _keeper(state, robot, learned)
+        service = Service(
+            link, bank, robot, baseline=origin, now_ns=time.monotonic_ns(), keeper=keeper
+        )
         typer.echo(_ready_line(link.endpoints, settings.connect, robot, origin))
         service.run(stop)
         service.log_figures()
@@ -113,6 +128,24 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
 
     learned = shipped_baseline(robot.name)
     return robot, learned, None if learned is None else f"shipped with {robot.name}"
+
+
+def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> StateKeeper:
+    """Where the learners' state is kept: restored when they are made, saved as they go."""
+    from adaptive_contact.adapt.baseline import dump_baseline
+    from adaptive_contact.service.server import version
+    from adaptive_contact.service.state import (
+        StateKeeper,
+        StateStore,
+        default_folder,
+        settings_digest,
+    )
+
+    text = "" if learned is None else dump_baseline(learned)
+    store = StateStore.open(folder or default_folder(), robot.name)
+    return StateKeeper(
+        store, robot.name, lambda leg: settings_digest(robot, leg, text), package=version()
+    )
 
 
 def _ready_line(

@@ -254,7 +254,5 @@ def list_(json: JsonOption = False) -> None:
         accepted = f"{kind.low:g} to {kind.high:g}"
         kinds.add_row(name, kind.unit, f"{kind.nominal:g}", accepted, kind.usual, kind.meaning)
     console.print(kinds)
-    console.print(
-        "A value is absolute against nominal.  Shapes: step, ramp, pulse, walk (the last three "
-        "with duration=SECONDS)"
-    )
+    console.print("Values are absolute against nominal.")
+    console.print("Shapes: step, ramp, pulse, walk; all but a step take a --duration.")

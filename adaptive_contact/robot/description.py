@@ -51,13 +51,26 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A leg's servos on their bus: ids, model, direction (+1 or -1) and offset (rad) per joint."""
+    """A leg's servos on their bus.
+
+    A joint's angle is ``direction * (position - centre) + offset``, the servo's position and
+    centre being those of its horn.
+
+    Attributes:
+        ids: (J,) on the bus.
+        model: of all of them, or their family, such as ``XL-330``.
+        directions: (J,) 1 or -1.
+        offsets_rad: (J,) angle of the joint with the horn in its centre.
+        port: name of a ``[port.NAME]``; may be left out where there is one.
+        max_step_rad: how far the bridge lets a goal move in one control tick.
+    """
 
     ids: tuple[int, ...]
     model: str = "AX-12A"
     directions: tuple[int, ...] | None = None
     offsets_rad: tuple[float, ...] | None = None
     port: str | None = None
+    max_step_rad: float = 0.15
 
 
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -111,11 +124,21 @@ class _Head(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A serial port of the bridge."""
+    """A serial port of the bridge.
+
+    Attributes:
+        device: such as ``/dev/ttyUSB0``.
+        baud: bits per second.
+        protocol: Dynamixel protocol, 1 (AX, MX) or 2 (X-series).
+        fast: read with fast sync read (X-series, firmware 45 or newer).
+        timeout_ms: how long an answer may take beyond its bytes.
+    """
 
     device: str
     baud: int = 1_000_000
     protocol: Literal[1, 2] = 1
+    fast: bool = False
+    timeout_ms: float = 5.0
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -264,6 +287,7 @@ def _check(robot: Robot, source: str) -> None:
             f"[detector] false_alarms_per_hour is {robot.detector.false_alarms_per_hour}; "
             "expected 0.001 to 10000"
         )
+    _check_ports(robot, fail)
     seen: set[str] = set()
     for leg in robot.legs:
         where = f"[[leg]] '{leg.id}'"
@@ -275,6 +299,39 @@ def _check(robot: Robot, source: str) -> None:
             fail(f"{where}: the id is used twice; ids must differ")
         seen.add(leg.id)
         _check_leg(robot, leg, where, fail)
+
+
+def _check_ports(robot: Robot, fail: object) -> None:
+    assert callable(fail)
+    for name, port in robot.ports.items():
+        if not is_leg_id(name):
+            fail(f"[port.{name}]: a name is 1 to 32 letters, digits, '_', '.' or '-'")
+        if port.fast and port.protocol == 1:
+            fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
+        if not 0.5 <= port.timeout_ms <= 100.0:
+            fail(f"[port.{name}] timeout_ms is {port.timeout_ms}; expected 0.5 to 100 (usual: 5)")
+    owner: dict[tuple[str | None, int], str] = {}
+    for leg in robot.legs:
+        servos = leg.servos
+        if servos is None:
+            continue
+        where = f"[[leg]] '{leg.id}'"
+        if servos.port is not None and servos.port not in robot.ports:
+            known = ", ".join(robot.ports) or "none"
+            fail(f"{where}: servos.port is '{servos.port}'; there is no such [port.NAME] ({known})")
+        if servos.port is None and len(robot.ports) > 1:
+            fail(f"{where}: servos.port is missing; name one of {', '.join(robot.ports)}")
+        if not 1e-3 <= servos.max_step_rad <= 1.0:
+            fail(f"{where}: servos.max_step_rad is {servos.max_step_rad}; expected 0.001 to 1 rad")
+        for servo in servos.ids:
+            if not 0 <= servo <= 252:
+                fail(f"{where}: servo id {servo}; ids are 0 to 252")
+            before = owner.setdefault((servos.port, servo), leg.id)
+            if before != leg.id or servos.ids.count(servo) > 1:
+                fail(
+                    f"{where}: servo id {servo} is used twice on a port (by leg '{before}'); give "
+                    "every servo an id of its own"
+                )
 
 
 def _check_leg(robot: Robot, leg: Leg, where: str, fail: object) -> None:

@@ -11,12 +11,15 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.service.link import Declared, Link
+from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.ports import Learner
 from adaptive_contact.service.settings import leg_token
+from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import (
     ContactEvent,
     LearnerStatus,
     Rejected,
+    ServoSample,
     Status,
     contact_key,
     learner_key,
@@ -30,6 +33,8 @@ STATUS_PERIOD_S: Final = 1.0
 _SILENT_AFTER_NS: Final = int(SILENT_AFTER_S * 1e9)
 _STATUS_PERIOD_NS: Final = int(STATUS_PERIOD_S * 1e9)
 _REFUSAL_SHOWN_NS: Final = 5_000_000_000
+# A gap over a restart of the service is believed up to a day of samples at 100 Hz.
+_LONGEST_GAP: Final = 10_000_000
 
 
 class Desk:
@@ -40,11 +45,28 @@ class Desk:
         leg: its id.
         learner: the leg's.
         now_ns: monotonic.
+        resumes: where the leg's source was when the service was last here.
+
+    Attributes:
+        model_version: as the last look found it.
+        heard_samples: usable samples so far.
+        position: of the last of them.
     """
 
-    def __init__(self, link: Link, leg: str, learner: Learner, now_ns: int) -> None:
+    def __init__(
+        self,
+        link: Link,
+        leg: str,
+        learner: Learner,
+        now_ns: int,
+        resumes: Position | None = None,
+    ) -> None:
         self.leg = leg
         self.learner = learner
+        self.model_version = 0
+        self.heard_samples = 0
+        self.position = resumes
+        self._missed_before = 0  # samples of this run that passed while the service was down
         self._link = link
         self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
@@ -56,9 +78,15 @@ class Desk:
         self._published: Status | None = None
         self._published_ns = now_ns
 
-    def heard(self, now_ns: int) -> None:
+    def heard(self, sample: ServoSample, now_ns: int) -> None:
         """Note a usable sample."""
         self._seen_ns = now_ns
+        if self.heard_samples == 0 and self.position is not None:
+            gap = sample.seq - self.position.seq - 1
+            if sample.run == self.position.run and 0 < gap < _LONGEST_GAP:
+                self._missed_before = gap
+        self.heard_samples += 1
+        self.position = Position(sample.run, sample.seq)
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
 
@@ -77,19 +105,20 @@ class Desk:
         """Tell whether the leg has not been heard for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
-    def publish_event(self, event: ContactEvent) -> None:
-        """Send a change of contact; blocks up to 0.25 s when a subscriber hangs."""
-        self._contact.put(event)
+    def publish_event(self, event: ContactEvent, arrival_ns: int, outbox: Outbox) -> None:
+        """Send a change of contact; ``arrival_ns`` is monotonic, of the deciding sample."""
+        outbox.post(self._contact, event, arrival_ns)
 
-    def publish_status(self, now_ns: int) -> Status | None:
-        """Send the status if a second has passed or it has changed.
+    def publish_status(self, now_ns: int, *, anyway: bool = False) -> Status | None:
+        """Send the status if a second has passed, it has changed, or it is wanted anyway.
 
         Returns:
             The new status where it has changed, otherwise None.
         """
         status = self.status(now_ns)
+        self.model_version = status.model_version
         changed = status.status != self._published
-        if not changed and now_ns - self._published_ns < _STATUS_PERIOD_NS:
+        if not (changed or anyway) and now_ns - self._published_ns < _STATUS_PERIOD_NS:
             return None
         self._status.put(status)
         if self._token is not None and status.status == "silent":
@@ -102,6 +131,8 @@ class Desk:
     def status(self, now_ns: int) -> LearnerStatus:
         """The learner's status, with what only the service can know put in."""
         status = self.learner.status
+        if self._missed_before:
+            status = msgspec.structs.replace(status, missed=status.missed + self._missed_before)
         notes = [] if status.note is None else [status.note]
         if self._refused is not None and now_ns - self._refused_ns < _REFUSAL_SHOWN_NS:
             why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))

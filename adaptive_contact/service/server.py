@@ -1,15 +1,15 @@
 """The service: servo samples in, contact events out.
 
 One worker does all the work: it takes a round from the intake (at most one sample per leg),
-hands it to the learners, publishes the events, and looks after the statuses in between.
-Everything but :meth:`Service.run` gets its time as an argument.
+hands it to the learners, leaves the events to the outbox, and looks after the statuses and the
+learners' state in between.  Everything but :meth:`Service.run` gets its time as an argument.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from importlib import metadata
 from typing import Final
 
@@ -20,12 +20,16 @@ from adaptive_contact.service.desk import Desk
 from adaptive_contact.service.intake import Intake, Raw, Round, read
 from adaptive_contact.service.link import Link, Request
 from adaptive_contact.service.meters import Brake, Latency
+from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.ports import Bank, Question
+from adaptive_contact.service.rivals import Rivals
 from adaptive_contact.service.settings import SERVICE_TOKEN
+from adaptive_contact.service.state import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import ALL_SERVO, Reject, Rejected, ServoSample, model_key
 
-__all__ = ["Service"]
+__all__ = ["Service", "version"]
 
 _log = structlog.get_logger()
 
@@ -34,6 +38,10 @@ _LOOK_NS: Final = 100_000_000
 _SERVICE_STATUS_NS: Final = 1_000_000_000
 _ROUTER_LOOK_NS: Final = 1_000_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
+# A snapshot takes milliseconds: it waits for a pause between two control ticks, though not for
+# ever where there is none.
+_PAUSE_S: Final = 0.003
+_LONGEST_WAIT_NS: Final = 2_000_000_000
 
 
 class Service:
@@ -45,10 +53,18 @@ class Service:
         robot: what they were made for.
         baseline: where their models come from, for people to read.
         now_ns: monotonic.
+        keeper: restores and saves the learners; closed at the end of :meth:`run`.
     """
 
     def __init__(
-        self, link: Link, bank: Bank, robot: Robot, *, baseline: str | None, now_ns: int
+        self,
+        link: Link,
+        bank: Bank,
+        robot: Robot,
+        *,
+        baseline: str | None,
+        now_ns: int,
+        keeper: StateKeeper | None = None,
     ) -> None:
         self._link = link
         self._bank = bank
@@ -65,6 +81,15 @@ class Service:
         self._ticks_latency = Latency()
         self._event_latency = Latency()
         self._brake = Brake()
+        self._keeper = keeper
+        self._to_save: deque[tuple[int, Desk]] = deque()
+        self._outbox = Outbox()
+        self._beats = 0
+        self._note: str | None = None
+        self._watchdog = Watchdog(
+            lambda: self._beats, self._outbox.busy_ns, on_stall=self._stalled, on_end=give_up
+        )
+        self._rivals = Rivals(link)
         self._status = link.publisher(SERVICE_STATUS, history=1)
         self._look_ns = self._status_ns = self._router_ns = now_ns
         self._latency_ns = now_ns + _LATENCY_LOG_NS
@@ -78,12 +103,23 @@ class Service:
 
     def run(self, stop: threading.Event) -> None:
         """Work until ``stop`` is set; it is noticed within 0.1 s."""
-        while not stop.is_set():
-            wait_ns = self._look_ns - time.monotonic_ns()
-            round_ = self._intake.take(min(max(wait_ns, 0), _LOOK_NS) / 1e9)
-            if round_:
-                self.work(round_, time.monotonic_ns())
-            self.look(time.monotonic_ns())
+        self._outbox.start()
+        self._watchdog.start()
+        try:
+            while not stop.is_set():
+                self._beats += 1
+                wait_s = min(max(self._look_ns - time.monotonic_ns(), 0), _LOOK_NS) / 1e9
+                round_ = self._intake.take(min(wait_s, _PAUSE_S) if self._to_save else wait_s)
+                if round_:
+                    self.work(round_, time.monotonic_ns())
+                self.save(time.monotonic_ns(), pause=not round_)
+                self.look(time.monotonic_ns())
+            self._end(time.monotonic_ns())
+        finally:
+            self._watchdog.close()
+            self._outbox.close()
+            if self._keeper is not None:
+                self._keeper.close()
 
     def work(self, round_: Round[Question], now_ns: int) -> None:
         """Process one round."""
@@ -101,6 +137,15 @@ class Service:
         for request in round_.requests:
             self._answer(request)
 
+    def save(self, now_ns: int, *, pause: bool) -> None:
+        """Take the snapshot of one leg that is due, in a pause between samples."""
+        if self._keeper is None or not self._to_save:
+            return
+        since_ns, desk = self._to_save[0]
+        if pause or now_ns - since_ns > _LONGEST_WAIT_NS:
+            self._to_save.popleft()
+            self._keeper.take(desk, now_ns)
+
     def look(self, now_ns: int) -> None:
         """Publish the statuses that are due, and watch the router; cheap when nothing is."""
         # One leg at a time: a status takes 0.1 ms, and an event must not wait for six of them.
@@ -114,6 +159,7 @@ class Service:
         self._look_ns = max(self._look_ns, now_ns)
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
+            self._look_at_rivals(now_ns)
             self._status.put(self.status(now_ns))
         if now_ns >= self._router_ns:
             self._router_ns = now_ns + _ROUTER_LOOK_NS
@@ -124,8 +170,18 @@ class Service:
 
     def status(self, now_ns: int) -> ServiceStatus:
         """How the service is."""
+        for latency_ns in self._outbox.latencies():
+            self._event_latency.add(latency_ns)
+        state = None if self._keeper is None else self._keeper.facts
+        failing = None if state is None or state.error is None else f"state: {state.error}"
         return ServiceStatus(
-            version=_version(),
+            instance=self._rivals.instance,
+            note="; ".join(filter(None, (self._note, failing))) or None,
+            events_lost=self._outbox.lost,
+            slow_puts=self._outbox.slow,
+            stalls=self._watchdog.stalls,
+            state=state,
+            version=version(),
             robot=self._robot.name,
             period_s=self._robot.period_s,
             baseline=self._baseline,
@@ -173,14 +229,14 @@ class Service:
         if leg not in self._facts:
             joints = [f"joint {i + 1}" for i in range(len(read_.measured))]
             self._facts[leg] = LegFacts(joints=joints, described=False)
-        desk.heard(now_ns)
+        desk.heard(read_, now_ns)
         return read_
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.update(samples):
-            self._desks[event.leg].publish_event(event)
+            arrival_ns = raws[event.leg].arrival_ns
+            self._desks[event.leg].publish_event(event, arrival_ns, self._outbox)
             self._events += 1
-            self._event_latency.add(time.monotonic_ns() - raws[event.leg].arrival_ns)
             _log.debug(
                 "contact" if event.contact else "release",
                 leg=event.leg,
@@ -212,7 +268,12 @@ class Service:
         learner = self._bank.learner(leg, joints)
         if learner is None:
             return None
-        desk = self._desks[leg] = Desk(self._link, leg, learner, now_ns)
+        resumes = None
+        if self._keeper is not None:
+            report = learner.model_report
+            library = "none" if report is None else report.library or "unnamed"
+            resumes = self._keeper.restore(leg, learner, library, now_ns)
+        desk = self._desks[leg] = Desk(self._link, leg, learner, now_ns, resumes)
         self._order.append(desk)
         if leg in self._robot.leg_ids:
             described = self._robot.leg(leg)
@@ -226,6 +287,30 @@ class Service:
         changed = desk.publish_status(now_ns)
         if changed is not None and desk.ever_heard:
             _log.info("leg status", leg=desk.leg, status=changed)
+        keeper = self._keeper
+        if keeper is None or not keeper.due(desk, now_ns):
+            return
+        if all(desk is not waiting for _, waiting in self._to_save):
+            self._to_save.append((now_ns, desk))
+
+    def _look_at_rivals(self, now_ns: int) -> None:
+        note = self._rivals.note(now_ns)
+        if note is not None and self._brake.passes("rival", now_ns) is not None:
+            _log.warning("not alone", why=note)
+        self._note = note
+
+    def _stalled(self, for_s: float) -> None:
+        """Say on the watchdog's thread what the worker cannot say."""
+        self._note = f"the worker has stood still for {for_s:.1f} s"
+        self._status.put(self.status(time.monotonic_ns()))
+
+    def _end(self, now_ns: int) -> None:
+        """Publish the last counts, and have every leg saved."""
+        for desk in self._order:
+            desk.publish_status(now_ns, anyway=True)
+            if self._keeper is not None and desk.ever_heard:
+                self._keeper.take(desk, now_ns)
+        self._status.put(self.status(now_ns))
 
     def _ask(self, request: Request) -> None:
         if not self._intake.ask(request):
@@ -265,7 +350,8 @@ class Service:
         self._connected = connected
 
 
-def _version() -> str:
+def version() -> str:
+    """Version of this package, ``source`` where it is not installed."""
     try:
         return metadata.version("adaptive-contact")
     except metadata.PackageNotFoundError:  # run from a source tree

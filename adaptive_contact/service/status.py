@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.service.meters import LatencyMs
+from adaptive_contact.service.state.keeper import StateFacts
 from adaptive_contact.wire import Message
 
 __all__ = ["SERVICE_STATUS", "LegFacts", "ServiceStatus"]
@@ -39,6 +40,12 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         samples: payloads taken in, of all legs.
         events: contact events published.
         rejects: payloads that belong to no leg, by reason.
+        instance: of this start of the service, random; another one beside it is a second service.
+        note: one line for a person when something is wrong with the service, None when all is well.
+        events_lost: events dropped because a subscriber that hangs held them up for too long.
+        slow_puts: events that took longer than 0.1 s to send.
+        stalls: times that the worker stood still for a second or more.
+        state: how keeping the learners' state goes, None where none is kept.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
         tick_latency: arrival of a sample to the end of its processing.
         event_latency: arrival of the deciding sample to its event being published.
@@ -53,6 +60,12 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     samples: int = 0
     events: int = 0
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
+    instance: str = ""
+    note: str | None = None
+    events_lost: int = 0
+    slow_puts: int = 0
+    stalls: int = 0
+    state: StateFacts | None = None
     callback_faults: int = 0
     tick_latency: LatencyMs | None = None
     event_latency: LatencyMs | None = None

@@ -1,4 +1,8 @@
-"""Pictures into files: ``.png`` (the last picture), ``.gif`` or ``.mp4``."""
+"""Pictures into files: ``.png`` (the last moment), ``.gif`` or ``.mp4``.
+
+A run keeps moments, and the film is painted when it is over: painting a frame takes longer than a
+control tick, and a run in real time must not wait for it.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +12,19 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact_sim.picture import Painter, painter
 from adaptive_contact_sim.simulation import Simulation
+from adaptive_contact_sim.stage import Moment, Stage
 
 __all__ = ["Film"]
-
-Image = NDArray[np.uint8]
 
 # File kind -> width, height, control ticks per frame.
 _KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4), ".mp4": (800, 600, 2)}
 _GIF_COLOURS: Final = 96
-# A gif holds all its frames in memory and grows by half a megabyte per second.
-_GIF_LONGEST_S: Final = 120.0
+# Painting takes three times the time that was filmed, and a gif grows by 0.3 MB per second.
+_LONGEST_S: Final = 300.0
 
 
 class Film:
@@ -51,12 +53,14 @@ class Film:
         _need_pillow()
         self._width, self._height, self._every = _KINDS[self._kind]
         self._frame_s = self._every * sim.settings.period_s
-        self._writer = _video(path, 1.0 / self._frame_s) if self._kind == ".mp4" else None
-        self._painter: Painter
-        self._painter, self.fallback = painter(sim, self._width, self._height)
+        self._most = round(_LONGEST_S / self._frame_s)
+        if self._kind == ".mp4":
+            _need_video()
         self._sim = sim
-        self._frames: list[Any] = []
-        self._last: Image | None = None
+        self._stage = Stage(sim)
+        self._painter: Painter
+        self._painter, self.fallback = painter(self._stage, self._width, self._height)
+        self._moments: list[Moment] = []
 
     def __enter__(self) -> Self:
         return self
@@ -70,24 +74,27 @@ class Film:
         self.close()
 
     def look(self) -> None:
-        """Take a picture of the present state, if one is due."""
-        if self._kind == ".png" or self._sim.ticks % self._every:
-            return
-        self._take()
+        """Keep the present moment, if a frame is due."""
+        if self._kind == ".png":
+            self._moments[:] = [Moment.of(self._sim)]
+        elif self._sim.ticks % self._every == 0 and len(self._moments) < self._most:
+            self._moments.append(Moment.of(self._sim))
 
     def close(self) -> None:
-        """Write the file."""
-        if self._kind == ".png":
-            self._take()
-        self._painter.close()
-        if self._writer is not None:
-            self._writer.close()
-        elif self._kind == ".png" and self._last is not None:
-            from PIL import Image as PILImage
-
-            PILImage.fromarray(self._last).save(self.path)
-        elif self._frames:
-            first, *rest = self._frames
+        """Paint what was kept, and write the file."""
+        moments = self._moments or [Moment.of(self._sim)]
+        if self._kind == ".mp4":
+            writer = _video(self.path, 1.0 / self._frame_s)
+            for moment in moments:
+                writer.append_data(np.asarray(self._paint(moment)))
+            writer.close()
+        elif self._kind == ".png":
+            self._paint(moments[-1]).save(self.path)
+        else:
+            # One palette per frame, no dithering: flat colours stay flat, and compress.
+            first, *rest = (
+                self._paint(moment).quantize(_GIF_COLOURS, method=2, dither=0) for moment in moments
+            )
             first.save(
                 self.path,
                 save_all=True,
@@ -96,41 +103,21 @@ class Film:
                 loop=0,
                 optimize=False,
             )
+        self._painter.close()
 
-    def _take(self) -> None:
-        image = _caption(self._painter.paint(self._sim), self._sim)
-        self._last = image
-        if self._writer is not None:
-            self._writer.append_data(image)
-        elif self._kind == ".gif" and len(self._frames) * self._frame_s < _GIF_LONGEST_S:
-            from PIL import Image as PILImage
+    def _paint(self, moment: Moment) -> Any:
+        """A pillow image of a moment, with its caption."""
+        from PIL import Image as PILImage
+        from PIL import ImageDraw
 
-            # One palette per frame, no dithering: flat colours stay flat, and compress.
-            self._frames.append(
-                PILImage.fromarray(image).quantize(
-                    _GIF_COLOURS,
-                    method=PILImage.Quantize.FASTOCTREE,
-                    dither=PILImage.Dither.NONE,
-                )
-            )
-
-
-def _caption(image: Image, sim: Simulation) -> Image:
-    """Write time and drifts in force into the corner."""
-    from PIL import Image as PILImage
-    from PIL import ImageDraw
-
-    picture = PILImage.fromarray(image)
-    draw = ImageDraw.Draw(picture)
-    lines = [f"{sim.time_s:6.1f} s"]
-    for kind, legs in sim.drift.holds().items():
-        values = {round(v, 3) for joints in legs.values() for v in joints.values()}
-        value = f"{values.pop():g}" if len(values) == 1 else "various"
-        lines.append(f"{kind} {value}: {' '.join(legs)}")
-    size = max(12, image.shape[0] // 32)
-    for i, line in enumerate(lines):
-        draw.text((size * 0.7, size * (0.5 + 1.3 * i)), line, fill=(40, 44, 52), font_size=size)
-    return np.asarray(picture, dtype=np.uint8)
+        self._stage.set(moment)
+        picture = PILImage.fromarray(self._painter.paint(self._stage))
+        draw = ImageDraw.Draw(picture)
+        size = max(12, self._height // 32)
+        for i, line in enumerate(moment.caption):
+            place = (size * 0.7, size * (0.5 + 1.3 * i))
+            draw.text(place, line, fill=(40, 44, 52), font_size=size)
+        return picture
 
 
 def _need_pillow() -> None:
@@ -140,13 +127,17 @@ def _need_pillow() -> None:
         raise MissingExtraError("--render", "plot") from error
 
 
-def _video(path: Path, frames_per_s: float) -> Any:
+def _need_video() -> None:
     try:
-        import imageio.v2 as imageio
-
+        importlib.import_module("imageio.v2")
         importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
     except ImportError as error:
         raise MissingExtraError("rendering to .mp4", "video") from error
+
+
+def _video(path: Path, frames_per_s: float) -> Any:
+    import imageio.v2 as imageio
+
     return imageio.get_writer(
         path, fps=frames_per_s, codec="libx264", quality=7, macro_block_size=8
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.simulation import Simulation
+from adaptive_contact_sim.stage import Stage
 
 __all__ = ["EnginePainter", "Painter", "painter"]
 
@@ -32,27 +32,27 @@ _FOLLOW_FRAMES: Final = 8.0
 
 
 class Painter(Protocol):
-    """Something that can paint the present state of a simulation."""
+    """Something that can paint a stage."""
 
-    def paint(self, sim: Simulation) -> Image:
-        """Paint: (height, width, 3) RGB."""
+    def paint(self, stage: Stage) -> Image:
+        """Paint what is set up: (height, width, 3) RGB."""
 
     def close(self) -> None:
         """Give resources back."""
 
 
-def painter(sim: Simulation, width: int, height: int) -> tuple[Painter, str | None]:
+def painter(stage: Stage, width: int, height: int) -> tuple[Painter, str | None]:
     """Make the best painter this machine has.
 
     Returns:
         The painter, and why it is a stick figure, None where it is not.
     """
     try:
-        return EnginePainter(sim, width, height), None
+        return EnginePainter(stage, width, height), None
     except ConfigurationError as error:
         from adaptive_contact_sim.stick import StickPainter
 
-        return StickPainter(sim, width, height), str(error)
+        return StickPainter(stage, width, height), str(error)
 
 
 class EnginePainter:
@@ -62,15 +62,15 @@ class EnginePainter:
     imported and would have to be set before.
 
     Args:
-        sim: whose scene to paint.
+        stage: the scene to paint.
         width, height: of the picture.
 
     Raises:
         ConfigurationError: EGL is missing or does not work.
     """
 
-    def __init__(self, sim: Simulation, width: int, height: int) -> None:
-        model = sim.plant.model
+    def __init__(self, stage: Stage, width: int, height: int) -> None:
+        model = stage.model
         # Everything that can go wrong here is the machine's OpenGL: a missing library shows as
         # ImportError or AttributeError, a missing device as RuntimeError or an EGLError.
         try:
@@ -93,18 +93,17 @@ class EnginePainter:
         self._camera.distance = _DISTANCE_M
         self._camera.azimuth = _AZIMUTH_DEG
         self._camera.elevation = _ELEVATION_DEG
-        self._camera.lookat[:] = sim.plant.body_pose()[0]
+        self._camera.lookat[:] = stage.position_m
         self._camera.lookat[2] = _LOOK_AT_HEIGHT_M
         self._image = np.zeros((height, width, 3), dtype=np.uint8)
         self._toes = [model.geom(f"{leg}_toe").id for leg in LEGS]
         model.geom_matid[self._toes] = -1
 
-    def paint(self, sim: Simulation) -> Image:
-        """Paint the present state, feet that touch in red."""
-        model, data = sim.plant.model, sim.plant.data
-        touching = sim.plant.forces[-1] > 0.0
-        model.geom_rgba[self._toes] = np.where(touching[:, None], TOUCHING_RGBA, FREE_RGBA)
-        centre = sim.plant.body_pose()[0]
+    def paint(self, stage: Stage) -> Image:
+        """Paint what is set up, feet that touch in red."""
+        model, data = stage.model, stage.data
+        model.geom_rgba[self._toes] = np.where(stage.touching[:, None], TOUCHING_RGBA, FREE_RGBA)
+        centre = stage.position_m
         self._camera.lookat[:2] += (centre[:2] - self._camera.lookat[:2]) / _FOLLOW_FRAMES
         self._context.make_current()
         mujoco.mjv_updateScene(

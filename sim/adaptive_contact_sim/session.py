@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
+import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["Report", "RunPlan", "describe", "run"]
 
 Look = Callable[[Tick], None]
+
+_CLOSE_S: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -176,21 +181,20 @@ def describe(settings: SimulationSettings) -> str:
 
 def _window(sim: Simulation, stack: ExitStack, stop: Event) -> Look:
     """Open the engine's viewer, which draws in a thread of its own; closing it ends the run."""
-    try:
-        import mujoco.viewer
+    _need_display()
+    import mujoco.viewer
 
-        viewer: Any = stack.enter_context(
-            mujoco.viewer.launch_passive(
-                sim.plant.model, sim.plant.data, show_left_ui=False, show_right_ui=False
-            )
+    before = set(threading.enumerate())
+    # Runs after the viewer was told to close: its thread must be out of OpenGL before the process
+    # takes GLFW down.
+    stack.callback(
+        lambda: [t.join(_CLOSE_S) for t in threading.enumerate() if t not in before and t.daemon]
+    )
+    viewer: Any = stack.enter_context(
+        mujoco.viewer.launch_passive(
+            sim.plant.model, sim.plant.data, show_left_ui=False, show_right_ui=False
         )
-    # The viewer raises RuntimeError or mujoco's FatalError for a missing display, ImportError
-    # without GLFW.
-    except (ImportError, RuntimeError, mujoco.FatalError) as error:
-        text = " ".join(str(error).split())[:120]
-        raise ConfigurationError(
-            f"no window can be opened ({text}); use --render FILE.gif, or run where a display is"
-        ) from error
+    )
     viewer.cam.distance, viewer.cam.elevation, viewer.cam.azimuth = 1.2, -20.0, 128.0
 
     def look(_: Tick) -> None:
@@ -201,3 +205,20 @@ def _window(sim: Simulation, stack: ExitStack, stop: Event) -> Look:
         viewer.sync()
 
     return look
+
+
+def _need_display() -> None:
+    """Check that a window can be opened; the viewer ends the process where it cannot."""
+    problem = ""
+    try:
+        glfw = importlib.import_module("glfw")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW warns of what is raised below
+            if not glfw.init():
+                problem = "no display was found"
+    except ImportError as error:
+        problem = " ".join(str(error).split())[:120]
+    if problem:
+        raise ConfigurationError(
+            f"no window can be opened: {problem}; use --render FILE.gif, or run where a display is"
+        )

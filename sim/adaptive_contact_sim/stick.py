@@ -15,7 +15,8 @@ from PIL import Image as PILImage
 from PIL import ImageDraw
 
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.simulation import Simulation
+from adaptive_contact_sim.scene import OBSTACLES, PARKED_M
+from adaptive_contact_sim.stage import Stage
 
 __all__ = ["StickPainter"]
 
@@ -46,39 +47,37 @@ class StickPainter:
     """Draws the robot as limbs.
 
     Args:
-        sim: whose robot to draw.
+        stage: whose robot to draw.
         width, height: of the picture.
     """
 
-    def __init__(self, sim: Simulation, width: int, height: int) -> None:
+    def __init__(self, stage: Stage, width: int, height: int) -> None:
         self._size = (width, height)
         self._scale = width * _OVERSAMPLE / _SPAN_M
-        self._centre = np.array(sim.plant.body_pose()[0])
-        model = sim.plant.model
+        self._centre = stage.position_m.copy()
+        model = stage.model
         self._links = np.array(
             [[model.body(f"{leg}_{j}").id for j in ("coxa", "femur", "tibia")] for leg in LEGS]
         )
         towards = np.array([math.cos(_AZIMUTH_RAD), math.sin(_AZIMUTH_RAD)])
         self._towards = -towards  # from the scene to the viewer, level
 
-    def paint(self, sim: Simulation) -> Pixels:
-        """Draw the present state."""
+    def paint(self, stage: Stage) -> Pixels:
+        """Draw what is set up."""
         width, height = self._size
         big = (width * _OVERSAMPLE, height * _OVERSAMPLE)
         picture = PILImage.new("RGB", big, _SKY)
         draw = ImageDraw.Draw(picture)
-        plant = sim.plant
-        position, rotation = plant.body_pose()
+        position, rotation = stage.position_m, stage.rotation
         self._centre[:2] += (position[:2] - self._centre[:2]) / 8.0
-        self._draw_ground(draw, sim, big)
-        self._draw_obstacle(draw, sim, big)
+        self._draw_ground(draw, stage, big)
+        self._draw_obstacles(draw, stage, big)
 
-        feet = plant.foot_positions()
-        touching = plant.forces[-1] > 0.0
+        feet, touching = stage.feet_m, stage.touching
         depth = (feet[:, :2] - position[:2]) @ self._towards
         order = np.argsort(depth)
         for leg in order[: len(LEGS) // 2]:
-            self._draw_leg(draw, sim, int(leg), bool(touching[leg]), _FAR_LEG, big)
+            self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _FAR_LEG, big)
         for z, colour in ((-0.022, _BODY[1]), (0.026, _BODY[0])):
             deck = np.column_stack([_DECK, np.full(len(_DECK), z)])
             corners = deck @ rotation.T + position
@@ -86,7 +85,7 @@ class StickPainter:
         nose = np.array([[0.125, 0.03, 0.026], [0.125, -0.03, 0.026]]) @ rotation.T + position
         draw.line(self._project(nose, big), fill=(242, 140, 26), width=4 * _OVERSAMPLE)
         for leg in order[len(LEGS) // 2 :]:
-            self._draw_leg(draw, sim, int(leg), bool(touching[leg]), _NEAR_LEG, big)
+            self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _NEAR_LEG, big)
         small = picture.resize(self._size, PILImage.Resampling.LANCZOS)
         return np.asarray(small, dtype=np.uint8).copy()
 
@@ -103,9 +102,7 @@ class StickPainter:
         y = size[1] * 0.62 - up * self._scale
         return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
 
-    def _draw_ground(
-        self, draw: ImageDraw.ImageDraw, sim: Simulation, size: tuple[int, int]
-    ) -> None:
+    def _draw_ground(self, draw: ImageDraw.ImageDraw, stage: Stage, size: tuple[int, int]) -> None:
         """Grid lines on the ground around the robot, following its heights."""
         base = np.round(self._centre[:2] / _GRID_M) * _GRID_M
         fine = np.linspace(-_GRID_HALF * _GRID_M, _GRID_HALF * _GRID_M, 8 * _GRID_HALF + 1)
@@ -114,22 +111,29 @@ class StickPainter:
                 line = np.zeros((fine.size, 3))
                 line[:, axis] = base[axis] + k * _GRID_M
                 line[:, 1 - axis] = base[1 - axis] + fine
-                line[:, 2] = sim.terrain.height_at(line[:, 0], line[:, 1])
+                line[:, 2] = stage.terrain.height_at(line[:, 0], line[:, 1])
                 draw.line(self._project(line, size), fill=_LINE, width=_OVERSAMPLE)
 
-    def _draw_obstacle(
-        self, draw: ImageDraw.ImageDraw, sim: Simulation, size: tuple[int, int]
+    def _draw_obstacles(
+        self, draw: ImageDraw.ImageDraw, stage: Stage, size: tuple[int, int]
     ) -> None:
-        """The obstacle now standing, as the outline of its box."""
-        if sim.course is None or sim.course.standing is None:
-            return
-        geom = sim.plant.model.geom(f"obstacle_{sim.course.standing}").id
-        half = sim.plant.model.geom_aabb[geom, 3:]
+        """The obstacles that stand, as the outlines of their boxes."""
+        for name in OBSTACLES:
+            if stage.model.body_mocapid.max() < 0:
+                return
+            geom = stage.model.geom(f"obstacle_{name}").id
+            if stage.data.geom_xpos[geom, 2] > PARKED_M[2] / 2:
+                self._draw_box(draw, stage, geom, size)
+
+    def _draw_box(
+        self, draw: ImageDraw.ImageDraw, stage: Stage, geom: int, size: tuple[int, int]
+    ) -> None:
+        half = stage.model.geom_aabb[geom, 3:]
         signs = np.array(
             [[a, b, c] for c in (-1, 1) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
         )
-        rotation = sim.plant.data.geom_xmat[geom].reshape(3, 3)
-        box = (signs * half) @ rotation.T + sim.plant.data.geom_xpos[geom]
+        rotation = stage.data.geom_xmat[geom].reshape(3, 3)
+        box = (signs * half) @ rotation.T + stage.data.geom_xpos[geom]
         box[:, 2] = np.maximum(box[:, 2], 0.0)  # what is under the ground is not seen
         corners = self._project(box, size)
         for face in ((0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)):
@@ -138,14 +142,14 @@ class StickPainter:
     def _draw_leg(
         self,
         draw: ImageDraw.ImageDraw,
-        sim: Simulation,
+        stage: Stage,
         leg: int,
         touching: bool,
         colour: tuple[int, int, int],
         size: tuple[int, int],
     ) -> None:
-        joints = sim.plant.data.xpos[self._links[leg]]
-        foot = sim.plant.foot_positions()[leg]
+        joints = stage.data.xpos[self._links[leg]]
+        foot = stage.feet_m[leg]
         points = self._project(np.vstack([joints, foot]), size)
         for k, width in enumerate((10, 9, 7)):
             draw.line(points[k : k + 2], fill=colour, width=width * _OVERSAMPLE)

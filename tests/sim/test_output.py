@@ -20,6 +20,7 @@ from adaptive_contact_sim.picture import EnginePainter
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.stage import Moment, Stage
 from adaptive_contact_sim.stick import StickPainter
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
@@ -67,9 +68,9 @@ def test_a_recording_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         record_file(WALK, 1.0, tmp_path / "none" / "walk.mcap")
 
 
-def engine_or_skip(sim: Simulation) -> EnginePainter:
+def engine_or_skip(stage: Stage) -> EnginePainter:
     try:
-        return EnginePainter(sim, 320, 240)
+        return EnginePainter(stage, 320, 240)
     except ConfigurationError as error:
         pytest.skip(f"no EGL on this machine: {error}")
 
@@ -78,13 +79,30 @@ def seen(image: np.ndarray, colour: tuple[int, int, int], tolerance: int = 60) -
     return int((np.abs(image.astype(int) - colour).max(axis=2) < tolerance).sum())
 
 
+def test_a_moment_can_be_set_up_again() -> None:
+    sim = Simulation(HITS)
+    kept, feet = [], []
+    for _ in range(80):
+        sim.advance()
+        kept.append(Moment.of(sim))
+        feet.append(Stage(sim).feet_m.copy())
+    stage = Stage(sim)
+    before = sim.plant.data.qpos.copy()
+    for k in (70, 3, 40):
+        stage.set(kept[k])
+        assert np.array_equal(stage.feet_m, feet[k])
+        assert np.array_equal(stage.touching, kept[k].touching)
+    assert np.array_equal(sim.plant.data.qpos, before)
+
+
 @pytest.mark.parametrize("kind", ["engine", "stick"])
 def test_pictures_show_which_feet_touch(kind: str) -> None:
     sim = Simulation(HITS)
     for _ in range(63):  # rf is in the air, high up
         sim.advance()
-    painter = engine_or_skip(sim) if kind == "engine" else StickPainter(sim, 320, 240)
-    image = painter.paint(sim)
+    stage = Stage(sim)
+    painter = engine_or_skip(stage) if kind == "engine" else StickPainter(stage, 320, 240)
+    image = painter.paint(stage)
     painter.close()
     assert image.shape == (240, 320, 3)
     assert image.dtype == np.uint8

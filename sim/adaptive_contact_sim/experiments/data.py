@@ -11,6 +11,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,12 +19,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.robot import Robot, foot, shipped_robot
-from adaptive_contact.score import LegStream, find_swings, lift_by_height, truth_changes
-from adaptive_contact.score.swings import Swings
-from adaptive_contact.wire import ContactTruth
-from adaptive_contact_sim.arrays import LegArrays, Onset, record_arrays
-from adaptive_contact_sim.experiments.plan import Piece
+from adaptive_contact.adapt.training import Stretch
+from adaptive_contact_sim.arrays import LegArrays, Onset, Run
+from adaptive_contact_sim.experiments.gantry import record_gantry
+from adaptive_contact_sim.experiments.plan import GantrySettings, Piece
+from adaptive_contact_sim.experiments.recording import record_leg
 from adaptive_contact_sim.experiments.store import (
     Store,
     physics_fingerprint,
@@ -32,6 +32,7 @@ from adaptive_contact_sim.experiments.store import (
     write_arrays,
 )
 from adaptive_contact_sim.servo import QUANTUM_RAD
+from adaptive_contact_sim.training import stretch_of
 
 __all__ = ["Stream", "load", "parallel", "record_all"]
 
@@ -39,6 +40,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 T = TypeVar("T")
 R = TypeVar("R")
+_Job = list[tuple[Piece, Path]]
 
 TICK_NS = 20_000_000
 
@@ -49,65 +51,47 @@ class Stream:
 
     Attributes:
         piece: what was simulated.
-        measured, desired: (n, 3) rad.
-        swing: (n,) phase.
-        angle: (n, 3) rad, true joint angles.
-        onsets, releases_ns: truth.
+        arrays: the leg's samples and truth.
     """
 
     piece: Piece
-    measured: Array
-    desired: Array
-    swing: Mask
-    angle: NDArray[np.float32]
-    onsets: tuple[Onset, ...]
-    releases_ns: tuple[int, ...]
+    arrays: LegArrays
 
     @property
-    def t_ns(self) -> NDArray[np.int64]:
-        """(n,) time stamps."""
-        return np.arange(len(self.swing), dtype=np.int64) * TICK_NS
+    def leg(self) -> str:
+        """Id of the leg."""
+        return self.piece.leg_run.leg
 
     @property
-    def touched(self) -> Mask:
-        """(n,) ticks that a contact may have marked, from the tick it began in until 60 ms after.
+    def measured(self) -> Array:
+        """(n, 3) rad."""
+        return self.arrays.measured
 
-        For training: what is left is free.
-        """
-        marked = np.zeros(len(self.swing), dtype=bool)
-        releases = np.array(sorted(self.releases_ns), dtype=np.int64)
-        for onset in self.onsets:
-            after = np.searchsorted(releases, onset.t_ns, side="right")
-            end_ns = releases[after] if after < len(releases) else self.t_ns[-1]
-            first = max(onset.t_ns // TICK_NS, 0)
-            marked[first : end_ns // TICK_NS + 4] = True
-        return marked
+    @property
+    def desired(self) -> Array:
+        """(n, 3) rad."""
+        return self.arrays.desired
 
-    def truth(self, robot: Robot) -> LegStream:
-        """What the score needs."""
-        leg = robot.leg(self.piece.leg_run.leg)
-        changes = [
-            ContactTruth(
-                t_ns=o.t_ns,
-                contact=True,
-                force=o.force_n,
-                speed_m_s=o.speed_m_s,
-                surface="soft" if o.surface == "soft" else "hard",
-                grazing=o.grazing,
-            )
-            for o in self.onsets
-        ]
-        changes += [ContactTruth(t_ns=t, contact=False, force=0.0) for t in self.releases_ns]
-        swings: Swings = find_swings(self.t_ns, self.swing)
-        assert leg.lengths_m is not None
-        height = foot(self.desired, leg.lengths_m, leg.joint_axes)[:, 2]
-        return LegStream(
-            leg=self.piece.leg_run.name,
-            t_ns=self.t_ns,
-            swing=self.swing,
-            truth=truth_changes(changes),
-            lift=lift_by_height(swings, height),
+    @property
+    def swing(self) -> Mask:
+        """(n,) phase."""
+        return self.arrays.swing
+
+    @cached_property
+    def run(self) -> Run:
+        """As a run of one leg; the body's motion is not kept."""
+        n = len(self.swing)
+        return Run(
+            t_ns=np.arange(n, dtype=np.int64) * TICK_NS,
+            legs={self.leg: self.arrays},
+            position_m=np.zeros((n, 3)),
+            rotation=np.broadcast_to(np.eye(3), (n, 3, 3)),
         )
+
+    @cached_property
+    def stretch(self) -> Stretch:
+        """To learn from; ticks near a touch are marked as not free."""
+        return stretch_of(self.run, self.leg)
 
 
 def piece_path(store: Store, piece: Piece) -> Path:
@@ -124,19 +108,22 @@ def record_all(
         store: where they go.
         pieces: which.
         workers: processes.
-        progress: told the simulated seconds as they are done.
+        progress: told the seconds of every piece as it is done.
 
     Raises:
         SimulationDiverged: the physics of one blew up.
     """
-    missing = []
+    # Legs of one hung-up robot come from one simulation.
+    jobs: dict[str, _Job] = {}
     for piece in pieces:
         path = piece_path(store, piece)
         if path.exists():
             progress(piece.seconds)
-        else:
-            missing.append((piece, path))
-    for _, seconds in parallel(_record, missing, workers):
+            continue
+        shared = isinstance(piece.settings, GantrySettings)
+        key = repr((piece.settings, piece.seconds)) if shared else repr(piece)
+        jobs.setdefault(key, []).append((piece, path))
+    for _, seconds in parallel(_record, list(jobs.values()), workers):
         progress(seconds)
 
 
@@ -145,7 +132,7 @@ def load(store: Store, piece: Piece) -> Stream:
     path = piece_path(store, piece)
     arrays = read_arrays(path)
     if arrays is None:
-        _record((piece, path))
+        _record([(piece, path)])
         arrays = read_arrays(path)
         assert arrays is not None
     steps = arrays["steps"].astype(np.float64) * QUANTUM_RAD
@@ -171,15 +158,20 @@ def load(store: Store, piece: Piece) -> Stream:
         )
         for t, tick, force, speed, part, soft, grazing in columns
     )
-    return Stream(
-        piece=piece,
+    n = len(steps)
+    leg = LegArrays(
         measured=steps[:, :3],
         desired=steps[:, 3:],
+        valid=np.ones((n, 3), dtype=bool),
         swing=arrays["swing"],
-        angle=arrays["angle"],
+        # Force and contact by tick are not kept: onsets and releases say all that is judged.
+        contact=np.zeros(n, dtype=bool),
+        force_n=np.zeros(n),
+        angle=arrays["angle"].astype(np.float64),
         onsets=onsets,
         releases_ns=tuple(arrays["releases_ns"].tolist()),
     )
+    return Stream(piece, leg)
 
 
 def parallel(
@@ -229,11 +221,16 @@ def _ignore_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _record(item: tuple[Piece, Path]) -> float:
-    piece, path = item
-    run = record_arrays(piece.settings, piece.seconds)
-    write_arrays(path, pack(run.legs[piece.leg_run.leg]))
-    return piece.seconds
+def _record(job: _Job) -> float:
+    piece, _ = job[0]
+    if isinstance(piece.settings, GantrySettings):
+        legs = record_gantry(piece.settings, piece.seconds)
+    else:
+        name = piece.leg_run.leg
+        legs = {name: record_leg(piece.settings, name, piece.seconds)}
+    for part, path in job:
+        write_arrays(path, pack(legs[part.leg_run.leg]))
+    return sum(part.seconds for part, _ in job)
 
 
 def pack(leg: LegArrays) -> dict[str, NDArray[Any]]:
@@ -255,7 +252,3 @@ def pack(leg: LegArrays) -> dict[str, NDArray[Any]]:
         "releases_ns": np.array(leg.releases_ns, dtype=np.int64),
     }
 
-
-def leg_robot() -> Robot:
-    """The robot whose legs are simulated."""
-    return shipped_robot()

@@ -91,7 +91,7 @@ def identification(robot: Robot, train: Stream, test: Stream) -> dict[str, Any]:
         "window": dataclasses.asdict(PAPER_WINDOW),
         "rows": {"train": len(rows.swing), "test": len(held.swing)},
         "floor_deg": float(np.degrees(floor)),
-        "reading_noise_deg": rms_deg(test.measured - test.angle),
+        "reading_noise_deg": rms_deg(test.measured - test.arrays.angle),
         "naive": _scores(held.windows, held.windows.measured[:, 0], states=None),
         "sweeps": [
             _sweep(library, rows, held, unit, normalised) for unit, normalised in CONVENTIONS

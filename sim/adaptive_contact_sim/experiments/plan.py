@@ -6,17 +6,20 @@ robot: its servos differ from every other's, and it has models of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from dataclasses import dataclass, field
+from typing import Final, Literal
 
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.encoder import EncoderSettings
+from adaptive_contact_sim.obstacles import Approach, ObstacleSettings
 from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 
-__all__ = ["FULL", "QUICK", "STIFFNESS_N_M", "LegRun", "Piece", "Plan", "Role"]
+__all__ = ["FULL", "QUICK", "STIFFNESS_N_M", "GantrySettings", "LegRun", "Piece", "Plan", "Role"]
 
-Role = Literal["train", "tune", "free", "touch"]
+# What a stretch is for: learning, choosing settings, false alarms (``free`` hung up by the body,
+# ``stand`` as in the paper), collisions.
+Role = Literal["train", "tune", "free", "stand", "touch"]
 
 # Ticks of a trial in pose: ascent, descent, hold; and swing ticks among them.
 _TRIAL_TICKS: Final = 23
@@ -24,7 +27,13 @@ _TRIAL_SWING: Final = 20
 # Soft ground: foam, turf, packed soil under a foot of 8 mm radius (assumed range of the simulator).
 STIFFNESS_N_M: Final = (300.0, 1000.0, 3000.0)
 # Seeds by role: ranges that cannot meet.
-_SEEDS: Final = {"train": 1_000_000, "tune": 2_000_000, "free": 3_000_000, "touch": 4_000_000}
+_SEEDS: Final = {
+    "train": 1_000_000,
+    "tune": 2_000_000,
+    "free": 3_000_000,
+    "touch": 4_000_000,
+    "stand": 5_000_000,
+}
 # Pieces of this many simulated seconds: long enough to be worth a process's time, short enough
 # that an interruption loses little.
 _PIECE_S: Final = 300.0
@@ -44,6 +53,24 @@ class LegRun:
 
 
 @dataclass(frozen=True)
+class GantrySettings:
+    """A robot hung up by its body, every leg moving.
+
+    Attributes:
+        motions: what each leg does, (6,).
+        seed, robot_seed: as in :class:`~adaptive_contact_sim.simulation.SimulationSettings`.
+        supply_resistance_ohm: of battery and wiring.
+        encoder: reading noise and faults.
+    """
+
+    motions: tuple[PoseSettings, ...] = tuple(PoseSettings(legs=(leg,)) for leg in LEGS)
+    seed: int = 0
+    robot_seed: int = 0
+    supply_resistance_ohm: float = 0.1
+    encoder: EncoderSettings = field(default_factory=EncoderSettings)
+
+
+@dataclass(frozen=True)
 class Piece:
     """One stretch of simulation of one leg.
 
@@ -59,7 +86,7 @@ class Piece:
     role: Role
     kind: str
     seconds: float
-    settings: SimulationSettings
+    settings: SimulationSettings | GantrySettings
 
 
 @dataclass(frozen=True)
@@ -71,7 +98,8 @@ class Plan:
         robots: seeds of the robots; each has the ``legs``.
         train_segments, test_segments: the paper's dataset (4.1), one leg of robot 0.
         train_s, tune_s: free motion per leg-run by kind, s.
-        free_s: reported free motion per leg-run by kind, s.
+        free_s: reported free motion by kind, s, of every robot hung up by its body.
+        stand_s: the same per leg-run, standing on five legs.
         touch_s: reported collisions per leg-run by kind, s.
         tune_touch_s: collisions per leg-run on which baselines choose their settings.
         collisions: how many are drawn in detail (Figure 5).
@@ -85,6 +113,7 @@ class Plan:
     train_s: dict[str, float]
     tune_s: dict[str, float]
     free_s: dict[str, float]
+    stand_s: dict[str, float]
     touch_s: dict[str, float]
     tune_touch_s: float
     collisions: int = 10
@@ -97,6 +126,8 @@ class Plan:
 
     def pieces(self, role: Role) -> list[Piece]:
         """All stretches of a role."""
+        if role == "free":
+            return self._hung_up()
         found = []
         for index, leg_run in enumerate(self.leg_runs):
             base = _SEEDS[role] + 1000 * (self.seed * 100 + index)
@@ -104,7 +135,7 @@ class Plan:
             for kind, seconds in self._times(role).items():
                 parts = max(1, round(seconds / _PIECE_S))
                 for _ in range(parts):
-                    settings = _settings(leg_run, kind, base + count, role)
+                    settings = _settings(leg_run, kind, base + count)
                     found.append(Piece(leg_run, role, kind, seconds / parts, settings))
                     count += 1
         return found
@@ -119,18 +150,47 @@ class Plan:
         settings = SimulationSettings(motion=motion, seed=seed, robot_seed=leg_run.robot_seed)
         return Piece(leg_run, role, "paper", ticks * PERIOD_S, settings)
 
+    def _hung_up(self) -> list[Piece]:
+        """Free motion of whole robots: six pieces share their settings and one simulation."""
+        found = []
+        for robot in self.robots:
+            count = 0
+            for kind, seconds in self.free_s.items():
+                parts = max(1, round(seconds / _PIECE_S))
+                for _ in range(parts):
+                    settings = GantrySettings(
+                        motions=tuple(_motion(leg, kind) for leg in LEGS),
+                        seed=_SEEDS["free"] + 1000 * (self.seed * 100 + robot) + count,
+                        robot_seed=robot,
+                    )
+                    count += 1
+                    found += [
+                        Piece(LegRun(robot, leg), "free", kind, seconds / parts, settings)
+                        for leg in self.legs
+                    ]
+        return found
+
     def _times(self, role: Role) -> dict[str, float]:
         if role == "train":
             return self.train_s
         if role == "tune":
             return self.tune_s | {"hard": self.tune_touch_s}
-        return self.free_s if role == "free" else self.touch_s
+        return self.stand_s if role == "stand" else self.touch_s
 
 
-def _settings(leg_run: LegRun, kind: str, seed: int, role: Role) -> SimulationSettings:
-    """Settings of a stretch of the whole workspace, by kind."""
-    # Kinds of free motion carry the name of the approach; the others meet something.
-    obstacle: dict[str, tuple[Any, ObstacleSettings]] = {
+def _settings(leg_run: LegRun, kind: str, seed: int) -> SimulationSettings:
+    """Settings of a stretch on five legs, by kind."""
+    return SimulationSettings(
+        motion=_motion(leg_run.leg, kind), seed=seed, robot_seed=leg_run.robot_seed
+    )
+
+
+def _motion(leg: str, kind: str) -> PoseSettings:
+    """Motion over the whole workspace, by kind.
+
+    Kinds of free motion carry the name of the approach; the others meet something.
+    """
+    kinds: dict[str, tuple[Approach, ObstacleSettings]] = {
         "descent": ("descent", ObstacleSettings()),
         "slow": ("slow", ObstacleSettings()),
         "forward": ("forward", ObstacleSettings()),
@@ -141,12 +201,9 @@ def _settings(leg_run: LegRun, kind: str, seed: int, role: Role) -> SimulationSe
     }
     for stiffness in STIFFNESS_N_M:
         soft = ObstacleSettings(probability=0.6, soft=1.0, stiffness_n_m=(stiffness, stiffness))
-        obstacle[f"soft {stiffness:.0f}"] = ("descent", soft)
-    approach, obstacles = obstacle[kind]
-    motion = PoseSettings(
-        legs=(leg_run.leg,), workspace="whole", approach=approach, obstacles=obstacles
-    )
-    return SimulationSettings(motion=motion, seed=seed, robot_seed=leg_run.robot_seed)
+        kinds[f"soft {stiffness:.0f}"] = ("descent", soft)
+    approach, obstacles = kinds[kind]
+    return PoseSettings(legs=(leg,), workspace="whole", approach=approach, obstacles=obstacles)
 
 
 _TOUCH_S: Final = {
@@ -157,7 +214,7 @@ _TOUCH_S: Final = {
     "graze": 40.0,
 }
 
-# 24 leg-runs; 24 x 5,250 s of free motion hold a little more than 5.4 million swing ticks.
+# 24 leg-runs; four robots x 5,250 s x six legs hold a little more than 5.4 million swing ticks.
 FULL: Final = Plan(
     name="full",
     robots=(0, 1, 2, 3),
@@ -166,7 +223,8 @@ FULL: Final = Plan(
     test_segments=1000,
     train_s={"descent": 160.0, "slow": 60.0, "forward": 40.0},
     tune_s={"descent": 100.0, "slow": 40.0, "forward": 25.0},
-    free_s={"descent": 3750.0, "slow": 750.0, "forward": 800.0},
+    free_s={"descent": 3700.0, "slow": 800.0, "forward": 800.0},
+    stand_s={"descent": 210.0, "slow": 50.0, "forward": 50.0},
     touch_s=_TOUCH_S,
     tune_touch_s=40.0,
 )
@@ -178,7 +236,8 @@ QUICK: Final = Plan(
     test_segments=400,
     train_s=FULL.train_s,
     tune_s=FULL.tune_s,
-    free_s={"descent": 300.0, "slow": 75.0, "forward": 75.0},
+    free_s={"descent": 240.0, "slow": 60.0, "forward": 60.0},
+    stand_s={"descent": 60.0, "slow": 20.0, "forward": 20.0},
     touch_s={kind: 0.6 * seconds for kind, seconds in _TOUCH_S.items()},
     tune_touch_s=40.0,
 )

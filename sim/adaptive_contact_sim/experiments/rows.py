@@ -42,7 +42,7 @@ def free_rows(stream: Stream, library: Library) -> FreeRows:
         library: whose window is cut.
     """
     cut = stack(stream.measured, stream.desired, library.window)
-    use = stream.swing & ~stream.touched
+    use = stream.swing & stream.stretch.free
     rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1])
     number = np.cumsum(np.diff(stream.swing.astype(int), prepend=0) == 1)
     return FreeRows(Rows(*(part[rows] for part in cut)), number[cut.tick[rows]])

@@ -117,7 +117,7 @@ def plain(value: Any) -> Any:
 @functools.cache
 def physics_fingerprint() -> str:
     """Hash of a second of every kind of motion: what the simulator does, not how it is written."""
-    from adaptive_contact_sim.arrays import record_arrays
+    from adaptive_contact_sim.experiments.recording import record_leg
     from adaptive_contact_sim.obstacles import ObstacleSettings
     from adaptive_contact_sim.pose import PoseSettings
     from adaptive_contact_sim.simulation import SimulationSettings
@@ -130,8 +130,7 @@ def physics_fingerprint() -> str:
             approach=approach,
             obstacles=ObstacleSettings(probability=1.0, soft=0.5),
         )
-        run = record_arrays(SimulationSettings(motion=motion, seed=12345), 2.0)
-        leg = run.legs["rf"]
+        leg = record_leg(SimulationSettings(motion=motion, seed=12345), "rf", 2.0)
         for part in (leg.measured, leg.desired, leg.swing, leg.force_n):
             digest.update(np.ascontiguousarray(part).tobytes())
         digest.update(repr(leg.onsets).encode())

@@ -1,0 +1,119 @@
+"""The sliding buffer of confirmed free ticks.
+
+Newest segments first, with a quota per direction and region of the workspace, so that a
+monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows
+(robust weights need them) and its own compressed factor is built when a refit asks for it;
+evicting is dropping.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter, deque
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.identify import Factor
+from adaptive_contact.wire import BufferCounts
+
+__all__ = ["BLOCK_SEGMENTS", "MAX_SEGMENTS", "Segment", "SlidingBuffer"]
+
+Array = NDArray[np.float64]
+
+# 120 segments are the lifts and descents of 60 swings: about a minute of walking.
+MAX_SEGMENTS: Final = 120
+# Raw segments are compressed into one factor per so many.
+BLOCK_SEGMENTS: Final = 20
+
+
+class Segment(NamedTuple):
+    """Confirmed rows of one lift or one descent.
+
+    Attributes:
+        theta: (n, p); target: (n, J) rad.
+        cell: direction and region it counts towards.
+        era: which state of the leg it belongs to; raised by the drift monitor.
+        t_ns: of its last row.
+    """
+
+    theta: Array
+    target: Array
+    cell: tuple[int, int]
+    era: int
+    t_ns: int
+
+
+@dataclasses.dataclass
+class SlidingBuffer:
+    """Confirmed segments of one leg."""
+
+    limit: int = MAX_SEGMENTS
+    _segments: deque[Segment] = dataclasses.field(default_factory=deque)
+    _swings: int = 0
+
+    @property
+    def segments(self) -> list[Segment]:
+        """Oldest first."""
+        return list(self._segments)
+
+    @property
+    def counts(self) -> BufferCounts:
+        """For the status."""
+        ticks: Counter[int] = Counter()
+        for segment in self._segments:
+            ticks[segment.cell[0]] += len(segment.target)
+        lifts = sum(segment.cell[0] == 0 for segment in self._segments)
+        return BufferCounts(
+            swings=max(lifts, len(self._segments) - lifts),
+            lift_ticks=ticks[0],
+            descent_ticks=ticks[1],
+        )
+
+    def add(self, rows: list[Row], region: int, era: int) -> None:
+        """Take in the confirmed rows of a lift or of a descent."""
+        if not rows:
+            return
+        cell = (0 if rows[0].lift else 1, region)
+        theta = np.array([row.theta for row in rows])
+        target = np.array([row.target for row in rows])
+        self._segments.append(Segment(theta, target, cell, era, rows[-1].t_ns))
+        if len(self._segments) > self.limit:
+            self._evict()
+
+    def _evict(self) -> None:
+        """Drop one: first of older eras, then the oldest of the fullest cell."""
+        newest = self._segments[-1].era
+        for index, segment in enumerate(self._segments):
+            if segment.era != newest:
+                del self._segments[index]
+                return
+        fullest, _ = Counter(segment.cell for segment in self._segments).most_common(1)[0]
+        for index, segment in enumerate(self._segments):
+            if segment.cell == fullest:
+                del self._segments[index]
+                return
+
+    def factors(self, terms: int, joints: int, *, era: int, every: int = 5) -> tuple[Factor, Factor]:
+        """Compressed factors to fit to and to choose by.
+
+        Args:
+            terms: p.
+            joints: J.
+            era: only segments of this state of the leg.
+            every: each so-manyth segment is held out.
+
+        Returns:
+            The factor of the rest, and of those held out.
+        """
+        fit, held_out = Factor(terms, joints), Factor(terms, joints)
+        for number, segment in enumerate(s for s in self._segments if s.era == era):
+            target = held_out if number % every == every - 1 else fit
+            target.add(segment.theta, segment.target)
+        return fit, held_out
+
+    def clear(self) -> None:
+        """Forget everything: the rows belong to another model's regressors."""
+        self._segments.clear()

@@ -1,0 +1,108 @@
+r"""Directions in which a leg's coefficients move when the leg itself changes.
+
+A hundred coefficients cannot be found again from two swings, but a leg that has changed has
+mostly changed in few ways: its drive is weaker or softer (supply, winding, compliance), it rubs
+more (friction), it carries more (mud).  Each way moves a joint's coefficients along a known
+direction: the terms of the drive together, the friction shape, the gravity terms.  Loosening the
+recursion along these, and little elsewhere, lets two swings say what happened.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.identify import LegModel
+
+__all__ = ["core_support", "drift_directions"]
+
+Array = NDArray[np.float64]
+
+# Standard deviation of a change of a whole family of terms, as a share of itself.
+FAMILY_SHARE: Final = 0.3
+# Of a single term, in noise units: friction × 4 moves a prediction by 2 to 4.
+TERM_UNITS: Final = 2.0
+# Of everything else, in noise units.
+OTHER_UNITS: Final = 0.5
+
+
+def core_support(model: LegModel) -> NDArray[np.bool_]:
+    """The model's support, and the terms a change of the leg may need.
+
+    Returns:
+        (p, J) bool: what the recursion may move.
+    """
+    support = model.support.copy()
+    for joint, name in enumerate(model.library.joints):
+        for term in _own_terms(name):
+            row = _row(model, term)
+            if row is not None:
+                support[row, joint] = True
+        for row, term in enumerate(model.library.names):
+            if term == "1" or term.startswith(("cos φ", "sin φ")):
+                support[row, joint] = True
+    return support
+
+
+def drift_directions(model: LegModel, scale: Array, noise: Array) -> Array:
+    """Likely changes of the coefficients.
+
+    Args:
+        model: in force.
+        scale: (p,) typical size of each regressor.
+        noise: (J,) rad.
+
+    Returns:
+        (J, d, p) standard deviations along each direction, in raw units.
+    """
+    library, p = model.library, model.library.size
+    every = []
+    for joint, name in enumerate(library.joints):
+        own = model.coefficients[:, joint]
+        rows = []
+        families = [
+            [i for i, t in enumerate(library.names) if t.startswith("sat(") and f"_{name}" in t],
+            [i for i, t in enumerate(library.names) if t.startswith("v_") and f"v_{name}" in t],
+            [i for i, t in enumerate(library.names) if t.startswith("Δu_") and f"_{name}" in t],
+        ]
+        for family in families:
+            move = np.zeros(p)
+            move[family] = FAMILY_SHARE * own[family]
+            rows.append(move)
+        rows.append(FAMILY_SHARE * own)
+        support = core_support(model)[:, joint]
+        single = {_row(model, term) for term in _own_terms(name)}
+        for row in np.flatnonzero(support):
+            units = TERM_UNITS if row in single else OTHER_UNITS
+            move = np.zeros(p)
+            move[row] = units * noise[joint] / scale[row]
+            rows.append(move)
+        every.append(rows)
+    most = max(map(len, every))
+    out = np.zeros((len(every), most, p))
+    for joint, rows in enumerate(every):
+        out[joint, : len(rows)] = rows
+    return out
+
+
+def _own_terms(joint: str) -> tuple[str, ...]:
+    return (
+        "1",
+        f"e_{joint}/s",
+        f"sat(e_{joint}/s)",
+        f"sat(e_{joint}/0.5s)",
+        f"sat(e_{joint}/2s)",
+        f"sat(e⁻_{joint}/s)",
+        f"tanh(v_{joint}/v₀)",
+        f"v_{joint}",
+        f"Δu_{joint}",
+    )
+
+
+def _row(model: LegModel, term: str) -> int | None:
+    try:
+        return model.library.names.index(term)
+    except ValueError:  # the paper's library has no such term
+        return None

@@ -1,0 +1,366 @@
+"""Follows one leg's model: level of the residuals, recursion, refits, return to what was known.
+
+The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
+the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
+widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change:
+the recursion is loosened along the ways in which legs change, and learns from the lifts at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections import deque
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from adaptive_contact.adapt.baseline import LegBaseline
+from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.directions import core_support, drift_directions
+from adaptive_contact.adapt.refit import Refitter, RefitJob
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.identify import FitStatus, LegModel
+from adaptive_contact.identify.recursive import RecursiveLeastSquares
+from adaptive_contact.wire import DriftLevel, RefitCounts, Status
+
+__all__ = ["Follower", "LearnerMode"]
+
+Array = NDArray[np.float64]
+
+# A good model's lift exceeds the doubt level once in so many; the slack is for what a covariance
+# of one context does not tell of another.
+DOUBT_PROBABILITY: Final = 1e-4
+DOUBT_SLACK: Final = 1.5
+DOUBTS: Final = 2  # in a row, for a change
+# Share of a new lift in the followed level, and while adapting.
+LEVEL_SHARE: Final = 0.1
+LEVEL_SHARE_ADAPTING: Final = 0.5
+LEVEL_RANGE: Final = (1.0, 400.0)
+# Calm lifts in a row after which an adapting leg is valid again.
+SETTLED_SWINGS: Final = 3
+SETTLED_LEVEL: Final = 2.5
+# Swings after which a leg that will not settle is called ambiguous, or taken for noisier.
+PATIENCE_SWINGS: Final = 20
+LOOSEN_EVERY: Final = 5
+# The baseline is taken up again when it has been this much better for so many lifts.
+RETURN_RATIO: Final = 0.6
+RETURN_SWINGS: Final = 3
+REFIT_EVERY_SWINGS: Final = 20
+REFIT_DUE_TICKS: Final = 50
+TRIAL_ROWS: Final = 60
+# A candidate must predict the trial's rows better than the champion did before learning them.
+PROMOTE_RATIO: Final = 0.98
+MIN_ROWS_PER_TERM: Final = 4
+
+
+class LearnerMode(enum.StrEnum):
+    """How a learner follows its leg; the lesser ones are there for comparison."""
+
+    FROZEN = "frozen"
+    UNGATED = "ungated"
+    REFIT = "refit"
+    RLS = "rls"
+    FULL = "full"
+
+
+@dataclasses.dataclass
+class _Trial:
+    """A candidate being compared on rows neither has seen."""
+
+    coefficients: Array
+    rows: int = 0
+    candidate: float = 0.0
+    champion: float = 0.0
+
+
+class Follower:
+    """The adapting part of one leg's learner.
+
+    Args:
+        leg: its id.
+        known: the baseline.
+        mode: what it may do.
+        refitter: does the sparse refits.
+    """
+
+    def __init__(self, leg: str, known: LegBaseline, mode: LearnerMode, refitter: Refitter) -> None:
+        self.mode = mode
+        self.model = known.model
+        self.level = 1.0  # followed: squared whitened residual over J on free ticks
+        self.status: Status = "valid"
+        self.buffer = SlidingBuffer()
+        self.confirmed_ns: deque[int] = deque(maxlen=20_000)
+        self._leg = leg
+        self._baseline = known.model
+        self._noise = known.noise.rms
+        self._refitter = refitter
+        self._scale = known.scale
+        self._rls = self._recursion(known.model)
+        self._swing_level: float | None = None
+        self._queue: deque[Row] = deque()
+        self._doubted: list[Row] = []
+        self._doubts = 0
+        self._doubted_ns = 0
+        self._settled = 0
+        self._since_ns: int | None = None
+        self._swings_adapting = 0
+        self._better_baseline = 0
+        self._era = 0
+        self._loose_swings = 0
+        self._swings_since_refit = 0
+        self._refits = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
+        self._reason: str | None = None
+        self._pending: tuple[int, int] | None = None  # job, ticks to go
+        self._jobs = 0
+        self._trial: _Trial | None = None
+        self._lifts_missing = 0
+
+    # -- what the detector asks -------------------------------------------------------------------
+
+    @property
+    def learning(self) -> bool:
+        """Whether this follower does anything at all."""
+        return self.mode is not LearnerMode.FROZEN
+
+    def variance(self, theta: Array) -> Array | float:
+        """Factor on the residual's variance at a tick: the level, and the model's own doubt.
+
+        Args:
+            theta: (p,) regressors of the prediction.
+
+        Returns:
+            (J,) or one number.
+        """
+        level = self.level_in_force
+        if self._loose_swings > 0:
+            return level * (1.0 + self._rls.uncertainty(theta))
+        return level
+
+    @property
+    def level_in_force(self) -> float:
+        """The level by which this swing is judged."""
+        return self.level if self._swing_level is None else self._swing_level
+
+    @property
+    def drift(self) -> DriftLevel:
+        """For the status."""
+        return DriftLevel(level=self.level, since_ns=self._since_ns)
+
+    @property
+    def refits(self) -> RefitCounts:
+        """For the status."""
+        return RefitCounts(**self._refits, last_reason=self._reason)
+
+    # -- what the learner tells -------------------------------------------------------------------
+
+    def begin_swing(self) -> None:
+        """A new swing: doubts of the last one's lift are not carried over."""
+        self._swing_level = None
+
+    def learn_now(self, row: Row) -> None:
+        """Ungated: any tick is learned as it comes, contact or not."""
+        self._rls.update(row.theta, row.target)
+        self._publish()
+
+    def lift(self, rows: list[Row], region: int, t_ns: int) -> None:
+        """The top of a swing has been passed.
+
+        Args:
+            rows: ticks of the lift, all free.
+            region: of the workspace.
+            t_ns: now.
+        """
+        if not rows:
+            return
+        levels = np.sort([row.level for row in rows])
+        joints = len(self._noise)
+        kept = levels[: max(1, len(levels) - 1)]  # one wild reading is no change
+        level = float(kept.mean())
+        dof = joints * len(kept)
+        limit = DOUBT_SLACK * float(stats.chi2.isf(DOUBT_PROBABILITY, dof)) / dof
+        if level > limit * self.level:
+            self._doubt(rows, level, region, t_ns)
+            return
+        self._doubts = 0
+        self._doubted = []
+        self._accept(rows, level, region)
+        self._settle(level, t_ns)
+
+    def descent(self, rows: list[Row], region: int) -> None:
+        """The confirmed part of a descent."""
+        self._confirm(rows, region)
+
+    def swing_done(self) -> None:
+        """A swing has been resolved."""
+        self._loose_swings = max(0, self._loose_swings - 1)
+        self._swings_since_refit += 1
+        if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
+            self._request()
+
+    def tick(self, budget: int) -> None:
+        """Once per control tick: learn a few rows, collect a result that is due."""
+        if self._queue:
+            for _ in range(min(budget, len(self._queue))):
+                row = self._queue.popleft()
+                self._compare(row)
+                self._rls.update(row.theta, row.target)
+            self._publish()
+        if self._pending is not None:
+            job, wait = self._pending
+            if wait > 0:
+                self._pending = (job, wait - 1)
+            else:
+                self._collect(job)
+
+    # -- private ----------------------------------------------------------------------------------
+
+    def _doubt(self, rows: list[Row], level: float, region: int, t_ns: int) -> None:
+        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._doubts += 1
+        self._settled = 0
+        if self._doubts < DOUBTS:
+            self._doubted = rows
+            self._doubted_ns = t_ns
+            return
+        if self.status != "adapting" or self._swings_adapting >= LOOSEN_EVERY:
+            self._change(self._doubted_ns)
+        self._swings_adapting += 1
+        self.level = self._swing_level
+        self._accept([*self._doubted, *rows], level, region)
+        self._doubted = []
+        if self._swings_adapting > PATIENCE_SWINGS:
+            self.status = "ambiguous"
+
+    def _change(self, since_ns: int) -> None:
+        """Something about the leg has changed: let the recursion move."""
+        if self.status != "adapting":
+            self._since_ns = since_ns
+        self.status = "adapting"
+        self._swings_adapting = 0
+        self._era += 1
+        self._loose_swings = PATIENCE_SWINGS
+        self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
+        self._trial, self._pending = None, None
+
+    def _accept(self, rows: list[Row], level: float, region: int) -> None:
+        share = LEVEL_SHARE_ADAPTING if self.status == "adapting" else LEVEL_SHARE
+        self.level = float(np.clip((1 - share) * self.level + share * level, *LEVEL_RANGE))
+        self._consider_baseline(rows)
+        self._confirm(rows, region)
+
+    def _confirm(self, rows: list[Row], region: int) -> None:
+        self.confirmed_ns.extend(row.t_ns for row in rows)
+        self.buffer.add(rows, region, self._era)
+        if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
+            self._queue.extend(rows)
+        else:
+            for row in rows:
+                self._compare(row)
+
+    def _settle(self, level: float, t_ns: int) -> None:
+        if self.status == "valid":
+            return
+        self._swings_adapting += 1
+        self._settled = self._settled + 1 if level < SETTLED_LEVEL else 0
+        patient = self._swings_adapting > PATIENCE_SWINGS
+        if self._settled >= SETTLED_SWINGS or patient:
+            self.status = "valid"
+            self._since_ns = None
+            self._swings_adapting = 0
+
+    def _consider_baseline(self, rows: list[Row]) -> None:
+        """Mud is washed off, a battery is changed: what was known may hold again."""
+        if self.model.version == 0:
+            return
+        now = self._error(rows, self.model.coefficients)
+        before = self._error(rows, self._baseline.coefficients)
+        self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
+        if self._better_baseline < RETURN_SWINGS:
+            return
+        self._better_baseline = 0
+        self._rls = self._recursion(self._baseline)
+        self._queue.clear()
+        self._refits["rolled_back"] += 1
+        self._reason = f"rolled back: the baseline fits {RETURN_SWINGS} lifts better"
+        self._publish()
+        self.level = 1.0
+        self._era += 1
+
+    def _error(self, rows: list[Row], coefficients: Array) -> float:
+        theta = np.array([row.theta for row in rows])
+        target = np.array([row.target for row in rows])
+        return float(np.square((target - theta @ coefficients) / self._noise).mean())
+
+    def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
+        return RecursiveLeastSquares(
+            model.coefficients, core_support(model), self._scale, self._noise
+        )
+
+    def _publish(self) -> None:
+        coefficients = self._rls.coefficients
+        if not np.isfinite(coefficients).all():
+            self._rls = self._recursion(self._baseline)
+            self._refits["rolled_back"] += 1
+            self._reason = "rolled back: a coefficient was not finite"
+            coefficients = self._rls.coefficients
+        self.model = dataclasses.replace(
+            self.model, coefficients=coefficients, version=max(1, self.model.version)
+        )
+
+    # -- refits -----------------------------------------------------------------------------------
+
+    def _request(self) -> None:
+        if (
+            self._pending is not None
+            or self._trial is not None
+            or self._swings_since_refit < REFIT_EVERY_SWINGS
+        ):
+            return
+        p, joints = self.model.coefficients.shape
+        fit, held_out = self.buffer.factors(p, joints, era=self._era)
+        if fit.rows < MIN_ROWS_PER_TERM * p:
+            return
+        self._swings_since_refit = 0
+        self._jobs += 1
+        self._refitter.submit(RefitJob(self._leg, self._jobs, fit, held_out, self._noise))
+        self._pending = (self._jobs, REFIT_DUE_TICKS)
+
+    def _collect(self, job: int) -> None:
+        result = self._refitter.collect(self._leg, job)
+        if result is None:
+            return
+        self._pending = None
+        if result.status is not FitStatus.OK:
+            self._refuse(f"refused: the fit ended with '{result.status}'")
+            return
+        self._trial = _Trial(result.coefficients)
+
+    def _compare(self, row: Row) -> None:
+        trial = self._trial
+        if trial is None:
+            return
+        champion = (row.target - row.theta @ self.model.coefficients) / self._noise
+        candidate = (row.target - row.theta @ trial.coefficients) / self._noise
+        trial.champion += float(np.minimum(np.square(champion), 25.0).mean())
+        trial.candidate += float(np.minimum(np.square(candidate), 25.0).mean())
+        trial.rows += 1
+        if trial.rows < TRIAL_ROWS:
+            return
+        self._trial = None
+        ratio = trial.candidate / max(trial.champion, 1e-12)
+        if ratio > PROMOTE_RATIO:
+            self._refuse(f"refused: error {ratio:.3f} of the champion's on {trial.rows} new ticks")
+            return
+        self.model = dataclasses.replace(
+            self.model, coefficients=trial.coefficients, version=self.model.version + 1
+        )
+        self._rls = self._recursion(self.model)
+        self._refits["promoted"] += 1
+        self._reason = f"promoted: error {ratio:.3f} of the champion's on {trial.rows} new ticks"
+
+    def _refuse(self, reason: str) -> None:
+        self._refits["refused"] += 1
+        self._reason = reason

@@ -1,0 +1,109 @@
+"""The periodic sparse refit: a job that can be done anywhere, and its result.
+
+The work is a pure function of compressed factors, so that it can run in another process and be
+repeated exactly in a replay.  Who runs it is a :class:`Refitter`; without one, the learner does
+it in line at the tick where the result falls due.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.identify import Factor, FitSettings, FitStatus, fit_sparse
+
+__all__ = ["InlineRefitter", "RefitJob", "RefitResult", "Refitter", "refit"]
+
+Array = NDArray[np.float64]
+
+# λ, in units of the noise; the grid of a baseline's fit without its extremes.
+SWEEP = (0.05, 0.1, 0.15, 0.2, 0.3)
+TOLERANCE = 1.005
+
+
+@dataclasses.dataclass(frozen=True)
+class RefitJob:
+    """What a refit needs.
+
+    Attributes:
+        leg, number: name it.
+        fit, held_out: compressed factors of the buffer.
+        noise: (J,) rad, the unit of λ.
+    """
+
+    leg: str
+    number: int
+    fit: Factor
+    held_out: Factor
+    noise: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class RefitResult:
+    """What came of it.
+
+    Attributes:
+        status: how the fit ended.
+        coefficients: (p, J).
+        threshold: λ that was chosen.
+        held_out: root mean square over the noise, mean over joints, on the held-out segments.
+    """
+
+    number: int
+    status: FitStatus
+    coefficients: Array
+    threshold: float
+    held_out: float
+
+
+class Refitter(Protocol):
+    """Who does refits."""
+
+    def submit(self, job: RefitJob) -> None:
+        """Take a job; never blocks."""
+
+    def collect(self, leg: str, number: int) -> RefitResult | None:
+        """The result, or None while there is none; never blocks."""
+
+
+class InlineRefitter:
+    """Does a job when its result is asked for."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[tuple[str, int], RefitJob] = {}
+
+    def submit(self, job: RefitJob) -> None:
+        """Keep the job."""
+        self._jobs[job.leg, job.number] = job
+
+    def collect(self, leg: str, number: int) -> RefitResult | None:
+        """Do it."""
+        job = self._jobs.pop((leg, number), None)
+        return None if job is None else refit(job)
+
+
+def refit(job: RefitJob) -> RefitResult:
+    """Fit a sparse model, λ and support chosen on the held-out segments."""
+    unit = tuple(job.noise.tolist())
+    tried: list[tuple[float, float, Array]] = []
+    status = FitStatus.OK
+    for threshold in SWEEP:
+        fit = fit_sparse(job.fit, FitSettings(threshold=threshold, ridge=1e-6, unit=unit))
+        if fit.status is not FitStatus.OK:
+            status = fit.status
+            break
+        error = float(np.mean(job.held_out.rms(fit.coefficients) / job.noise))
+        if np.isfinite(error):
+            tried.append((threshold, error, fit.coefficients))
+    if not tried:
+        empty = np.zeros((job.fit.terms, job.fit.outputs))
+        worst = FitStatus.TOO_FEW_ROWS if status is FitStatus.OK else status
+        return RefitResult(job.number, worst, empty, 0.0, float("nan"))
+    best = min(error for _, error, _ in tried)
+    threshold, error, coefficients = max(
+        (entry for entry in tried if entry[1] <= TOLERANCE * best), key=lambda entry: entry[0]
+    )
+    return RefitResult(job.number, FitStatus.OK, coefficients, threshold, error)

@@ -1,0 +1,134 @@
+"""One swing's ticks, held back until it is known what they were.
+
+A swing is in quarantine until it is resolved.  Ticks in which the foot rises, well after
+lift-off, cannot press on the ground: they are free at once.  Ticks after the top are free once the
+next stance has begun without an alarm, but for the last ones, in which a touch too soft to see may
+sit; after an alarm, only those well before its onset.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Row", "SwingBook"]
+
+Array = NDArray[np.float64]
+
+# Without calm, the first tick of a lift taken for free: a foot pressed in the stance before has let
+# go by the 7th tick of the command (measured in pose, 62 of 62 cases).
+FREE_LIFT_TICKS: Final = 8
+# A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has
+# changed shows in all of them alike.  Rows this many times above the last ones are still pressed.
+LET_GO_RATIO: Final = 10.0
+# Fewer free ticks than this say nothing about a lift.
+MIN_LIFT_ROWS: Final = 3
+# Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
+GUARD_TICKS: Final = 3
+# And at the end of a swing without an alarm.
+LAST_TICKS: Final = 6
+# A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
+MAX_ROWS: Final = 400
+
+
+class Row(NamedTuple):
+    """One tick to learn from.
+
+    Attributes:
+        theta: (p,) regressors that predicted it.
+        target: (J,) rad, the movement that was measured.
+        level: squared whitened distance of its residual over J: 1 on average for a good model.
+        t_ns: of the tick.
+        lift: the foot was rising.
+        calm: the leg had been found free before.
+    """
+
+    theta: Array
+    target: Array
+    level: float
+    t_ns: int
+    lift: bool
+    calm: bool
+
+
+@dataclasses.dataclass
+class SwingBook:
+    """The ticks of the swing in hand."""
+
+    start_ns: int = 0
+    _lift: list[Row] = dataclasses.field(default_factory=list)
+    _descent: list[Row] = dataclasses.field(default_factory=list)
+    _topped: bool = False
+    _closed: bool = False  # to the descent
+    _broken: bool = False  # to everything
+
+    def begin(self, t_ns: int) -> None:
+        """A swing begins."""
+        self.start_ns = t_ns
+        self._lift, self._descent = [], []
+        self._topped = self._closed = self._broken = False
+
+    def discard(self) -> None:
+        """The stream broke off: what cannot be resolved is not learned."""
+        self.begin(0)
+        self._broken = True
+
+    def add(self, row: Row, ticks: int, *, descending: bool) -> None:
+        """Enter a tick.
+
+        Args:
+            row: the tick.
+            ticks: since the swing began, 1 at its first sample.
+            descending: the command is past the top.
+        """
+        if self._broken:
+            return
+        if not (self._topped or row.lift or descending):
+            return  # commanded up and not moving up: held back, or noise
+        if row.lift and not self._topped:
+            # An alarm in the lift does not close it: there the leg is judged, not the ground.
+            if row.calm or ticks >= FREE_LIFT_TICKS:
+                self._lift.append(row)
+            return
+        self._topped = True
+        if not self._closed:
+            self._descent.append(row)
+            del self._descent[:-MAX_ROWS]
+
+    def take_lift(self) -> list[Row] | None:
+        """The lift's rows, once, when the top has been passed; None before."""
+        if not self._topped or not self._lift:
+            return None
+        rows, self._lift = self._lift, []
+        return _let_go(rows)
+
+    def alarm(self, onset_ns: int, period_ns: int) -> list[Row]:
+        """A contact was reported: what came well before its onset is free.
+
+        Returns:
+            Rows of the descent that are confirmed; the rest of the swing is not entered.
+        """
+        last = onset_ns - GUARD_TICKS * period_ns
+        rows = [row for row in self._descent if row.t_ns <= last]
+        self._descent, self._closed = [], True
+        return rows
+
+    def resolve(self) -> list[Row]:
+        """The next stance has begun: the rows of the descent that are confirmed."""
+        rows = self._descent[:-LAST_TICKS]
+        self._descent, self._closed = [], True
+        return rows
+
+
+def _let_go(rows: list[Row]) -> list[Row] | None:
+    """The part of a lift in which the foot is off the ground for sure, None if it is too short."""
+    if not rows[0].calm:
+        limit = LET_GO_RATIO * max(1.0, min(row.level for row in rows[-2:]))
+        first = len(rows)
+        while first > 0 and rows[first - 1].level <= limit:
+            first -= 1
+        rows = rows[first:]
+    return rows if len(rows) >= MIN_LIFT_ROWS else None

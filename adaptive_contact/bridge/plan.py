@@ -1,0 +1,178 @@
+"""From a robot's description to what each port's process has to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+
+from adaptive_contact.bridge.tables import BAUDS, ServoModel, models_named
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Leg, Port, Robot
+
+__all__ = ["DEFAULT_PORT", "JointPlan", "LegPlan", "PortPlan", "plan_ports"]
+
+# Name of the port of a description without any.
+DEFAULT_PORT: Final = "main"
+
+
+@dataclass(frozen=True)
+class JointPlan:
+    """One servo, as a joint.
+
+    Attributes:
+        servo: id on the bus.
+        name: of the joint.
+        models: what the servo may answer to be; all have the same control table.
+        direction, offset_rad: angle = direction * (position - centre) + offset.
+        lower_rad, upper_rad: how far goals may go.
+    """
+
+    servo: int
+    name: str
+    models: tuple[ServoModel, ...]
+    direction: int
+    offset_rad: float
+    lower_rad: float
+    upper_rad: float
+
+    @property
+    def model(self) -> ServoModel:
+        """The control table to use."""
+        return self.models[0]
+
+    def angle(self, steps: int) -> float:
+        """Joint angle, rad, of a position in steps."""
+        model = self.model
+        return self.direction * (steps - model.centre) * model.step_rad + self.offset_rad
+
+    def steps(self, angle_rad: float) -> int:
+        """Nearest position in steps of a joint angle, within the servo's range."""
+        model = self.model
+        steps = model.centre + round(
+            self.direction * (angle_rad - self.offset_rad) / model.step_rad
+        )
+        return min(max(steps, model.lowest), model.highest)
+
+
+@dataclass(frozen=True)
+class LegPlan:
+    """One leg's servos, from the body outwards."""
+
+    id: str
+    joints: tuple[JointPlan, ...]
+    max_step_rad: float
+
+
+@dataclass(frozen=True)
+class PortPlan:
+    """What one process does."""
+
+    name: str
+    port: Port
+    legs: tuple[LegPlan, ...]
+    period_s: float
+
+    @property
+    def joints(self) -> tuple[JointPlan, ...]:
+        """All joints on this port."""
+        return tuple(joint for leg in self.legs for joint in leg.joints)
+
+
+def plan_ports(
+    robot: Robot, devices: Mapping[str, str] | None = None, *, baud: int | None = None
+) -> tuple[PortPlan, ...]:
+    """Deal the robot's legs to its ports.
+
+    Args:
+        robot: its description.
+        devices: devices instead of the description's, by port; a robot without ports has one
+            called ``main``.
+        baud: instead of the description's.
+
+    Raises:
+        ConfigurationError: there is no port, no servo, or something is unknown.
+    """
+    ports = dict(robot.ports)
+    for name, device in (devices or {}).items():
+        if name in ports:
+            ports[name] = msgspec.structs.replace(ports[name], device=device)
+        elif not ports and name == DEFAULT_PORT:
+            ports[name] = Port(device=device, protocol=_protocol_of(robot))
+        else:
+            raise ConfigurationError(
+                f"robot '{robot.name}' has no port '{name}'; its ports are "
+                f"{', '.join(ports) or DEFAULT_PORT}"
+            )
+    if not ports:
+        raise ConfigurationError(
+            f"robot '{robot.name}' has no port; add [port.main] with device = \"/dev/ttyUSB0\" to "
+            "its robot.toml, or give --device /dev/ttyUSB0"
+        )
+    plans = []
+    for name, port in ports.items():
+        if baud is not None:
+            port = msgspec.structs.replace(port, baud=baud)
+        if port.baud not in BAUDS:
+            raise ConfigurationError(
+                f"[port.{name}] baud {port.baud} is not supported; expected one of "
+                f"{', '.join(map(str, BAUDS))}"
+            )
+        legs = tuple(
+            _leg(leg, name, port)
+            for leg in robot.legs
+            if leg.servos is not None and leg.servos.port in (name, None)
+        )
+        if legs:
+            plans.append(PortPlan(name, port, legs, robot.period_s))
+    if not plans:
+        raise ConfigurationError(
+            f"robot '{robot.name}' has no servos; add servos = {{ ids = [...] }} to its legs, or "
+            "let `adaptive-contact robot init` write the file"
+        )
+    return tuple(plans)
+
+
+def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
+    servos = leg.servos
+    assert servos is not None
+    try:
+        models = models_named(servos.model)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"[[leg]] '{leg.id}': {error}") from error
+    if any(model.protocol != port.protocol for model in models):
+        raise ConfigurationError(
+            f"[[leg]] '{leg.id}': {servos.model} speaks protocol {models[0].protocol}, "
+            f"[port.{name}] is set to {port.protocol}; set protocol = {models[0].protocol} there"
+        )
+    joints = []
+    for j, (servo, joint) in enumerate(zip(servos.ids, leg.joints, strict=True)):
+        direction = 1 if servos.directions is None else servos.directions[j]
+        offset = 0.0 if servos.offsets_rad is None else servos.offsets_rad[j]
+        model = models[0]
+        ends = [
+            direction * (steps - model.centre) * model.step_rad + offset
+            for steps in (model.lowest, model.highest)
+        ]
+        lower, upper = min(ends), max(ends)
+        if leg.limits is not None:
+            lower = max(lower, leg.limits.lower_rad[j])
+            upper = min(upper, leg.limits.upper_rad[j])
+        if lower >= upper:
+            raise ConfigurationError(
+                f"[[leg]] '{leg.id}': joint '{joint}' cannot move: its limits and the range of "
+                f"{model.name} ({min(ends):.2f} to {max(ends):.2f} rad) do not meet; check "
+                "servos.offsets_rad and limits"
+            )
+        joints.append(JointPlan(servo, joint, models, direction, offset, lower, upper))
+    return LegPlan(leg.id, tuple(joints), servos.max_step_rad)
+
+
+def _protocol_of(robot: Robot) -> int:
+    """Protocol of the robot's servos, for a port that is given on the command line."""
+    for leg in robot.legs:
+        if leg.servos is not None:
+            return models_named(leg.servos.model)[0].protocol
+    return 1

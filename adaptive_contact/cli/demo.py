@@ -1,0 +1,58 @@
+"""``adaptive-contact demo``: the whole thing in a minute."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adaptive_contact.cli._sim_options import given, needs_simulator
+
+__all__ = ["demo"]
+
+_PIPE_WIDTH = 120
+_STOPPED = 130  # what a shell calls "ended by Ctrl-C"
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where report and figures go.")
+    ] = Path("out/demo"),
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", help="Of walking, in real time. [66]", show_default=False),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)
+    ] = None,
+) -> None:
+    """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
+
+    Starts `serve` and `sim walk` as two processes, injects the drift with a third, and writes a
+    picture, the figures and a recording.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: _on_signal(stop))
+    with needs_simulator():
+        from adaptive_contact_sim.demo import DemoSettings, Stopped, run_demo
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed))
+    try:
+        run_demo(settings, console, stop)
+    except (Stopped, KeyboardInterrupt):
+        typer.echo("adaptive-contact: stopped; nothing was judged", err=True)
+        raise typer.Exit(_STOPPED) from None
+
+
+def _on_signal(stop: threading.Event) -> None:
+    """The first signal asks for an orderly end; the second breaks in, and still ends the others."""
+    if stop.is_set():
+        raise KeyboardInterrupt
+    stop.set()

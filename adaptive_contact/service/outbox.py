@@ -1,0 +1,127 @@
+"""Contact events on their way out, on a thread of their own.
+
+An event is put reliably, so a subscriber that hangs holds the put up (a quarter of a second,
+then Zenoh drops its link).  The learners must not wait for that: the worker only appends, and
+what cannot be sent for so long that the queue is full is dropped, oldest first, and counted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from typing import Final, NamedTuple, Protocol
+
+from adaptive_contact.errors import LinkError
+from adaptive_contact.wire import Message
+
+__all__ = ["QUEUE_EVENTS", "SLOW_PUT_NS", "Outbox"]
+
+# A robot has some ten events a second; this is more than a minute of them.
+QUEUE_EVENTS: Final = 1024
+# An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs.
+SLOW_PUT_NS: Final = 100_000_000
+_LATENCIES: Final = 4096
+
+
+class Publishes(Protocol):
+    """Where an event goes, as :class:`adaptive_contact.service.link.Publisher` is."""
+
+    def put(self, message: Message) -> None:
+        """Publish; may block."""
+
+
+class _Letter(NamedTuple):
+    publisher: Publishes
+    message: Message
+    arrival_ns: int
+
+
+class Outbox:
+    """Sends messages in order, on the caller's thread until :meth:`start`, then on its own.
+
+    Attributes:
+        lost: messages dropped because the queue was full, or the link was closed.
+        slow: puts that took longer than a tenth of a second.
+    """
+
+    def __init__(self, size: int = QUEUE_EVENTS) -> None:
+        self.lost = 0
+        self.slow = 0
+        self._size = size
+        self._queue: deque[_Letter] = deque()
+        self._changed = threading.Condition()
+        self._ending = False
+        self._thread: threading.Thread | None = None
+        self._putting_since_ns: int | None = None
+        # Handed over by the sending thread, taken by the worker: both ends are atomic.
+        self._latencies: deque[int] = deque(maxlen=_LATENCIES)
+
+    def start(self) -> None:
+        """Send on a thread from now on."""
+        self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
+        self._thread.start()
+
+    def close(self, timeout_s: float = 0.5) -> None:
+        """Send what waits, as far as that goes in time, and end."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def post(self, publisher: Publishes, message: Message, arrival_ns: int) -> None:
+        """Send a message; waits for nothing once the thread runs.
+
+        Args:
+            publisher: where to.
+            message: what.
+            arrival_ns: monotonic, of the sample that decided it.
+        """
+        letter = _Letter(publisher, message, arrival_ns)
+        if self._thread is None:
+            self._put(letter)
+            return
+        with self._changed:
+            if len(self._queue) >= self._size:
+                self._queue.popleft()
+                self.lost += 1
+            self._queue.append(letter)
+            self._changed.notify_all()
+
+    def busy_ns(self, now_ns: int) -> int:
+        """How long the put under way has been going on, 0 when there is none."""
+        since_ns = self._putting_since_ns
+        return 0 if since_ns is None else max(0, now_ns - since_ns)
+
+    def latencies(self) -> list[int]:
+        """Arrival of the deciding sample to the event being sent, ns, of those sent since."""
+        taken: list[int] = []
+        with contextlib.suppress(IndexError):
+            while True:
+                taken.append(self._latencies.popleft())
+        return taken
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._queue:
+                    if self._ending:
+                        return
+                    self._changed.wait()
+                letter = self._queue.popleft()
+            self._put(letter)
+
+    def _put(self, letter: _Letter) -> None:
+        began_ns = self._putting_since_ns = time.monotonic_ns()
+        try:
+            letter.publisher.put(letter.message)
+        except LinkError:  # closed under it, at the end of the process
+            self.lost += 1
+            return
+        finally:
+            self._putting_since_ns = None
+        done_ns = time.monotonic_ns()
+        self.slow += done_ns - began_ns > SLOW_PUT_NS
+        self._latencies.append(done_ns - letter.arrival_ns)

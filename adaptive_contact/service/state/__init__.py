@@ -1,0 +1,29 @@
+"""Learner state on disk: what was learned survives a restart, a crash and a full disk.
+
+:mod:`format` is one file's bytes, :mod:`store` a folder of them, :mod:`keeper` decides when to
+save and never lets the worker wait for a disk.
+"""
+
+from __future__ import annotations
+
+from adaptive_contact.service.state.format import Identity, Record, Refused, pack, unpack
+from adaptive_contact.service.state.keeper import Keepable, StateFacts, StateKeeper
+from adaptive_contact.service.state.settings import default_folder, settings_digest
+from adaptive_contact.service.state.store import StateStore, Stored, list_states, robot_folder
+
+__all__ = [
+    "Identity",
+    "Keepable",
+    "Record",
+    "Refused",
+    "StateFacts",
+    "StateKeeper",
+    "StateStore",
+    "Stored",
+    "default_folder",
+    "list_states",
+    "pack",
+    "robot_folder",
+    "settings_digest",
+    "unpack",
+]

@@ -1,0 +1,268 @@
+"""When state is saved and restored, and a thread that waits for the disk.
+
+The worker takes a snapshot, one leg at a time and only when no sample waits; the thread packs
+it, writes it and syncs it.  A disk that is slower than the snapshots come gets the newest of
+each leg; a disk that fails is counted, told of, and tried again with the next snapshot.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+
+import msgspec
+import structlog
+
+from adaptive_contact.service.meters import Brake
+from adaptive_contact.service.state.format import Identity, Record, Refused
+from adaptive_contact.service.state.store import StateStore
+
+__all__ = ["Keepable", "Kept", "Position", "StateFacts", "StateKeeper"]
+
+_log = structlog.get_logger()
+
+SAVE_PERIOD_S: Final = 10.0
+# Refusals told in ServiceStatus; more than a robot has legs would not fit its 4 kB.
+_TOLD: Final = 8
+_LINE: Final = 160
+
+
+@runtime_checkable
+class Keepable(Protocol):
+    """A learner whose state can be kept, as ``ContactLearner`` is."""
+
+    def snapshot(self) -> dict[str, object]:
+        """What was learned: numbers, strings, bytes, lists and maps; the learner goes on."""
+
+    def restore(self, snapshot: dict[str, Any]) -> str | None:
+        """Go on from a snapshot; None when it is used, otherwise why it is refused.
+
+        A learner that refuses stays as it was.
+        """
+
+
+class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """How keeping state goes, for people.
+
+    Attributes:
+        folder: where.
+        restored: legs that went on from a saved state.
+        refused: one line for each state that was not used.
+        saved: states written.
+        failed: states that could not be written.
+        error: why the last one could not, None when it could.
+    """
+
+    folder: str
+    restored: list[str]
+    refused: list[str]
+    saved: int
+    failed: int
+    error: str | None
+
+
+class Position(NamedTuple):
+    """Where a source was when its leg was saved."""
+
+    run: int | None
+    seq: int
+
+
+class Kept(Protocol):
+    """What the keeper asks of a leg's desk."""
+
+    leg: str
+    learner: object
+    model_version: int
+    heard_samples: int
+    position: Position | None
+
+
+class _Last(NamedTuple):
+    """What was last saved of a leg, and when the next save is due."""
+
+    due_ns: int
+    heard: int
+    model_version: int
+
+
+class StateKeeper:
+    """Saves and restores the learners of one service.
+
+    Args:
+        store: where to; closed by :meth:`close`.
+        robot: name of the robot.
+        settings: digest of a leg's settings, by its id.
+        package: version of this package.
+        period_s: between two saves of a leg.
+    """
+
+    def __init__(
+        self,
+        store: StateStore,
+        robot: str,
+        settings: Callable[[str], str],
+        *,
+        package: str = "",
+        period_s: float = SAVE_PERIOD_S,
+    ) -> None:
+        self._store = store
+        self._robot = robot
+        self._settings = settings
+        self._package = package
+        self._period_ns = int(period_s * 1e9)
+        self._identities: dict[str, Identity] = {}
+        self._last: dict[str, _Last] = {}
+        self._restored: list[str] = []
+        self._refused: list[str] = []
+        self._saved = 0
+        self._failed = 0
+        self._error: str | None = store.trouble
+        self._brake = Brake(60.0)
+        self._waiting: dict[str, Record] = {}
+        self._writing = False
+        self._ending = False
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        if store.trouble is not None:
+            _log.warning("state is not saved", why=store.trouble)
+
+    @property
+    def facts(self) -> StateFacts:
+        """How it goes."""
+        return StateFacts(
+            folder=str(self._store.folder),
+            restored=self._restored,
+            refused=self._refused[:_TOLD],
+            saved=self._saved,
+            failed=self._failed,
+            error=None if self._error is None else self._error[:_LINE],
+        )
+
+    def restore(self, leg: str, learner: object, library: str, now_ns: int) -> Position | None:
+        """Let a new learner go on from where it was, if there is a sound state of it.
+
+        Args:
+            leg: its id.
+            learner: just made.
+            library: name of its candidate library.
+            now_ns: monotonic.
+
+        Returns:
+            Where its source was; None without a state.
+        """
+        identity = Identity(self._robot, leg, library, self._settings(leg))
+        self._identities[leg] = identity
+        # Staggered, so that no two legs are saved in one tick.
+        share = (len(self._identities) % 7 + 1) / 8
+        self._last[leg] = _Last(now_ns + int(self._period_ns * share), 0, -1)
+        if not isinstance(learner, Keepable):
+            return None
+        for path, found in self._store.candidates(identity):
+            why = found.why if isinstance(found, Refused) else learner.restore(found.body)
+            if why is None and isinstance(found, Record):
+                age_s = max(0.0, (time.time_ns() - found.saved_ns) / 1e9)
+                _log.info(
+                    "state restored",
+                    leg=leg,
+                    model_version=found.model_version,
+                    age_s=round(age_s, 1),
+                )
+                self._restored.append(leg)
+                return None if found.seq is None else Position(found.run, found.seq)
+            line = f"{path.name}: {' '.join(str(why).split())[:_LINE]}"
+            _log.warning("state refused", leg=leg, file=path.name, why=why)
+            self._refused.append(line)
+            self._store.set_aside(path)
+        others = self._store.others(identity)
+        if others and leg not in self._restored:
+            _log.info("state of other settings or another baseline is left alone", leg=leg)
+        return None
+
+    def due(self, desk: Kept, now_ns: int) -> bool:
+        """Tell whether a leg should be saved: a new model, or 10 s with samples since the last."""
+        last = self._last.get(desk.leg)
+        if last is None or self._store.trouble is not None or desk.heard_samples == last.heard:
+            return False
+        promoted = last.model_version >= 0 and desk.model_version != last.model_version
+        return promoted or now_ns >= last.due_ns
+
+    def take(self, desk: Kept, now_ns: int) -> None:
+        """Snapshot a leg, and leave the rest to the thread."""
+        self._last[desk.leg] = _Last(
+            now_ns + self._period_ns, desk.heard_samples, desk.model_version
+        )
+        if not isinstance(desk.learner, Keepable):
+            return
+        position = desk.position
+        record = Record(
+            identity=self._identities[desk.leg],
+            saved_ns=time.time_ns(),
+            package=self._package,
+            model_version=desk.model_version,
+            run=None if position is None else position.run,
+            seq=None if position is None else position.seq,
+            body=desk.learner.snapshot(),
+        )
+        with self._changed:
+            self._waiting[desk.leg] = record  # replaces one that still waits
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="state", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until everything taken is on disk; False when it is not in time."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: not self._waiting and not self._writing, timeout_s
+            )
+
+    def close(self, timeout_s: float = 1.0) -> None:
+        """End: what waits is written if it can be in time, the folder is free for others."""
+        if not self.flush(timeout_s):
+            with self._changed:
+                late = " ".join(sorted(self._waiting)) or "the last one"
+            _log.warning("state not saved in time, the one before it stays", legs=late)
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(0.1)
+        self._store.close()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
+                if self._ending:
+                    return
+                leg = next(iter(self._waiting))
+                record = self._waiting.pop(leg)
+                self._writing = True
+            try:
+                self._write(leg, record)
+            finally:
+                with self._changed:
+                    self._writing = False
+                    self._changed.notify_all()
+
+    def _write(self, leg: str, record: Record) -> None:
+        try:
+            self._store.save(record)
+        except (OSError, TypeError) as error:
+            # A full or failing disk; or a learner that put something into its snapshot that is
+            # no plain value, which must not end this thread for the other legs.
+            self._failed += 1
+            why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+            self._error = f"{leg} not saved in {self._store.folder}: {why.lower()}"
+            stands_for = self._brake.passes("failed", time.monotonic_ns())
+            if stands_for is not None:
+                _log.warning("state not saved", leg=leg, why=why.lower(), times=stands_for)
+            return
+        self._saved += 1
+        if self._error is not None:
+            _log.info("state is saved again", leg=leg)
+        self._error = None

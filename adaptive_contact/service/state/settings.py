@@ -1,0 +1,44 @@
+"""Where state is kept, and what it belongs to."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from adaptive_contact.robot import Robot
+
+__all__ = ["default_folder", "settings_digest"]
+
+_DIGEST_HEX: Final = 16
+
+
+def default_folder() -> Path:
+    """The user's own folder: ``$XDG_STATE_HOME/adaptive-contact``, or below ``~/.local/state``."""
+    base = os.environ.get("XDG_STATE_HOME", "")
+    # The specification says to ignore a relative path.
+    root = Path(base) if Path(base).is_absolute() else Path.home() / ".local" / "state"
+    return root / "adaptive-contact"
+
+
+def settings_digest(robot: Robot, leg: str, baseline: str = "") -> str:
+    """Digest of everything that makes what a leg has learned useless when it changes.
+
+    Args:
+        robot: description; mounts, servo ids and the aim for false alarms do not enter.
+        leg: id; one that the description lacks is known by its id alone.
+        baseline: text of the models the learner starts from, empty for none: a new baseline is
+            a new beginning, which old state must not undo.
+
+    Returns:
+        16 hexadecimal digits.
+    """
+    shape: tuple[object, ...] = ()
+    if leg in robot.leg_ids:
+        known = robot.leg(leg)
+        shape = (known.joints, known.joint_axes, known.lengths_m, robot.quantum(leg))
+    facts = (robot.period_s, robot.servo, leg, shape, baseline)
+    return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()[:_DIGEST_HEX]

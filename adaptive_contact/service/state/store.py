@@ -1,0 +1,193 @@
+"""A folder of states: ``DIR/ROBOT/LEG-LIBRARY-SETTINGS.state``, and the one before each.
+
+A save writes a new file, syncs it, and renames: at every instant there is a whole state, the
+newest or the one before it.  A state that was refused is set aside under ``.refused``, so that
+the next save does not push the sound one before it out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from adaptive_contact.service.state.format import (
+    MAX_BYTES,
+    Identity,
+    Record,
+    Refused,
+    pack,
+    unpack,
+)
+
+__all__ = ["StateStore", "Stored", "list_states", "robot_folder"]
+
+NEWEST: Final = ".state"
+BEFORE: Final = ".before"
+REFUSED: Final = ".refused"
+_NEW: Final = ".new"
+_LOCK: Final = "lock"
+_PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
+
+
+class Stored(NamedTuple):
+    """One file of a folder: its record, or why it would be refused."""
+
+    path: Path
+    size: int
+    record: Record | Refused
+
+
+class StateStore:
+    """The states of one robot; opened by :meth:`open`, closed by :meth:`close`.
+
+    Attributes:
+        folder: of this robot.
+        trouble: one line on why nothing can be saved here, None when all is well.
+    """
+
+    def __init__(self, folder: Path, lock: int | None, trouble: str | None) -> None:
+        self.folder = folder
+        self.trouble = trouble
+        self._lock = lock
+
+    @classmethod
+    def open(cls, root: Path, robot: str) -> StateStore:
+        """Open a robot's folder below ``root``, made if need be; always gives a store.
+
+        One service at a time saves into a folder: the second one reads, and says so.
+        """
+        folder = robot_folder(root, robot)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            return cls(folder, None, _reason(error, folder))
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+            return cls(
+                folder,
+                None,
+                f"{folder} is in use by another service; stop that one, or give another --state",
+            )
+        return cls(folder, lock, None)
+
+    def close(self) -> None:
+        """Let others save here."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def path(self, identity: Identity) -> Path:
+        """Where the newest state of a leg is."""
+        name = "-".join(_plain(x) for x in (identity.leg, identity.library, identity.settings))
+        return self.folder / f"{name}{NEWEST}"
+
+    def candidates(self, identity: Identity) -> Iterator[tuple[Path, Record | Refused]]:
+        """What there is to restore a leg from, newest first; a missing file is no candidate."""
+        newest = self.path(identity)
+        for path in (newest, newest.with_suffix(BEFORE)):
+            found = _read(path, identity)
+            if found is not None:
+                yield path, found
+
+    def others(self, identity: Identity) -> int:
+        """How many states of this leg belong to other settings or another library."""
+        newest = self.path(identity)
+        pattern = f"{_plain(identity.leg)}-*{NEWEST}"
+        try:
+            return sum(path != newest for path in self.folder.glob(pattern))
+        except OSError:
+            return 0
+
+    def set_aside(self, path: Path) -> None:
+        """Take a refused state out of the way, keeping it for whoever wants to look."""
+        with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
+            if self.trouble is None:
+                path.replace(path.with_suffix(REFUSED))
+
+    def save(self, record: Record) -> None:
+        """Write a record so that a crash at any instant leaves a whole one.
+
+        Raises:
+            OSError: it could not be written; what was there before is still there.
+        """
+        newest = self.path(record.identity)
+        new = newest.with_suffix(_NEW)
+        try:
+            with new.open("wb") as file:
+                file.write(pack(record))
+                file.flush()
+                os.fsync(file.fileno())
+            # Between these two there is no newest one, but the one before it is whole.
+            with contextlib.suppress(FileNotFoundError):
+                newest.replace(newest.with_suffix(BEFORE))
+            new.replace(newest)
+            _sync_folder(self.folder)
+        except OSError:
+            with contextlib.suppress(OSError):
+                new.unlink(missing_ok=True)
+            raise
+
+
+def robot_folder(root: Path, robot: str) -> Path:
+    """Folder of a robot's states; its name may hold anything, so what cannot be a name is hashed.
+
+    Raises nothing: any text gives a folder below ``root``.
+    """
+    return root / _plain(robot)
+
+
+def list_states(root: Path) -> list[Stored]:
+    """Everything below a folder that is a state, or was refused as one, in order of name."""
+    found = []
+    for path in sorted(root.glob("*/*")):
+        if path.suffix not in (NEWEST, BEFORE, REFUSED):
+            continue
+        record = _read(path, None)
+        if record is not None:
+            with contextlib.suppress(OSError):
+                found.append(Stored(path, path.stat().st_size, record))
+    return found
+
+
+def _read(path: Path, identity: Identity | None) -> Record | Refused | None:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        return Refused(f"cannot be read ({(error.strerror or str(error)).lower()})")
+    if len(data) > MAX_BYTES:
+        return Refused(f"larger than {MAX_BYTES // 2**20} MB, which no state is")
+    return unpack(data, identity)
+
+
+def _reason(error: OSError, folder: Path) -> str:
+    what = (error.strerror or str(error)).lower()
+    return f"{folder} cannot be written to ({what}); give another --state DIR, or --no-state"
+
+
+def _plain(text: str) -> str:
+    if _PLAIN.match(text):
+        return text
+    tail = hashlib.sha256(text.encode()).hexdigest()[:8]
+    return f"{re.sub(r'[^A-Za-z0-9_]', '_', text)[:40]}.{tail}"
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the renames last; a file system that cannot is left to its own order."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with contextlib.suppress(OSError):
+            os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,68 @@
+"""The result in words: what the title of the report says."""
+
+from __future__ import annotations
+
+import math
+
+from adaptive_contact.score import Summary
+from adaptive_contact_sim.demo.settings import DemoSettings, drift_words
+from adaptive_contact_sim.demo.verdict import Judged, Verdict, others
+
+__all__ = ["outcome_words", "percent", "touches_words"]
+
+
+def touches_words(settings: DemoSettings, verdict: Verdict) -> str:
+    """How well contacts are told while nothing drifts."""
+    total = verdict.service.before.total
+    counted = total.counted
+    latency = counted.latency
+    delay = "" if latency is None else f", half of them within {latency.median_ms:.0f} ms"
+    return (
+        f"{counted.found} of {counted.touches} touches found from servo positions alone{delay}, "
+        f"{_alarms(total)}"
+    )
+
+
+def outcome_words(settings: DemoSettings, verdict: Verdict) -> tuple[str, ...]:
+    """What the drift did, and what became of it; one line each."""
+    leg = verdict.drift_leg
+    service, frozen = verdict.service, verdict.frozen
+    what = f"Then {drift_words(settings)} on leg {leg}"
+    if not _hurt(frozen, leg):
+        after = service.after.total
+        return (f"{what}: no harm done, {_share(after)} from then on, {_alarms(after)}.",)
+    own, rest = frozen.after.legs[leg], others(service.after, leg)
+    if service.recovery is None:
+        back = "The service is not back by the end"
+    elif service.recovery == 0:
+        back = "The service follows at once"
+    else:
+        back = f"The service is back after {service.recovery} swings of that leg"
+    return (
+        f"{what}: the model learned before finds {_share(own)} there, with {_alarms(own)}.",
+        f"{back}; on the other legs it finds {_share(rest)}, {_alarms(rest)}.",
+    )
+
+
+def percent(share: float | None) -> str:
+    """A share for a person; only all is 100 %."""
+    if share is None:
+        return "-"
+    if 0.99 <= share < 1.0:
+        return f"{math.floor(1000 * share) / 10:.1f} %"
+    return f"{100 * share:.0f} %"
+
+
+def _hurt(judged: Judged, leg: str) -> bool:
+    """Whether the drift did harm to a detector: it was not reliable from the drift on."""
+    errors = judged.after.legs[leg].lost_swings
+    return judged.recovery != 0 or errors > 2
+
+
+def _share(summary: Summary) -> str:
+    return f"{summary.counted.found} of {summary.counted.touches}"
+
+
+def _alarms(summary: Summary) -> str:
+    count = summary.false_alarms
+    return "no false alarm" if count == 0 else f"{count} false alarm{'s' if count > 1 else ''}"

@@ -1,0 +1,203 @@
+"""What a scenario is: recordings, what is done to the stage, phases, and what is expected.
+
+A scenario is data.  It names its recordings (each a pure function of its settings), the learners'
+baseline, the moments that matter and the figures it is held to; running, replaying and judging
+know nothing of single scenarios.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, NamedTuple
+
+from adaptive_contact_sim.simulation import SimulationSettings
+
+__all__ = [
+    "ALL_VARIANTS",
+    "BaselineChoice",
+    "Expect",
+    "LegRun",
+    "Mark",
+    "Phase",
+    "RecordingSpec",
+    "ReplaySpec",
+    "Scenario",
+    "Staging",
+    "Variant",
+]
+
+
+class Variant(enum.StrEnum):
+    """How much of the learner is switched on; the values are those of ``LearnerMode``."""
+
+    FROZEN = "frozen"
+    UNGATED = "ungated"
+    REFIT = "refit"
+    RLS = "rls"
+    FULL = "full"
+
+
+ALL_VARIANTS: Final = tuple(Variant)
+
+# What the learners start from: the shipped baseline, none, or that of the leg diagonally opposite.
+BaselineChoice = Literal["shipped", "none", "other_leg"]
+
+
+class Expect(enum.StrEnum):
+    """What the full learner is held to; ``docs/adaptation.md`` says how each is measured."""
+
+    RECOVER = "recover"  # a step that counts: soon as good as before; one that does not: no harm
+    FOLLOW = "follow"  # a slow change: nothing is lost on the way
+    UNPOISONED = "unpoisoned"  # contacts only: nothing is lost, none is learned
+    UNHARMED = "unharmed"  # nothing changed: as good as the frozen learner
+    START = "start"  # nothing, or the wrong thing, known: valid soon, then as with a baseline
+    QUIET = "quiet"  # free of change, for hours: few false alarms
+
+
+class Mark(NamedTuple):
+    """A moment from which recovery is counted, s of simulated time."""
+
+    name: str
+    at_s: float
+
+
+class Phase(NamedTuple):
+    """A stretch of time with figures of its own: the swings that begin in it."""
+
+    name: str
+    from_s: float
+    to_s: float
+
+
+@dataclass(frozen=True)
+class Staging:
+    """What the simulator's own settings cannot say.
+
+    Attributes:
+        contacts: from which second on which share of descents meets an obstacle, in order of
+            time; empty leaves the motion's own share.
+        level_m: height in the coxa's frame at which every obstacle stands, m.
+        caught_s: from when to when the foot of the moving leg is held by a spring.
+    """
+
+    contacts: tuple[tuple[float, float], ...] = ()
+    level_m: float | None = None
+    caught_s: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class RecordingSpec:
+    """Everything that decides a recording.
+
+    Attributes:
+        settings: of the simulator.
+        seconds: simulated.
+        legs: that are kept.
+        staging: what is done besides.
+    """
+
+    settings: SimulationSettings
+    seconds: float
+    legs: tuple[str, ...]
+    staging: Staging = field(default_factory=Staging)
+
+
+@dataclass(frozen=True)
+class ReplaySpec:
+    """A recording as some learners see it.
+
+    Attributes:
+        recording: what is replayed.
+        baseline: what the learners start from.
+        variants: replayed side by side.
+        trace: keep residuals and scores of every tick, and the models' terms, for a plot.
+    """
+
+    recording: RecordingSpec
+    baseline: BaselineChoice = "shipped"
+    variants: tuple[Variant, ...] = ALL_VARIANTS
+    trace: bool = False
+
+
+class LegRun(NamedTuple):
+    """One leg of one recording, with what it is compared against.
+
+    Attributes:
+        leg: whose.
+        replay: the scenario's.
+        reference: what its frozen learner makes of it is what can be had: the same recording
+            without what the scenario does.
+    """
+
+    leg: str
+    replay: ReplaySpec
+    reference: ReplaySpec
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario; its name and seeds are permanent.
+
+    Attributes:
+        name: such as ``step-friction4``.
+        about: one line.
+        motion: ``pose`` or ``walk``.
+        expect: what it is held to.
+        recordings: what is replayed.
+        phases: stretches with figures of their own, the last one being that after all.
+        marks: moments from which recovery is counted.
+        judged: names of the phases over which recall lost and false alarms are held to something.
+        twin: turns a recording into the one it is compared against.
+        baseline: what the learners start from.
+        variants: that are replayed.
+        mixed: swings with and without contact come mixed, so that recovery needs some of each.
+    """
+
+    name: str
+    about: str
+    motion: Literal["pose", "walk"]
+    expect: Expect
+    recordings: tuple[RecordingSpec, ...]
+    phases: tuple[Phase, ...]
+    judged: tuple[str, ...]
+    marks: tuple[Mark, ...] = ()
+    twin: Callable[[RecordingSpec], RecordingSpec] = lambda recording: recording
+    baseline: BaselineChoice = "shipped"
+    variants: tuple[Variant, ...] = ALL_VARIANTS
+    mixed: bool = True
+
+    @property
+    def replays(self) -> tuple[ReplaySpec, ...]:
+        """One per recording; the first is traced for the page of plots."""
+        return tuple(
+            ReplaySpec(recording, self.baseline, self.variants, trace=i == 0)
+            for i, recording in enumerate(self.recordings)
+        )
+
+    @property
+    def references(self) -> tuple[ReplaySpec, ...]:
+        """What each replay is compared against, in the same order."""
+        return tuple(
+            replace(replay, recording=self.twin(replay.recording), baseline="shipped")
+            for replay in self.replays
+        )
+
+    @property
+    def leg_runs(self) -> tuple[LegRun, ...]:
+        """Every leg of every recording."""
+        return tuple(
+            LegRun(leg, replay, reference)
+            for replay, reference in zip(self.replays, self.references, strict=True)
+            for leg in replay.recording.legs
+        )
+
+    @property
+    def seconds(self) -> float:
+        """Simulated in all, what it is compared against not counted."""
+        return sum(recording.seconds for recording in self.recordings)
+
+    def phase(self, name: str) -> Phase:
+        """The phase of this name."""
+        return next(phase for phase in self.phases if phase.name == name)

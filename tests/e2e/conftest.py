@@ -1,0 +1,220 @@
+"""The real command line in processes of its own, run from an installed wheel in an empty folder.
+
+Without hatchling (extra ``dev``) no wheel can be built; then the source tree is what runs, and the
+tests of the wheel itself are skipped.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import sysconfig
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+END_S = 10.0
+
+# What the extras bring; an environment without them has the core dependencies only.
+EXTRAS = (
+    *("mujoco", "mujoco_core", "mujoco_studio", "glfw", "OpenGL"),
+    *("dynamixel_sdk", "dynamixel_easy_sdk", "serial"),
+    *("matplotlib", "mpl_toolkits", "pylab", "PIL", "imageio", "imageio_ffmpeg"),
+)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Where commands run: an interpreter, its variables, and whether it holds a wheel."""
+
+    python: str
+    env: dict[str, str]
+    site: Path | None
+
+    def run(
+        self, *args: str | Path, cwd: Path, timeout_s: float = 120.0
+    ) -> subprocess.CompletedProcess[str]:
+        """Run the interpreter to its end."""
+        return subprocess.run(
+            [self.python, *map(str, args)],
+            cwd=cwd,
+            env=self.env,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=timeout_s,
+            check=False,
+        )
+
+
+class Running:
+    """A process whose lines can be waited for."""
+
+    def __init__(self, environment: Environment, args: tuple[str, ...], cwd: Path) -> None:
+        self.lines: list[str] = []
+        self._changed = threading.Condition()
+        self.process = subprocess.Popen(
+            [environment.python, "-u", *args],
+            cwd=cwd,
+            env=environment.env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._changed:
+                self.lines.append(line.rstrip("\n"))
+                self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+    def wait_line(self, pattern: str, timeout_s: float = 60.0) -> re.Match[str]:
+        """The match in the first line that has one; fails when the process ends before."""
+
+        def found() -> re.Match[str] | None:
+            return next((m for line in self.lines if (m := re.search(pattern, line))), None)
+
+        until_s = time.monotonic() + timeout_s
+        with self._changed:
+            while (match := found()) is None:
+                left_s = until_s - time.monotonic()
+                assert left_s > 0, f"no '{pattern}' within {timeout_s} s in {self.lines}"
+                assert self._reader.is_alive(), f"no '{pattern}' in {self.lines}"
+                self._changed.wait(min(left_s, 1.0))
+        return match
+
+    def wait(self, timeout_s: float) -> int:
+        """Wait for its end; its exit code."""
+        code = self.process.wait(timeout_s)
+        self._reader.join(END_S)
+        return code
+
+    def stop(self, number: int = signal.SIGINT) -> int:
+        """Ask it to end; its exit code."""
+        self.process.send_signal(number)
+        return self.wait(END_S)
+
+    def close(self) -> None:
+        """End it by its id, if the test has not."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.wait(END_S)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+def _bare_variables() -> dict[str, str]:
+    hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    return {k: v for k, v in os.environ.items() if k not in hidden} | {"COLUMNS": "200"}
+
+
+def _install(wheel: Path, folder: Path, *, without: tuple[str, ...] = ()) -> Environment:
+    """A new environment that holds the wheel and this environment's packages, but not its own.
+
+    The packages are linked, not copied, and their ``.pth`` files left out: through those an
+    editable install of this project would come along.
+    """
+    packages = folder / "packages"
+    packages.mkdir(parents=True)
+    ours = ("adaptive_contact", "__editable__", "_editable")
+    for entry in Path(sysconfig.get_paths()["purelib"]).iterdir():
+        name = entry.name
+        if name.endswith(".pth") or name.startswith(ours):
+            continue
+        if re.split(r"[.-]", name)[0] not in without:
+            (packages / name).symlink_to(entry)
+    venv = folder / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", venv], check=True, timeout=60)
+    python = venv / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check"]
+    install = [*pip, "install", "--quiet", "--no-deps", "--no-index", wheel]
+    subprocess.run(install, check=True, timeout=120, env=_bare_variables())
+    (site,) = (venv / "lib").glob("python*/site-packages")
+    (site / "linked.pth").write_text(f"{packages}\n", encoding="utf-8")
+    return Environment(str(python), _bare_variables(), site)
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this source tree."""
+    if importlib.util.find_spec("hatchling") is None:
+        pytest.skip("hatchling is not installed; it comes with the extra 'dev'")
+    out = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", out, ROOT]
+    done = subprocess.run(build, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="session")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """The wheel with all extras."""
+    return _install(wheel, tmp_path_factory.mktemp("full"))
+
+
+@pytest.fixture(scope="session")
+def bare(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """The wheel with its core dependencies only."""
+    return _install(wheel, tmp_path_factory.mktemp("bare"), without=EXTRAS)
+
+
+@pytest.fixture(scope="session")
+def without_plot(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """The wheel with every extra but ``plot``."""
+    plot = ("matplotlib", "mpl_toolkits", "pylab", "PIL")
+    return _install(wheel, tmp_path_factory.mktemp("without_plot"), without=plot)
+
+
+@pytest.fixture(scope="session")
+def environment(request: pytest.FixtureRequest) -> Environment:
+    """The installed wheel; the source tree where none can be built."""
+    if importlib.util.find_spec("hatchling") is not None:
+        return request.getfixturevalue("installed")
+    paths = os.pathsep.join(path for path in sys.path if path)
+    return Environment(sys.executable, {**_bare_variables(), "PYTHONPATH": paths}, None)
+
+
+@pytest.fixture
+def command(environment: Environment, tmp_path: Path) -> Callable[..., str]:
+    """Run a command of ours that succeeds, in the test's folder; its standard output."""
+
+    def run(*args: str | Path, code: int = 0) -> str:
+        done = environment.run("-m", "adaptive_contact", *args, cwd=tmp_path)
+        assert done.returncode == code, done.stdout + done.stderr
+        assert "Traceback" not in done.stderr
+        return done.stdout
+
+    return run
+
+
+@pytest.fixture
+def start(environment: Environment, tmp_path: Path) -> Iterator[Callable[..., Running]]:
+    """Start a command of ours, or with ``script`` one of Python, in the test's folder."""
+    running: list[Running] = []
+
+    def begin(*args: Any, script: bool = False) -> Running:
+        full = args if script else ("-m", "adaptive_contact", *args)
+        running.append(Running(environment, tuple(map(str, full)), tmp_path))
+        return running[-1]
+
+    yield begin
+    for process in reversed(running):
+        process.close()

@@ -1,0 +1,114 @@
+"""The demo: its files and figures, and its end when something goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.service.recording import read_recording
+
+pytestmark = pytest.mark.e2e
+
+WAIT_S = 60.0
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended, and its parent has taken note."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> None:
+    demo = start("demo", "--seconds", "12", "--seed", "3", "--out", "here/demo")
+    assert demo.wait(90) == 0, demo.lines
+    pids = [
+        int(line.split("process ")[1].split(",")[0]) for line in demo.lines if "process " in line
+    ]
+    assert len(pids) == 4, "service, simulator and two injections"
+    assert all(gone(pid) for pid in pids)
+    out = tmp_path / "here" / "demo"
+    assert {path.name for path in out.iterdir()} == {"demo.mcap", "report.png", "summary.json"}
+
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    assert summary["settings"]["seed"] == 3
+    assert summary["settings"]["drift"]["holds"].keys() == {"friction", "mass"}
+    assert 4 < summary["settings"]["drift"]["after_s"] < 9
+    before = summary["service"]["before"]
+    assert before["counted"]["touches"] >= 12
+    assert before["counted"]["recall"] >= 0.9
+    assert 0 < before["counted"]["latency_median_ms"] < 40
+    assert before["false_alarms"] <= 1
+    assert len(before["counted"]["recall_interval"]) == 2
+    assert set(before["legs"]) == {"lf", "lm", "lr", "rf", "rm", "rr"}
+    # A leg with four times the friction is another leg: a model that stays the same cannot do.
+    frozen = summary["frozen"]["after"]["legs"]["rf"]
+    assert frozen["swings_with_errors"] >= 2
+    assert summary["frozen"]["before"]["counted"]["touches"] == before["counted"]["touches"]
+    assert any(line.startswith(summary["result"][0][:40]) for line in demo.lines)
+
+    head = (out / "report.png").read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    assert struct.unpack(">II", head[16:]) == (1400, 940)
+    assert (out / "report.png").stat().st_size < 400_000
+    kinds = {record.key.rpartition("/")[2] for record in read_recording(out / "demo.mcap")}
+    assert {"servo", "truth", "contact", "learner", "drift", "status"} <= kinds
+
+
+def _processes(demo: Any) -> tuple[int, int]:
+    service = demo.wait_line(r"^service +process (\d+),", WAIT_S)
+    simulator = demo.wait_line(r"^simulator +process (\d+),", WAIT_S)
+    return int(service.group(1)), int(simulator.group(1))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_it_ends_everything_it_started(start: Callable[..., Any], number: int) -> None:
+    demo = start("demo", "--seconds", "60", "--out", "out")
+    service, simulator = _processes(demo)
+    assert demo.stop(number) == 130
+    assert gone(service)
+    assert gone(simulator)
+    assert demo.lines[-1] == "adaptive-contact: stopped; nothing was judged"
+
+
+@pytest.mark.parametrize("which", ["the service", "the simulator"])
+def test_the_failure_of_a_process_is_one_line(
+    start: Callable[..., Any], tmp_path: Path, which: str
+) -> None:
+    demo = start("demo", "--seconds", "60", "--out", "out")
+    service, simulator = _processes(demo)
+    demo.wait_line(r"^ +0 s", WAIT_S)
+    os.kill(service if which == "the service" else simulator, signal.SIGKILL)
+    assert demo.wait(WAIT_S) == 2
+    assert gone(service)
+    assert gone(simulator)
+    assert demo.lines[-1].startswith(f"adaptive-contact: {which} ended too early (exit code -9)")
+    assert not any("Traceback" in line for line in demo.lines)
+    assert not (tmp_path / "out" / "report.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (["--seconds", "1"], "expected 8 to 3600 s"),
+        (["--seconds", "nan"], "expected 8 to 3600 s"),
+        (["--out", "file"], "cannot be used"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    environment: Any, tmp_path: Path, args: list[str], word: str
+) -> None:
+    (tmp_path / "file").write_text("")
+    done = environment.run("-m", "adaptive_contact", "demo", *args, cwd=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert word in line

@@ -1,0 +1,61 @@
+"""Service, simulator, recorder and a subscriber as processes of their own, over loopback."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.e2e
+
+README = Path(__file__).parents[2] / "README.md"
+SECONDS = 60
+# Faster than life, and well within what the service keeps up with.
+SPEED = 4
+
+
+def test_a_walk_over_rough_ground_is_told_as_it_happens(
+    start: Callable[..., Any], command: Callable[..., str]
+) -> None:
+    service = start("serve", "--listen", "tcp/127.0.0.1:0")
+    endpoint = service.wait_line(r"listening on (\S+);").group(1)
+    recorder = start("record", "walk.mcap", "--connect", endpoint)
+    recorder.wait_line("recording robot/")
+    (code,) = re.findall(r"```python\n(import.*?)```", README.read_text("utf-8"), re.DOTALL)
+    subscriber = start("-c", code.replace("tcp/127.0.0.1:7447", endpoint), script=True)
+
+    walk = ["sim", "walk", "--terrain", "rough", "--seed", 5, "--connect", endpoint]
+    simulator = start(*walk, "--seconds", SECONDS, "--speed", SPEED)
+    simulator.wait_line("tripod walk on rough ground")
+    holds = command("sim", "inject", "--connect", endpoint)
+    assert "nothing drifts" in holds
+    assert simulator.wait(120) == 0, simulator.lines
+
+    # Two looks of the service later, all that was sent is worked off.
+    watch = ["watch", "--once", "--json", "--seconds", "2.5", "--connect", endpoint]
+    view = json.loads(command(*watch))
+    assert view["service"]["samples"] == 6 * 50 * SECONDS
+    assert view["service"]["rejects"] == {}
+    assert view["service"]["callback_faults"] == 0
+    for leg in view["legs"]:
+        assert (leg["missed"], leg["rejects"]) == (0, {}), leg
+    assert recorder.stop() == 0
+    assert service.stop() == 0, service.lines
+    assert subscriber.process.poll() is None, "a subscriber outlives the service"
+    assert len(subscriber.lines) > 200
+    assert all(re.fullmatch(r"[lr][fmr] (touches|lets go) .*", line) for line in subscriber.lines)
+
+    score = json.loads(command("score", "walk.mcap", "--json"))
+    assert score["truncated"] is False
+    assert score["rejects"] == {}
+    assert score["counted"]["touches"] > 200
+    assert score["counted"]["recall"] >= 0.95
+    assert score["false_alarms"] <= 1
+    assert score["rows"]["headline"]["latency_median_ms"] <= 25
+    assert set(score["legs"]) == {"lf", "lm", "lr", "rf", "rm", "rr"}
+    for leg, figures in score["legs"].items():
+        assert figures["counted"]["recall"] >= 0.9, leg

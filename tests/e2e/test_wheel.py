@@ -1,0 +1,108 @@
+"""The wheel in an environment of its own, and in an empty folder."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.e2e
+
+OURS = ("adaptive_contact", "adaptive_contact_models", "adaptive_contact_sim")
+
+
+def test_it_installs_our_three_packages_and_nothing_else(wheel: Path, installed: Any) -> None:
+    tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    assert {top for top in tops if not top.endswith(".dist-info")} == set(OURS)
+    found = {path.name for path in installed.site.iterdir() if path.is_dir()}
+    assert {name for name in found if not name.endswith(".dist-info")} == set(OURS)
+    assert (installed.site.parents[2] / "bin" / "adaptive-contact").is_file()
+
+
+def test_what_is_imported_is_the_wheel(installed: Any, tmp_path: Path) -> None:
+    code = f"import json, {', '.join(OURS)}; print(json.dumps([m.__file__ for m in ({', '.join(OURS)})]))"
+    done = installed.run("-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for path in json.loads(done.stdout):
+        assert Path(path).is_relative_to(installed.site)
+
+
+def test_commands_work_in_an_empty_folder(installed: Any, tmp_path: Path) -> None:
+    def ours(*args: str) -> str:
+        done = installed.run("-m", "adaptive_contact", *args, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        return str(done.stdout)
+
+    help_ = ours("--help")
+    for name in ("serve", "watch", "doctor", "record", "replay", "score", "fit", "demo", "sim"):
+        assert f" {name} " in help_
+    listed = json.loads(ours("sim", "list", "--json"))
+    assert "walk-rough" in listed["scenarios"]
+    assert "friction" in listed["drift"]
+    ours("sim", "walk", "--seconds", "20", "--offline", "--record", "walk.mcap")
+    ours("replay", "walk.mcap", "--events", "walk.jsonl")
+    score = json.loads(ours("score", "walk.mcap", "--events", "walk.jsonl", "--json"))
+    assert score["counted"]["recall"] > 0.9, "the shipped baseline was found"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.jsonl", "walk.mcap"]
+
+
+@pytest.fixture(scope="module")
+def recording(installed: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording")
+    walk = ["sim", "walk", "--seconds", "10", "--offline", "--record", "walk.mcap"]
+    done = installed.run("-m", "adaptive_contact", *walk, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "walk.mcap"
+
+
+def test_without_extras_the_core_works(bare: Any, tmp_path: Path, recording: Path) -> None:
+    code = (
+        "import importlib.util as u, adaptive_contact; "
+        "print([m for m in ('mujoco', 'dynamixel_sdk', 'matplotlib', 'PIL') if u.find_spec(m)], "
+        "adaptive_contact.ContactLearner.__name__)"
+    )
+    assert bare.run("-c", code, cwd=tmp_path).stdout.strip() == "[] ContactLearner"
+    for args in (["--help"], ["sim", "--help"], ["demo", "--help"], ["serve", "--help"]):
+        assert bare.run("-m", "adaptive_contact", *args, cwd=tmp_path).returncode == 0
+    replay = ["replay", str(recording), "--events", "walk.jsonl"]
+    done = bare.run("-m", "adaptive_contact", *replay, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "walk.jsonl").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("args", "extra"),
+    [
+        (["sim", "list"], "sim"),
+        (["sim", "walk", "--offline", "--seconds", "1"], "sim"),
+        (["sim", "pose", "--offline", "--seconds", "1"], "sim"),
+        (["sim", "inject", "friction", "--value", "4"], "sim"),
+        (["demo", "--seconds", "10"], "sim"),
+    ],
+)
+def test_without_an_extra_a_command_says_which(
+    bare: Any, tmp_path: Path, args: list[str], extra: str
+) -> None:
+    _says_which(bare, tmp_path, args, extra)
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["demo", "--seconds", "10"],
+        ["sim", "walk", "--offline", "--seconds", "1", "--render", "walk.gif"],
+    ],
+)
+def test_without_plot_pictures_say_so(without_plot: Any, tmp_path: Path, args: list[str]) -> None:
+    _says_which(without_plot, tmp_path, args, "plot")
+
+
+def _says_which(environment: Any, folder: Path, args: list[str], extra: str) -> None:
+    done = environment.run("-m", "adaptive_contact", *args, cwd=folder)
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert f"pip install 'adaptive-contact[{extra}]'" in line
+    assert list(folder.iterdir()) == []
