@@ -62,13 +62,12 @@ class Swings:
         start_m, target_m: (6, 3) where it began, and where it goes; the target's height is where
             the descent would end.
         top_m: (6,) height of the transfer.
-        began_tick, began_step: (6,) when.
+        began_step: (6,) physics step at which it began.
     """
 
     start_m: Array
     target_m: Array
     top_m: Array
-    began_tick: NDArray[np.int64]
     began_step: NDArray[np.int64]
 
     @classmethod
@@ -79,7 +78,6 @@ class Swings:
             feet_m.copy(),
             feet_m.copy(),
             feet_m[:, 2].copy(),
-            np.full(n, -1, dtype=np.int64),
             np.full(n, -1, dtype=np.int64),
         )
 

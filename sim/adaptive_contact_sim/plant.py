@@ -29,7 +29,8 @@ _ABSURD_BODY: Final = 20.0
 GRAZING_COSINE: Final = 0.35
 # Radius of gyration of a lump of mud, m: a ball of 2.5 cm radius.
 _MUD_GYRATION_M: Final = 0.0158
-_TOUCHES_KEPT: Final = 16
+# A chattering foot touches every other step; a change of contact is judged 40 ms later.
+_TOUCHES_KEPT: Final = 64
 
 
 class Touch(NamedTuple):

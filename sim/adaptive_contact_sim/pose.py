@@ -4,9 +4,6 @@ A trial is one ascent from the lower to the upper subspace and one descent back,
 random points and 10 control ticks long, then a hold of 3 ticks that counts as stance.  Segments
 are straight lines of the foot in the leg's frame (or of the joints, with ``path="joint"``), cut
 into equal steps, each written as a goal for one tick, as in the paper's section 4.1.
-
-The subspaces are layers 5 cm high with 5 cm between them, in the coxa's frame: reach 13 to 22 cm
-from the coxa axis and yaw within 30 degrees (assumed; the paper draws them without figures).
 """
 
 from __future__ import annotations
@@ -23,8 +20,9 @@ from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
+from adaptive_contact_sim.workspace import WORKSPACES
 
-__all__ = ["PoseMotion", "PoseSettings", "Space"]
+__all__ = ["PoseMotion", "PoseSettings"]
 
 Array = NDArray[np.float64]
 
@@ -41,32 +39,6 @@ _STUCK_TICKS: Final = 8
 _SLOW_M_S: Final = (0.02, 0.10)
 
 
-@dataclass(frozen=True)
-class Space:
-    """A part of the leg's workspace: yaw, reach and height in the coxa's frame."""
-
-    yaw_rad: tuple[float, float]
-    reach_m: tuple[float, float]
-    height_m: tuple[float, float]
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Draw a point, (3,) m, uniform in yaw, reach and height."""
-        yaw, reach = rng.uniform(*self.yaw_rad), rng.uniform(*self.reach_m)
-        height = rng.uniform(*self.height_m)
-        return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
-
-
-# Lower and upper subspace, by name of the workspace.
-WORKSPACES: Final = {
-    "paper": (
-        Space((-math.radians(30), math.radians(30)), (0.13, 0.22), (-0.125, -0.075)),
-        Space((-math.radians(30), math.radians(30)), (0.13, 0.22), (-0.025, 0.025)),
-    ),
-    "whole": (
-        Space((-math.radians(50), math.radians(50)), (0.09, 0.24), (-0.13, -0.03)),
-        Space((-math.radians(50), math.radians(50)), (0.09, 0.25), (-0.03, 0.12)),
-    ),
-}
 # Where the two subspaces touch each other, an ascent still has to be one.
 _LEAST_RISE_M: Final = 0.04
 
@@ -196,10 +168,10 @@ class PoseMotion:
         descending = plan.ascent <= plan.tick < plan.swing
         if descending and plan.obstacle is not None:
             self._raise_obstacle(plan, world)
-        if swinging and not descending and plan.tick >= 1:
-            # The obstacle goes when the foot has left it; a foot that slid under it never would.
-            if world.touch_step[leg] is None or plan.tick >= _STUCK_TICKS:
-                self._course.clear()
+        # An obstacle goes when the foot has left it; a foot that slid under it never would.
+        left = world.touch_step[leg] is None or plan.tick >= _STUCK_TICKS
+        if swinging and not descending and plan.tick >= 1 and left:
+            self._course.clear()
         goal = self._goals.copy()
         goal[leg] = plan.joints[plan.tick]
         if descending and self.settings.react_ms is not None:

@@ -185,11 +185,14 @@ def _window(sim: Simulation, stack: ExitStack, stop: Event) -> Look:
     import mujoco.viewer
 
     before = set(threading.enumerate())
-    # Runs after the viewer was told to close: its thread must be out of OpenGL before the process
-    # takes GLFW down.
-    stack.callback(
-        lambda: [t.join(_CLOSE_S) for t in threading.enumerate() if t not in before and t.daemon]
-    )
+
+    def join() -> None:
+        # The viewer's thread must be out of OpenGL before the process takes GLFW down.
+        for thread in threading.enumerate():
+            if thread not in before and thread.daemon:
+                thread.join(_CLOSE_S)
+
+    stack.callback(join)  # runs after the viewer was told to close
     viewer: Any = stack.enter_context(
         mujoco.viewer.launch_passive(
             sim.plant.model, sim.plant.data, show_left_ui=False, show_right_ui=False

@@ -159,6 +159,7 @@ class WalkMotion:
         # waits for its next.
         self._swinging = np.zeros(len(LEGS), dtype=np.bool_)
         self._own_before = self._own_clock()
+        self._descent_tick = np.zeros(len(LEGS), dtype=np.int64)
         self._twist = np.zeros(3)  # vx, vy m/s, wz rad/s
         self._waypoint = self._draw_waypoint()
 
@@ -253,7 +254,6 @@ class WalkMotion:
             lift = settings.clearance_m * (1.0 + settings.variability * rng.uniform(-1.0, 1.0))
             swings.top_m[leg] = floor + lift
             swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
-            swings.began_tick[leg] = world.tick
             swings.began_step[leg] = world.step
 
     def _expected_ground(self, world: World, measured: Array) -> _Ground:
@@ -294,7 +294,10 @@ class WalkMotion:
         progress = self._own_clock() / self._share
         points = self._swings.feet(np.minimum(progress, 1.0))
         for leg in np.flatnonzero(self._swinging):
-            if progress[leg] > DESCENT and self._told(world, int(leg)):
+            descending = progress[leg] > DESCENT
+            if not descending:
+                self._descent_tick[leg] = world.tick + 1
+            if descending and self._told(world, int(leg)):
                 self._swinging[leg] = False
                 continue
             self._feet[leg] = points[leg]
@@ -311,5 +314,6 @@ class WalkMotion:
             return since_ms >= self.settings.react_ms
         if self.settings.stop_on == "service":
             told = world.told_tick[leg]
-            return told is not None and told > self._swings.began_tick[leg]
+            # What was said of the lift is of no use for the descent, and would stop it in the air.
+            return told is not None and told >= self._descent_tick[leg]
         return False

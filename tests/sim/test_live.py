@@ -307,7 +307,7 @@ def test_in_a_process_of_its_own(router: Link, number: int) -> None:
     # Paced by the wall clock, and stamped with it.
     arrivals = [a for a, _ in samples]
     rate = (len(arrivals) - 1) / (arrivals[-1] - arrivals[0])
-    assert rate == pytest.approx(50.0, rel=0.05)
+    assert rate == pytest.approx(50.0, rel=0.15)
     assert [s.seq for _, s in samples] == list(range(samples[0][1].seq, samples[-1][1].seq + 1))
     assert abs(samples[-1][1].t_ns / 1e9 - time.time()) < 60.0
     assert samples[0][1].run is not None

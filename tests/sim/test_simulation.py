@@ -8,6 +8,7 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import MSGPACK, Drift, ServoSample, decode, encode
 from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_sim.benchmark import real_time_factor
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
@@ -189,3 +190,9 @@ def test_settings_are_checked() -> None:
         SimulationSettings(servo_spread=2.0)
     with pytest.raises(ConfigurationError, match="whole number"):
         Simulation(SimulationSettings(period_s=0.0155))
+
+
+def test_speed_is_measured() -> None:
+    speed = real_time_factor(seconds=0.5, engine_seconds=0.2)
+    assert speed.engine > 1.0
+    assert speed.factor > 1.0  # 20 and more where nothing else runs; `make bench` holds it to that

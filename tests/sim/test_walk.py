@@ -95,9 +95,9 @@ def test_it_walks_and_touches(gait: str, kind: str) -> None:
 
 def test_thirty_minutes_are_not_harder_than_one() -> None:
     """The start is nothing special (half an hour itself is a benchmark, not a test)."""
-    run = walk(seconds=60.0)
+    run = walk(seconds=40.0)
     tilt = np.degrees(np.arccos(run.rotation[:, 2, 2].clip(-1, 1)))
-    early, late = tilt[:1000], tilt[-1000:]
+    early, late = tilt[:700], tilt[-700:]
     assert late.mean() < early.mean() + 1.0
     assert run.position_m[-1000:, 2].min() > 0.08
 
@@ -109,7 +109,10 @@ def test_never_stopped_legs_swing_to_the_end() -> None:
 
 
 def test_slower_reaction_swings_longer() -> None:
-    lengths = [walk(kind="flat", react_ms=r).legs["rm"].swing.sum() for r in (0.0, 60.0, 120.0)]
+    lengths = [
+        walk(kind="flat", react_ms=r, seconds=10.0).legs["rm"].swing.sum()
+        for r in (0.0, 60.0, 120.0)
+    ]
     assert lengths[0] < lengths[1] < lengths[2]
 
 
@@ -135,9 +138,13 @@ def test_a_stale_word_of_the_service_does_not_stop_the_next_swing() -> None:
         motion=WalkSettings(stop_on="service"), terrain=TerrainSettings(kind="flat"), seed=3
     )
     free, stale = Simulation(settings), Simulation(settings)
-    for leg in LEGS:
-        stale.notify_contact(leg)  # before any swing, never taken back
-    for _ in range(150):
+    lifting = 0
+    for k in range(150):
+        for i, leg in enumerate(LEGS):
+            # Before any swing, and all through the first third of each: it is not a descent yet.
+            if k == 0 or (free.phase[i] == "swing" and lifting < 8):
+                stale.notify_contact(leg)
+        lifting = lifting + 1 if "swing" in free.phase else 0
         free.advance()
         stale.advance()
         assert free.phase == stale.phase
