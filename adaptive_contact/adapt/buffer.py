@@ -96,7 +96,9 @@ class SlidingBuffer:
                 del self._segments[index]
                 return
 
-    def factors(self, terms: int, joints: int, *, era: int, every: int = 5) -> tuple[Factor, Factor]:
+    def factors(
+        self, terms: int, joints: int, *, era: int, every: int = 5
+    ) -> tuple[Factor, Factor]:
         """Compressed factors to fit to and to choose by.
 
         Args:
@@ -113,6 +115,10 @@ class SlidingBuffer:
             target = held_out if number % every == every - 1 else fit
             target.add(segment.theta, segment.target)
         return fit, held_out
+
+    def restore(self, segments: list[Segment]) -> None:
+        """Take over saved segments, oldest first; beyond the limit, the newest."""
+        self._segments = deque(segments[-self.limit :])
 
     def clear(self) -> None:
         """Forget everything: the rows belong to another model's regressors."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,15 @@ from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.refit import Refitter, RefitJob
 from adaptive_contact.adapt.segments import Row
+from adaptive_contact.adapt.snapshot import (
+    FORMAT,
+    Implausible,
+    array_of,
+    library_key,
+    pack,
+    segment_of,
+    unpack_segment,
+)
 from adaptive_contact.identify import FitStatus, LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 from adaptive_contact.wire import DriftLevel, RefitCounts, Status
@@ -37,7 +46,7 @@ DOUBT_SLACK: Final = 1.5
 DOUBTS: Final = 2  # in a row, for a change
 # Share of a new lift in the followed level, and while adapting.
 LEVEL_SHARE: Final = 0.1
-LEVEL_SHARE_ADAPTING: Final = 0.5
+LEVEL_SHARE_ADAPTING: Final = 0.8
 LEVEL_RANGE: Final = (1.0, 400.0)
 # Calm lifts in a row after which an adapting leg is valid again.
 SETTLED_SWINGS: Final = 3
@@ -48,11 +57,16 @@ LOOSEN_EVERY: Final = 5
 # The baseline is taken up again when it has been this much better for so many lifts.
 RETURN_RATIO: Final = 0.6
 RETURN_SWINGS: Final = 3
+# A term never moves a tick by more than this; the fastest servos make 0.5 rad in one.
+MAX_TERM_RAD: Final = 2.0
 REFIT_EVERY_SWINGS: Final = 20
 REFIT_DUE_TICKS: Final = 50
-TRIAL_ROWS: Final = 60
-# A candidate must predict the trial's rows better than the champion did before learning them.
-PROMOTE_RATIO: Final = 0.98
+# A refit holds on to the model in force with the weight of so many rows per term.
+PRIOR_ROWS: Final = 20.0
+TRIAL_ROWS: Final = 200
+# A candidate must predict the trial's rows better than the champion did before learning them, by
+# so many standard errors of the paired difference.
+PROMOTE_ERRORS: Final = 3.0
 MIN_ROWS_PER_TERM: Final = 4
 
 
@@ -71,9 +85,7 @@ class _Trial:
     """A candidate being compared on rows neither has seen."""
 
     coefficients: Array
-    rows: int = 0
-    candidate: float = 0.0
-    champion: float = 0.0
+    gains: list[float] = dataclasses.field(default_factory=list)
 
 
 class Follower:
@@ -215,6 +227,69 @@ class Follower:
             else:
                 self._collect(job)
 
+    def snapshot(self) -> dict[str, Any]:
+        """What has been learned, for :meth:`restore`."""
+        return {
+            "format": FORMAT,
+            "library": library_key(self.model.library),
+            "baseline": pack(self._baseline.coefficients),
+            "coefficients": pack(self.model.coefficients),
+            "version": self.model.version,
+            "factor": pack(self._rls.factor),
+            "level": self.level,
+            "status": self.status,
+            "since_ns": self._since_ns,
+            "era": self._era,
+            "loose_swings": self._loose_swings,
+            "refits": dict(self._refits),
+            "reason": self._reason,
+            "segments": [segment_of(s) for s in self.buffer.segments],
+        }
+
+    def restore(self, saved: dict[str, Any]) -> str | None:
+        """Take over a snapshot, whole or not at all.
+
+        Returns:
+            None when it is in force, else one line that says why it is not.
+        """
+        p, joints = self.model.coefficients.shape
+        q = len(self._rls.terms)
+        try:
+            if saved.get("format") != FORMAT:
+                raise Implausible(f"its format is {saved.get('format')!r}, this version's {FORMAT}")
+            if saved.get("library") != library_key(self.model.library):
+                raise Implausible("it belongs to another library, other joints or another rate")
+            baseline = array_of(saved.get("baseline"), (p, joints), "its baseline")
+            if not np.allclose(baseline, self._baseline.coefficients, rtol=0, atol=1e-9):
+                raise Implausible("it was learned from another baseline")
+            coefficients = array_of(saved.get("coefficients"), (p, joints), "its model")
+            # A model that moves a typical tick by radians is none of a servo's.
+            if np.abs(coefficients * self._scale[:, None]).max() > MAX_TERM_RAD:
+                raise Implausible("its model is implausible")
+            factor = array_of(saved.get("factor"), (joints, q, q), "its covariance")
+            segments = [unpack_segment(s, p, joints) for s in saved.get("segments", [])]
+            version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
+            if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
+                raise Implausible("its version or era is no number")
+            if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
+                raise Implausible(f"its level is {level!r}")
+            status = saved.get("status")
+            if status not in ("valid", "adapting", "ambiguous"):
+                raise Implausible(f"its status is {status!r}")
+        except Implausible as problem:
+            return f"snapshot of leg '{self._leg}' not used: {problem}"
+        self.model = dataclasses.replace(self.model, coefficients=coefficients, version=version)
+        self._rls.restore(coefficients, factor)
+        self.level, self._era, self.status = level, era, status
+        self._loose_swings = int(saved.get("loose_swings", 0))
+        self._since_ns = None  # of another clock, perhaps
+        for name, count in dict(saved.get("refits", {})).items():
+            if name in self._refits and isinstance(count, int):
+                self._refits[name] = count
+        self._reason = saved.get("reason")
+        self.buffer.restore(segments)
+        return None
+
     # -- private ----------------------------------------------------------------------------------
 
     def _doubt(self, rows: list[Row], level: float, region: int, t_ns: int) -> None:
@@ -228,7 +303,7 @@ class Follower:
         if self.status != "adapting" or self._swings_adapting >= LOOSEN_EVERY:
             self._change(self._doubted_ns)
         self._swings_adapting += 1
-        self.level = self._swing_level
+        self.level = self._swing_level**0.5
         self._accept([*self._doubted, *rows], level, region)
         self._doubted = []
         if self._swings_adapting > PATIENCE_SWINGS:
@@ -241,8 +316,9 @@ class Follower:
         self.status = "adapting"
         self._swings_adapting = 0
         self._era += 1
-        self._loose_swings = PATIENCE_SWINGS
-        self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
+        if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
+            self._loose_swings = PATIENCE_SWINGS
+            self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
         self._trial, self._pending = None, None
 
     def _accept(self, rows: list[Row], level: float, region: int) -> None:
@@ -325,6 +401,9 @@ class Follower:
             return
         self._swings_since_refit = 0
         self._jobs += 1
+        # A minute of one gait does not span the workspace: what it does not excite stays as it is.
+        prior = np.diag(self._scale * PRIOR_ROWS**0.5)
+        fit.add(prior, prior @ self.model.coefficients)
         self._refitter.submit(RefitJob(self._leg, self._jobs, fit, held_out, self._noise))
         self._pending = (self._jobs, REFIT_DUE_TICKS)
 
@@ -344,22 +423,23 @@ class Follower:
             return
         champion = (row.target - row.theta @ self.model.coefficients) / self._noise
         candidate = (row.target - row.theta @ trial.coefficients) / self._noise
-        trial.champion += float(np.minimum(np.square(champion), 25.0).mean())
-        trial.candidate += float(np.minimum(np.square(candidate), 25.0).mean())
-        trial.rows += 1
-        if trial.rows < TRIAL_ROWS:
+        gain = np.minimum(np.square(champion), 25.0) - np.minimum(np.square(candidate), 25.0)
+        trial.gains.append(float(gain.mean()))
+        if len(trial.gains) < TRIAL_ROWS:
             return
         self._trial = None
-        ratio = trial.candidate / max(trial.champion, 1e-12)
-        if ratio > PROMOTE_RATIO:
-            self._refuse(f"refused: error {ratio:.3f} of the champion's on {trial.rows} new ticks")
+        mean = float(np.mean(trial.gains))
+        errors = mean / max(float(np.std(trial.gains)) / len(trial.gains) ** 0.5, 1e-12)
+        words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
+        if errors < PROMOTE_ERRORS:
+            self._refuse(f"refused: {words}")
             return
         self.model = dataclasses.replace(
             self.model, coefficients=trial.coefficients, version=self.model.version + 1
         )
         self._rls = self._recursion(self.model)
         self._refits["promoted"] += 1
-        self._reason = f"promoted: error {ratio:.3f} of the champion's on {trial.rows} new ticks"
+        self._reason = f"promoted: {words}"
 
     def _refuse(self, reason: str) -> None:
         self._refits["refused"] += 1

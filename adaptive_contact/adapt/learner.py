@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,6 +207,47 @@ class ContactLearner:
             threshold=float(self.thresholds[0]),
             origin=self._origin,
         )
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """What has been learned, as a tree that msgpack can write; None without a model."""
+        if self._follower is None:
+            return None
+        return {
+            "follower": self._follower.snapshot(),
+            "counts": dict(self._counts),
+            "rejects": {str(reason): n for reason, n in self._rejects.items()},
+            "missed": self._guard.missed,
+        }
+
+    def restore(self, saved: dict[str, Any]) -> str | None:
+        """Take over a snapshot, whole or not at all.
+
+        Returns:
+            None when it is in force, else one line that says why it is not.
+        """
+        inner = saved.get("follower")
+        if self._follower is None or self.tracker is None:
+            return f"snapshot of leg '{self.leg.id}' not used: there is no baseline to go with it"
+        if not isinstance(inner, dict):
+            return f"snapshot of leg '{self.leg.id}' not used: it holds no model"
+        refused = self._follower.restore(inner)
+        if refused is not None:
+            return refused
+        self.tracker.model = self._follower.model
+        counts = saved.get("counts")
+        if isinstance(counts, dict):
+            for name, count in counts.items():
+                if isinstance(name, str) and isinstance(count, int):
+                    self._counts[name] = count
+        rejects = saved.get("rejects")
+        if isinstance(rejects, dict):
+            known = {str(reason): reason for reason in Reject}
+            for name, count in rejects.items():
+                if name in known and isinstance(count, int):
+                    self._rejects[known[name]] = count
+        if isinstance(saved.get("missed"), int):
+            self._guard.missed = saved["missed"]
+        return None
 
     # -- one tick, in the order `advance` calls it ----------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 
@@ -170,9 +170,9 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
     return LegPlan(leg.id, tuple(joints), servos.max_step_rad)
 
 
-def _protocol_of(robot: Robot) -> int:
+def _protocol_of(robot: Robot) -> Literal[1, 2]:
     """Protocol of the robot's servos, for a port that is given on the command line."""
     for leg in robot.legs:
         if leg.servos is not None:
-            return models_named(leg.servos.model)[0].protocol
+            return 1 if models_named(leg.servos.model)[0].protocol == 1 else 2
     return 1

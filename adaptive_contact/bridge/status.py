@@ -38,8 +38,8 @@ class ServoCounts(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """
 
     silent: bool = False
-    alarms: list[str] = []
-    faults: dict[str, int] = {}
+    alarms: list[str] = msgspec.field(default_factory=list)
+    faults: dict[str, int] = msgspec.field(default_factory=dict)
 
 
 class BridgeStatus(Message, frozen=True, kw_only=True):
@@ -69,8 +69,8 @@ class BridgeStatus(Message, frozen=True, kw_only=True):
     missed: int
     reconnects: int = 0
     commands_refused: int = 0
-    holding: list[str] = []
-    servos: dict[str, ServoCounts] = {}
+    holding: list[str] = msgspec.field(default_factory=list)
+    servos: dict[str, ServoCounts] = msgspec.field(default_factory=dict)
     note: str | None = None
 
 

@@ -24,7 +24,7 @@ def demo(
     ] = Path("out/demo"),
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Of walking, in real time. [66]", show_default=False),
+        typer.Option("--seconds", help="Of walking, in real time. [60]", show_default=False),
     ] = None,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)

@@ -35,11 +35,12 @@ def _register() -> None:
     for name in _COMMANDS:
         module = importlib.import_module(f"adaptive_contact.cli.{name}")
         app.command(name)(getattr(module, name))
-    from adaptive_contact.cli import sim
+    from adaptive_contact.cli import sim, state
     from adaptive_contact.cli.baseline import baseline
 
     sim.app.command("baseline")(baseline)
     app.add_typer(sim.app, name="sim")
+    app.add_typer(state.app, name="state")
 
 
 def main() -> None:

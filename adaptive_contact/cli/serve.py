@@ -132,7 +132,6 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
 
 def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> StateKeeper:
     """Where the learners' state is kept: restored when they are made, saved as they go."""
-    from adaptive_contact.adapt.baseline import dump_baseline
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
         StateKeeper,
@@ -141,7 +140,11 @@ def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> Stat
         settings_digest,
     )
 
-    text = "" if learned is None else dump_baseline(learned)
+    text = ""
+    if learned is not None:
+        from adaptive_contact.adapt.baseline import dump_baseline
+
+        text = dump_baseline(learned)
     store = StateStore.open(folder or default_folder(), robot.name)
     return StateKeeper(
         store, robot.name, lambda leg: settings_digest(robot, leg, text), package=version()
@@ -151,8 +154,10 @@ def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> Stat
 def _ready_line(
     listen: tuple[str, ...], connect: tuple[str, ...], robot: Robot, origin: str | None
 ) -> str:
-    where = [f"listening on {', '.join(listen)}"] if listen else []
-    where += [f"connected to {', '.join(connect)}"] if connect else []
+    from adaptive_contact.service.settings import shown
+
+    where = [f"listening on {', '.join(map(shown, listen))}"] if listen else []
+    where += [f"connected to {', '.join(map(shown, connect))}"] if connect else []
     return (
         f"adaptive-contact: {' and '.join(where)}; robot {robot.name}, "
         f"legs {' '.join(robot.leg_ids)}; "

@@ -99,6 +99,12 @@ class RecursiveLeastSquares:
         """(J, q, q) square roots S of the covariance."""
         return self._s
 
+    def restore(self, coefficients: Array, factor: Array) -> None:
+        """Take over a saved state: (p, J) coefficients and (J, q, q) square roots."""
+        self.reseed(coefficients)
+        self._s = factor * self._support[:, :, None]
+        self._bound()
+
     def reset_covariance(self) -> None:
         """Back to the prior: every term free to move by as much as it says."""
         self._s[:] = 0.0

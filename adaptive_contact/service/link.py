@@ -391,4 +391,6 @@ class _CallbackFaults(logging.Handler):
 _faults = _CallbackFaults()
 logging.getLogger("zenoh.handlers").addHandler(_faults)
 if "RUST_LOG" in os.environ:
+    # At debug this part of Zenoh writes the whole configuration, passwords and all.
+    os.environ["RUST_LOG"] += ",zenoh::api::session=info"
     zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]

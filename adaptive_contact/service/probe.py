@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from adaptive_contact.errors import LinkError
-from adaptive_contact.service.settings import tcp_address
+from adaptive_contact.service.settings import shown, tcp_address
 
 __all__ = ["Finding", "NoRouterError", "Reach", "probe"]
 
@@ -63,8 +63,8 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
     lines: list[str] = []
     unknown = False
     certain = True
-    for text in endpoints:
-        address = tcp_address(text)
+    for endpoint in endpoints:
+        address, text = tcp_address(endpoint), shown(endpoint)
         if address is None:
             unknown = True
             lines.append(f"no router answers on {text} (unreachable or refusing); {_REMEDY}")

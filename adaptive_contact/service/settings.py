@@ -26,6 +26,7 @@ __all__ = [
     "is_loopback",
     "leg_token",
     "router_settings",
+    "shown",
     "tcp_address",
 ]
 
@@ -155,7 +156,7 @@ def endpoint(text: str) -> str:
         protocol, address = "tcp", text
     if protocol not in _PROTOCOLS:
         raise ConfigurationError(
-            f"endpoint '{text}': unknown protocol '{protocol}'; expected one of "
+            f"endpoint '{shown(text)}': unknown protocol '{shown(protocol)}'; expected one of "
             f"{', '.join(_PROTOCOLS)}, such as {DEFAULT_ENDPOINT}"
         )
     if protocol in _OVER_TCP or protocol in ("udp", "quic"):
@@ -167,11 +168,17 @@ def endpoint(text: str) -> str:
         match = _HOST_PORT.match(plain)
         if match is None or int(match["port"]) > 65535:
             raise ConfigurationError(
-                f"endpoint '{text}' is not HOST:PORT; expected something like {DEFAULT_ENDPOINT}"
+                f"endpoint '{shown(text)}' is not HOST:PORT; expected something like "
+                f"{DEFAULT_ENDPOINT}"
             )
     elif not address:
-        raise ConfigurationError(f"endpoint '{text}' has no address after '{protocol}/'")
+        raise ConfigurationError(f"endpoint '{shown(text)}' has no address after '{protocol}/'")
     return f"{protocol}/{address}"
+
+
+def shown(locator: str) -> str:
+    """An endpoint as it may be shown: what follows ``?`` and ``#`` can hold a private key."""
+    return re.split(r"[?#]", locator, maxsplit=1)[0]
 
 
 def tcp_address(locator: str) -> tuple[str, int] | None:

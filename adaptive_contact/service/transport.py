@@ -20,6 +20,7 @@ from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
     is_loopback,
+    shown,
     tcp_address,
 )
 
@@ -47,6 +48,11 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # half a second would make the legs look silent.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
     "connect/timeout_ms": CONNECT_TIMEOUT_MS,
+    # A link that was cut (no word from the other side) is given up after this long (ms), and
+    # tried anew; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
+    "transport/link/tx/lease": 2000,
+    # Bounds each such try: a SYN that is lost in the cut is repeated only after 1, 3 and 7 s.
+    "transport/unicast/open_timeout": 1000,
     # Reconnects go on for ever at this pace; an outage of 4 s was over 0.34 s after its end.
     "connect/retry": {
         "period_init_ms": 100,
@@ -56,6 +62,9 @@ DEFAULTS: Final[Mapping[str, object]] = {
 }
 
 _SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
+# Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
+_QUOTED_LINE: Final = re.compile(r"(?m)^\s*\d*\s*\|.*$")
+_QUOTED_VALUE: Final = re.compile(r"(invalid (?:type|value): \w+) (?:\"(?:[^\"\\]|\\.)*\"|`[^`]*`)")
 
 
 class Facts(NamedTuple):
@@ -90,18 +99,18 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
         _endpoints(config, "listen", "router") if settings.mode == "router" else (),
         _endpoints(config, "connect", settings.mode),
     )
-    open_doors = [text for text in facts.listen if not is_loopback(text)]
-    if open_doors and not settings.insecure and not _authenticates(config):
-        raise ConfigurationError(
-            f"listening on {open_doors[0]} would let anybody on that network in; give a "
-            "--zenoh-config FILE with users or mutual TLS, or say --insecure"
-        )
+    for text in facts.listen:
+        if not (is_loopback(text) or settings.insecure or _authenticates(config, text)):
+            raise ConfigurationError(
+                f"listening on {shown(text)} would let anybody on that network in; give a "
+                "--zenoh-config FILE with users or mutual TLS, or say --insecure"
+            )
     return config, facts
 
 
 def listen_failure(listen: tuple[str, ...], error: zenoh.ZError) -> str:
     """Say in one line why a router could not be opened."""
-    where = ", ".join(listen)
+    where = ", ".join(shown(text) for text in listen)
     if "Address already in use" in str(error):
         return (
             f"cannot listen on {where}: the address is in use, probably by another router; "
@@ -111,8 +120,9 @@ def listen_failure(listen: tuple[str, ...], error: zenoh.ZError) -> str:
 
 
 def first_line(error: zenoh.ZError) -> str:
-    """Zenoh's words without the source paths it appends."""
-    return _SOURCE_PATH.sub("", " ".join(str(error).split()))[:300]
+    """Zenoh's words without the source paths it appends, and without what it quotes of a file."""
+    text = _QUOTED_LINE.sub("", _QUOTED_VALUE.sub(r"\1", str(error)))
+    return _SOURCE_PATH.sub("", " ".join(text.split()))[:300]
 
 
 def _from_file(path: Path) -> zenoh.Config:
@@ -133,9 +143,15 @@ def _endpoints(config: zenoh.Config, side: str, mode: str) -> tuple[str, ...]:
     return tuple(str(text) for text in flat)
 
 
-def _authenticates(config: zenoh.Config) -> bool:
-    """Whether clients must show who they are: user and password, a known key, or mutual TLS."""
-    asks = ("auth/usrpwd/dictionary_file", "auth/pubkey/known_keys_file", "link/tls/enable_mtls")
+def _authenticates(config: zenoh.Config, text: str) -> bool:
+    """Whether clients of an endpoint must show who they are.
+
+    A user and password, or a known key, are asked for on any of them; mutual TLS only where TLS
+    is spoken.
+    """
+    asks = ["auth/usrpwd/dictionary_file", "auth/pubkey/known_keys_file"]
+    if text.startswith(("tls/", "quic/")):
+        asks.append("link/tls/enable_mtls")
     return any(json.loads(config.get_json(f"transport/{path}")) for path in asks)
 
 

@@ -44,10 +44,18 @@ def headline(view: View) -> Text:
         line.append(f"  in to out {delay.p50:.2f} ms (p99 {delay.p99:.2f})")
     if not view.alive:
         line.append("  service gone", style="bold red")
+    if service.events_lost:
+        line.append(f"  {service.events_lost} events lost", style="bold red")
+    if service.slow_puts:
+        line.append(f"  {service.slow_puts} events held up", style="yellow")
+    if service.stalls:
+        line.append(f"  worker stood still {service.stalls} times", style="bold red")
     if service.rejects:
         line.append(f"  refused: {_counts(service.rejects)}", style="yellow")
     if service.callback_faults:
         line.append(f"  {service.callback_faults} callback faults", style="bold red")
+    if service.note is not None:
+        line.append(f"\n{service.note}", style="bold red")
     return line
 
 

@@ -23,7 +23,8 @@ def test_it_installs_our_three_packages_and_nothing_else(wheel: Path, installed:
 
 
 def test_what_is_imported_is_the_wheel(installed: Any, tmp_path: Path) -> None:
-    code = f"import json, {', '.join(OURS)}; print(json.dumps([m.__file__ for m in ({', '.join(OURS)})]))"
+    names = ", ".join(OURS)
+    code = f"import json, {names}; print(json.dumps([m.__file__ for m in ({names})]))"
     done = installed.run("-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     for path in json.loads(done.stdout):

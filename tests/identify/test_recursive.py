@@ -36,7 +36,9 @@ def test_without_forgetting_one_by_one_equals_batch() -> None:
         prior = np.diag(np.square(SCALE[on] / (3.0 * NOISE[j])))
         information = phi.T @ phi / NOISE[j] ** 2 + prior
         start = np.full(on.sum(), 0.3)
-        expected = np.linalg.solve(information, phi.T @ target[:, j] / NOISE[j] ** 2 + prior @ start)
+        expected = np.linalg.solve(
+            information, phi.T @ target[:, j] / NOISE[j] ** 2 + prior @ start
+        )
         np.testing.assert_allclose(rls.coefficients[on, j], expected, rtol=1e-9)
         kept = np.flatnonzero(on)
         index = [int(np.flatnonzero(rls.terms == k)[0]) for k in kept]

@@ -170,6 +170,8 @@ def serve(tmp_path: Path, command: Callable[..., subprocess.Popen[str]]) -> Call
         config.write_text(ROBOT)
         log = tmp_path / f"serve{next(count)}.log"
         where = () if "--connect" in args or "--listen" in args else ("--listen", "127.0.0.1:0")
+        if "--state" not in args:
+            args = (*args, "--no-state")
         with log.open("w") as stderr:
             process = command(
                 str(HERE / "fake_service.py"),

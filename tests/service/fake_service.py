@@ -5,12 +5,15 @@ Contact is ``|measured[0] - desired[0]| > 0.2`` rad.  Everything else is the rea
 
 from __future__ import annotations
 
-import math
+import importlib.util
 import sys
 import types
 from collections import Counter
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
+from adaptive_contact import wire
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import (
     ContactEvent,
@@ -25,6 +28,21 @@ from adaptive_contact.wire import (
 MAX_LEGS = 8
 
 
+def _stream() -> types.ModuleType:
+    """The real checks of a stream, without the half a second of imports that come with adapt."""
+    path = Path(wire.__file__).parents[1] / "adapt" / "stream.py"
+    spec = importlib.util.spec_from_file_location("stream_guard", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["stream_guard"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+StreamGuard = _stream().StreamGuard
+
+
 class FakeLearner:
     def __init__(self, leg: str, joints: int) -> None:
         self.leg = leg
@@ -35,6 +53,7 @@ class FakeLearner:
         self.ticks = 0
         self.t_ns = 0
         self.rejects: Counter[str] = Counter()
+        self.guard = StreamGuard(joints)
         self.note: str | None = None
         self.model_report: ModelReport | None = ModelReport(
             leg=leg,
@@ -43,6 +62,15 @@ class FakeLearner:
             terms=[[ModelTerm(name="q0", coefficient=1.0)] for _ in range(joints)],
             equations=["q0' = q0"] * joints,
         )
+
+    def snapshot(self) -> dict[str, object]:
+        return {"contacts": self.contacts, "weights": bytes(8 * 1000), "bias": 0.25}
+
+    def restore(self, snapshot: dict[str, Any]) -> str | None:
+        if not isinstance(snapshot.get("contacts"), int):
+            return "implausible: contacts is no number"
+        self.contacts = snapshot["contacts"]
+        return None
 
     def count(self, reason: Reject, times: int = 1) -> None:
         self.rejects[reason] += times
@@ -57,6 +85,7 @@ class FakeLearner:
             residual_rms=[0.001] * self.joints,
             noise_floor=[0.001] * self.joints,
             ticks=self.ticks,
+            missed=self.guard.missed,
             rejects=dict(self.rejects),
             contact=self.contact,
             contacts=self.contacts,
@@ -64,11 +93,9 @@ class FakeLearner:
         )
 
     def update(self, sample: ServoSample) -> ContactEvent | None:
-        if not all(math.isfinite(x) for x in (*sample.measured, *sample.desired)):
-            self.count(Reject.NOT_FINITE)
-            return None
-        if len(sample.measured) != self.joints:
-            self.count(Reject.WRONG_JOINTS)
+        found = self.guard.admit(sample)
+        if isinstance(found, Reject):
+            self.count(found)
             return None
         self.ticks += 1
         self.t_ns = sample.t_ns

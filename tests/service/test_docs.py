@@ -12,6 +12,7 @@ import msgspec
 import pytest
 
 from adaptive_contact import wire
+from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     JSON,
@@ -37,7 +38,7 @@ MESSAGES = [
 ]
 
 
-@pytest.mark.parametrize("kind", [*MESSAGES, ServiceStatus, LegFacts])
+@pytest.mark.parametrize("kind", [*MESSAGES, ServiceStatus, LegFacts, StateFacts])
 def test_every_field_is_described(kind: type[msgspec.Struct]) -> None:
     for field in kind.__struct_fields__:
         assert re.search(rf"[`{{ ]{field}[`}},]", TEXT), f"{kind.__name__}.{field}"

@@ -74,10 +74,13 @@ class Kept(Protocol):
     """What the keeper asks of a leg's desk."""
 
     leg: str
-    learner: object
     model_version: int
     heard_samples: int
     position: Position | None
+
+    @property
+    def learner(self) -> object:
+        """The leg's; its state is kept if it is :class:`Keepable`."""
 
 
 class _Last(NamedTuple):

@@ -31,6 +31,7 @@ NEWEST: Final = ".state"
 BEFORE: Final = ".before"
 REFUSED: Final = ".refused"
 _NEW: Final = ".new"
+_OLD: Final = ".old"
 _LOCK: Final = "lock"
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
 
@@ -126,9 +127,7 @@ class StateStore:
                 file.write(pack(record))
                 file.flush()
                 os.fsync(file.fileno())
-            # Between these two there is no newest one, but the one before it is whole.
-            with contextlib.suppress(FileNotFoundError):
-                newest.replace(newest.with_suffix(BEFORE))
+            _keep_before(newest)
             new.replace(newest)
             _sync_folder(self.folder)
         except OSError:
@@ -158,11 +157,25 @@ def list_states(root: Path) -> list[Stored]:
     return found
 
 
+def _keep_before(newest: Path) -> None:
+    """Make the newest state the one before; it stays where it is until it is replaced."""
+    before, old = newest.with_suffix(BEFORE), newest.with_suffix(_OLD)
+    if not newest.exists():
+        return
+    old.unlink(missing_ok=True)
+    try:
+        old.hardlink_to(newest)
+    except OSError:  # a file system without links: for an instant there is only the one before
+        newest.replace(before)
+        return
+    old.replace(before)
+
+
 def _read(path: Path, identity: Identity | None) -> Record | Refused | None:
     try:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         return Refused(f"cannot be read ({(error.strerror or str(error)).lower()})")

@@ -203,9 +203,9 @@ def _levels(axes: Axes, verdict: Verdict) -> None:
     for name, level in verdict.service.level.items():
         if name != leg:
             axes.plot(_seconds(verdict, level.t_ns), level.over_floor, color=_OTHERS, lw=0.8)
-    for judged, colour, style, name in (
-        (verdict.frozen, _FROZEN, "-", "frozen model"),
-        (verdict.service, _SERVICE, "--", "service"),
+    for judged, colour, width, name in (
+        (verdict.frozen, _FROZEN, 3.6, "frozen model"),
+        (verdict.service, _SERVICE, 1.8, "service"),
     ):
         level = judged.level[leg]
         shown.append(level)
@@ -213,8 +213,7 @@ def _levels(axes: Axes, verdict: Verdict) -> None:
             _seconds(verdict, level.t_ns),
             level.over_floor,
             color=colour,
-            linestyle=style,
-            linewidth=2.4,
+            linewidth=width,
             label=f"{leg}, {name}",
         )
     axes.plot([], [], color=_OTHERS, lw=0.8, label="other legs")

@@ -36,7 +36,7 @@ class DemoSettings:
     """
 
     out: Path = Path("out/demo")
-    seconds: float = 66.0
+    seconds: float = 60.0
     seed: int = 0
     leg: str = "rf"
     friction: float = 4.0

@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt import LearnerBank, shipped_baseline
+from adaptive_contact.adapt import ContactLearner, LearnerMode, shipped_baseline
 from adaptive_contact.adapt.gather import untouched
+from adaptive_contact.adapt.learner import advance
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
     Gatherer,
@@ -149,8 +150,8 @@ def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
         )
 
     # Its residuals are not on the wire; its learners, fed the same samples, have the same.
-    service = judged(_replay(records, _adaptive(robot), streams))
-    replayed = _replay(records, _frozen(robot), streams)
+    service = judged(_replay(records, robot, LearnerMode.FULL, streams))
+    replayed = _replay(records, robot, LearnerMode.FROZEN, streams)
     gathered.replace_events(replayed.events)
     frozen = judged(replayed)
     return Verdict(
@@ -173,16 +174,6 @@ def others(score: Score, leg: str) -> Summary:
 _END: Final = int(np.iinfo(np.int64).max)
 
 
-def _adaptive(robot: Robot) -> LearnerBank:
-    """Learners as the service has them."""
-    return LearnerBank(robot, shipped_baseline(robot.name))
-
-
-def _frozen(robot: Robot) -> LearnerBank:
-    """Learners that keep the model they begin with; so far, all do."""
-    return LearnerBank(robot, shipped_baseline(robot.name))
-
-
 # -- replaying ---------------------------------------------------------------------------------
 
 
@@ -192,7 +183,7 @@ class _Replayed:
 
     Attributes:
         residual: (n, J) rad of each sample, NaN where there was no prediction.
-        floor: (J,) rad, the model's own level.
+        floor: (J,) rad, the level of the model at the start.
     """
 
     events: list[ContactEvent]
@@ -201,32 +192,24 @@ class _Replayed:
 
 
 def _replay(
-    records: Iterable[Record], bank: LearnerBank, streams: dict[str, LegStream]
+    records: Iterable[Record], robot: Robot, mode: LearnerMode, streams: dict[str, LegStream]
 ) -> _Replayed:
-    events: list[ContactEvent] = []
+    baseline = shipped_baseline(robot.name)
+    learners = {leg: ContactLearner(robot, leg, baseline, mode=mode) for leg in streams}
+    # The same floor for every mode: that of the model they begin with.
+    floor = {leg: np.array(learner.status.noise_floor) for leg, learner in learners.items()}
     residual = {
-        leg: np.full((len(streams[leg].t_ns), len(bank.robot.leg(leg).joints)), np.nan)
-        for leg in streams
+        leg: np.full((len(stream.t_ns), len(floor[leg])), np.nan) for leg, stream in streams.items()
     }
-    floor = {}
-    at = {leg: {int(t): i for i, t in enumerate(streams[leg].t_ns)} for leg in streams}
-
-    def wanted(leg: str, joints: int) -> bool:
-        return leg in streams and bank.learner(leg, joints) is not None
-
-    for tick in control_ticks(records, wanted, Counts()):
-        events += bank.update(tick)
+    row = {leg: {int(t): i for i, t in enumerate(s.t_ns)} for leg, s in streams.items()}
+    events: list[ContactEvent] = []
+    for tick in control_ticks(records, lambda leg, _: leg in learners, Counts()):
+        decided = advance([(learners[leg], sample) for leg, sample in tick.items()])
+        events += [event for event in decided if event is not None]
         for leg, sample in tick.items():
-            learner = bank.learner(leg)
-            row = at[leg].get(sample.t_ns)
-            if learner is None or learner.tracker is None or row is None:
-                continue
-            if learner.tracker.usable:
-                residual[leg][row] = learner.tracker.residuals[0]
-    for leg in streams:
-        learner = bank.learner(leg)
-        assert learner is not None
-        floor[leg] = np.array(learner.status.noise_floor)
+            at, tracker = row[leg].get(sample.t_ns), learners[leg].tracker
+            if at is not None and tracker is not None and tracker.usable:
+                residual[leg][at] = tracker.residuals[0]
     return _Replayed(events, residual, floor)
 
 

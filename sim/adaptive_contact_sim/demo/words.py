@@ -31,32 +31,33 @@ def outcome_words(settings: DemoSettings, verdict: Verdict) -> tuple[str, ...]:
     if not _hurt(frozen, leg):
         after = service.after.total
         return (f"{what}: no harm done, {_share(after)} from then on, {_alarms(after)}.",)
-    own, rest = frozen.after.legs[leg], others(service.after, leg)
+    old, own = frozen.after.legs[leg], service.after.legs[leg]
+    rest = others(service.after, leg)
     if service.recovery is None:
-        back = "The service is not back by the end"
+        back = "The service has not caught up by the end"
     elif service.recovery == 0:
-        back = "The service follows at once"
+        back = "The service follows the leg at once"
     else:
-        back = f"The service is back after {service.recovery} swings of that leg"
+        back = f"The service follows the leg and is back after {_swings(service.recovery)}"
     return (
-        f"{what}: the model learned before finds {_share(own)} there, with {_alarms(own)}.",
-        f"{back}; on the other legs it finds {_share(rest)}, {_alarms(rest)}.",
+        f"{what}: a frozen model finds {_share(old)} there, with {_alarms(old)}.",
+        f"{back}: {_share(own)}, {_alarms(own)}. The other legs: {_share(rest)}, {_alarms(rest)}.",
     )
 
 
 def percent(share: float | None) -> str:
     """A share for a person; only all is 100 %."""
-    if share is None:
-        return "-"
-    if 0.99 <= share < 1.0:
-        return f"{math.floor(1000 * share) / 10:.1f} %"
-    return f"{100 * share:.0f} %"
+    return "-" if share is None else f"{math.floor(100 * share)} %"
 
 
 def _hurt(judged: Judged, leg: str) -> bool:
     """Whether the drift did harm to a detector: it was not reliable from the drift on."""
     errors = judged.after.legs[leg].lost_swings
     return judged.recovery != 0 or errors > 2
+
+
+def _swings(count: int) -> str:
+    return "1 swing" if count == 1 else f"{count} swings"
 
 
 def _share(summary: Summary) -> str:

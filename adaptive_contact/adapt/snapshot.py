@@ -1,0 +1,106 @@
+"""A follower's state as a tree that msgpack can write, and back.
+
+Arrays travel as ``{"shape": [...], "data": bytes}`` of little-endian float64.  What is read is
+checked for form and for sense before anything is changed: a snapshot is used whole or not at all.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.buffer import Segment
+from adaptive_contact.identify import Library
+
+__all__ = [
+    "FORMAT",
+    "Implausible",
+    "array_of",
+    "library_key",
+    "pack",
+    "segment_of",
+    "unpack_segment",
+]
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 1
+
+
+class Implausible(Exception):  # noqa: N818 - caught by `restore`, never leaves the package
+    """Why a snapshot is not used."""
+
+
+def pack(array: Array) -> dict[str, object]:
+    """An array for a snapshot."""
+    data = np.ascontiguousarray(array, dtype="<f8")
+    return {"shape": list(data.shape), "data": data.tobytes()}
+
+
+def array_of(value: object, shape: tuple[int, ...], what: str) -> Array:
+    """An array from a snapshot; -1 in ``shape`` takes any length.
+
+    Raises:
+        Implausible: it is no array of that shape, or not finite.
+    """
+    if not isinstance(value, dict):
+        raise Implausible(f"{what} is no array")
+    size, data = value.get("shape"), value.get("data")
+    if not isinstance(size, list | tuple) or not isinstance(data, bytes):
+        raise Implausible(f"{what} is no array")
+    fits = len(size) == len(shape) and all(
+        isinstance(n, int) and n >= 0 and want in (-1, n)
+        for n, want in zip(size, shape, strict=True)
+    )
+    if not fits or len(data) != 8 * int(np.prod(size)):
+        raise Implausible(f"{what} has shape {list(size)}; expected {list(shape)}")
+    array = np.frombuffer(data, dtype="<f8").reshape(size).astype(np.float64)
+    if not np.isfinite(array).all():
+        raise Implausible(f"{what} is not finite")
+    return array
+
+
+def library_key(library: Library) -> dict[str, object]:
+    """What a library's regressors depend on; a snapshot of another is of no use."""
+    window = library.window
+    return {
+        "name": library.name,
+        "joints": list(library.joints),
+        "axes": list(library.axes),
+        "window": [window.past_measured, window.past_desired, window.preview],
+        "slope_rad": library.slope_rad,
+        "period_s": library.period_s,
+    }
+
+
+def segment_of(segment: Segment) -> dict[str, Any]:
+    """A segment for a snapshot."""
+    return {
+        "theta": pack(segment.theta),
+        "target": pack(segment.target),
+        "cell": list(segment.cell),
+        "era": segment.era,
+        "t_ns": segment.t_ns,
+    }
+
+
+def unpack_segment(value: object, terms: int, joints: int) -> Segment:
+    """A segment from a snapshot.
+
+    Raises:
+        Implausible: it is none.
+    """
+    if not isinstance(value, dict):
+        raise Implausible("a segment is no map")
+    theta = array_of(value.get("theta"), (-1, terms), "a segment's regressors")
+    target = array_of(value.get("target"), (len(theta), joints), "a segment's targets")
+    cell, era, t_ns = value.get("cell"), value.get("era"), value.get("t_ns")
+    if not (
+        isinstance(cell, list | tuple) and len(cell) == 2 and all(isinstance(c, int) for c in cell)
+    ):
+        raise Implausible("a segment's cell is no pair")
+    if not (isinstance(era, int) and isinstance(t_ns, int)):
+        raise Implausible("a segment's era or time is no number")
+    return Segment(theta, target, (int(cell[0]), int(cell[1])), era, t_ns)

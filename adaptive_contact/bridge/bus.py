@@ -1,0 +1,277 @@
+"""A Dynamixel bus over the real DynamixelSDK: ping, read, write, with a result per servo.
+
+What the SDK's packet handlers get wrong (4.1.0) is worked around here:
+
+- ``read2ByteTxRx`` raises IndexError on an error status without data: ``readTxRx`` is used, and
+  the length of what came is checked.
+- ``GroupSyncRead`` gives up at the first servo that does not answer and returns none of the
+  others; ``GroupBulkRead`` raises TypeError: the packets are taken one by one here.
+- AX servos know neither: each is read by itself, and all are written with one sync write.
+"""
+
+from __future__ import annotations
+
+import enum
+import termios
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, TypeVar
+
+from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
+
+from adaptive_contact.bridge.packets import BROADCAST_ID, MAX_ID, Instruction
+from adaptive_contact.bridge.port import SdkPort
+from adaptive_contact.bridge.protocol1 import ERROR_BITS
+from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, HARDWARE_ERROR_BITS, split_fast_sync
+from adaptive_contact.bridge.tables import Block, Register
+from adaptive_contact.robot import Port
+
+__all__ = ["Bus", "Fault", "Pong", "Reading"]
+
+T = TypeVar("T")
+
+_TIMEOUT: Final = -3001
+_ALERT: Final = 0x80
+# Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
+_ID2, _ERROR2, _DATA2 = 4, 8, 9
+
+
+class Fault(enum.StrEnum):
+    """Why a servo's reading is missing."""
+
+    NO_ANSWER = "no_answer"
+    CORRUPT = "corrupt"
+    REFUSED = "refused"
+
+
+class Reading(NamedTuple):
+    """What came of a read.
+
+    Attributes:
+        data: the block's bytes, None with a fault.
+        alarms: names of the error bits.
+        fault: what went wrong.
+    """
+
+    data: bytes | None
+    alarms: tuple[str, ...] = ()
+    fault: Fault | None = None
+
+
+class Pong(NamedTuple):
+    """A servo that answered a ping: its model number; ``doubled`` if several seem to answer."""
+
+    model_number: int
+    doubled: bool = False
+
+
+class Bus:
+    """One port and the servos on it.  Not for several threads at once.
+
+    Args:
+        name: of the port in ``robot.toml``.
+        port: its settings.
+    """
+
+    def __init__(self, name: str, port: Port) -> None:
+        self.name = name
+        self.protocol = port.protocol
+        self._fast = port.fast
+        self._port = SdkPort(name, port)
+        self._packets: Any = PacketHandler(float(port.protocol))
+
+    @property
+    def device(self) -> str:
+        """The device's path."""
+        return str(self._port.port_name)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return bool(self._port.is_open)
+
+    def open(self) -> None:
+        """Open the port.
+
+        Raises:
+            BusError: it cannot be opened; one line, with what to do.
+        """
+        self._port.open()
+
+    def close(self) -> None:
+        """Close the port; nothing is written."""
+        self._port.close()
+
+    def ping(self, servo: int) -> Pong | None:
+        """Ask a servo who it is; None where nobody answers.
+
+        Raises:
+            PortLostError: the port is gone.
+        """
+        return self._guarded(lambda: self._ping(servo))
+
+    def read(
+        self, servos: Sequence[int], block: Block, until: float | None = None
+    ) -> dict[int, Reading]:
+        """Read the same registers of several servos.
+
+        Args:
+            servos: ids.
+            block: the registers.
+            until: monotonic seconds after which nothing is tried a second time.
+
+        Returns:
+            A reading for every id.
+
+        Raises:
+            PortLostError: the port is gone.
+        """
+
+        def work() -> dict[int, Reading]:
+            found: dict[int, Reading] = {}
+            if self.protocol == 2 and len(servos) > 1:
+                found = self._sync_read(servos, block)
+            for servo in servos:
+                first = found.get(servo)
+                if first is None:
+                    # Not heard in the common answer, or protocol 1: ask it alone.
+                    first = found[servo] = self._read_one(servo, block)
+                if first.fault is Fault.CORRUPT and (until is None or time.monotonic() < until):
+                    again = self._read_one(servo, block)
+                    if again.fault is None:
+                        # The fault is told, the reading is good.
+                        found[servo] = again._replace(fault=Fault.CORRUPT)
+            return found
+
+        return self._guarded(work)
+
+    def get(self, servo: int, register: Register) -> int | None:
+        """One register's value, None if the servo does not tell it within three tries."""
+        block = Block(register.address, register.size)
+        for _ in range(3):
+            data = self._guarded(lambda: self._read_one(servo, block)).data
+            if data is not None:
+                return block.part(data, register)
+        return None
+
+    def put(self, servo: int, register: Register, value: int) -> bool:
+        """Write one register; True when the servo has confirmed it."""
+        data = list(value.to_bytes(register.size, "little", signed=register.signed))
+        for _ in range(3):
+            result, error = self._guarded(
+                lambda: self._packets.writeTxRx(
+                    self._port, servo, register.address, register.size, data
+                )
+            )
+            if result == COMM_SUCCESS:
+                return (int(error) & ~_ALERT) == 0
+        return False
+
+    def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
+        """Write one register of several servos with one sync write, which nobody answers."""
+        if not values:
+            return True
+        parameters: list[int] = []
+        for servo, value in values.items():
+            parameters.append(servo)
+            parameters += value.to_bytes(register.size, "little", signed=register.signed)
+        result = self._guarded(
+            lambda: self._packets.syncWriteTxOnly(
+                self._port, register.address, register.size, parameters, len(parameters)
+            )
+        )
+        return bool(result == COMM_SUCCESS)
+
+    def alarms(self, error: int) -> tuple[str, ...]:
+        """Names for a status packet's error byte; protocol 2.0's alert bit is ``hardware``."""
+        if error == 0:
+            return ()
+        if self.protocol == 1:
+            return tuple(name for bit, name in ERROR_BITS.items() if error & bit)
+        names = ["hardware"] if error & _ALERT else []
+        number = error & ~_ALERT
+        if number:
+            names.append(ERROR_NUMBERS.get(number, f"error_{number}"))
+        return tuple(names)
+
+    def hardware_alarms(self, servo: int, register: Register) -> tuple[str, ...]:
+        """What is behind the alert bit of protocol 2.0."""
+        bits = self.get(servo, register) or 0
+        return tuple(name for bit, name in HARDWARE_ERROR_BITS.items() if bits & bit)
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _guarded(self, work: Callable[[], T]) -> T:
+        """Run a transaction; an error of the device closes the port.
+
+        ``is_using`` is cleared before: a transaction that raised would otherwise block all others.
+        """
+        if not self._port.is_open:
+            raise self._port.lost(OSError("closed"))
+        self._port.is_using = False
+        try:
+            return work()
+        except BlockingIOError:
+            # Nobody takes what is written: the other end stands still, as good as gone.
+            raise self._port.lost(OSError("nothing can be written")) from None
+        except (OSError, termios.error, ValueError, TypeError) as error:
+            # pyserial raises TypeError where a port was closed under it.
+            raise self._port.lost(error) from error
+
+    def _ping(self, servo: int) -> Pong | None:
+        number, result, _ = self._packets.ping(self._port, servo)
+        if result not in (COMM_SUCCESS, _TIMEOUT, COMM_TX_FAIL):
+            # Two servos that talk at once garble each other; once may be noise.
+            number, again, _ = self._packets.ping(self._port, servo)
+            if again not in (COMM_SUCCESS, _TIMEOUT):
+                return Pong(0, doubled=True)
+            result = again
+        if result != COMM_SUCCESS:
+            return None
+        return Pong(int(number), doubled=self._second_answer())
+
+    def _second_answer(self) -> bool:
+        """Whether bytes follow an answer: another servo of the same id, a little slower."""
+        self._port.setPacketTimeout(0)
+        return len(self._port.readPort(1)) > 0
+
+    def _read_one(self, servo: int, block: Block) -> Reading:
+        data, result, error = self._packets.readTxRx(self._port, servo, block.address, block.size)
+        if result != COMM_SUCCESS:
+            return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
+        return self._reading(data, error, block)
+
+    def _reading(self, data: Sequence[int], error: int, block: Block) -> Reading:
+        alarms = self.alarms(error)
+        if len(data) != block.size:
+            return Reading(None, alarms, Fault.REFUSED)
+        return Reading(bytes(data), alarms)
+
+    def _sync_read(self, servos: Sequence[int], block: Block) -> dict[int, Reading]:
+        found: dict[int, Reading] = {}
+        result = self._packets.syncReadTx(
+            self._port, block.address, block.size, list(servos), len(servos), self._fast
+        )
+        if result != COMM_SUCCESS:
+            return found
+        if self._fast:
+            self._port.is_using = True
+            packet, result = self._packets.rxPacket(self._port, True)
+            if result == COMM_SUCCESS and packet[_ID2] == BROADCAST_ID:
+                for answer in split_fast_sync(bytes(packet[_ERROR2:-2]), block.size):
+                    if answer.id in servos:
+                        found[answer.id] = self._reading(answer.data, answer.error, block)
+            return found
+        while len(found) < len(servos):
+            packet, result = self._packets.rxPacket(self._port, False)
+            if result == _TIMEOUT:
+                break
+            if result != COMM_SUCCESS:
+                continue
+            servo = packet[_ID2]
+            if servo in servos and servo <= MAX_ID and packet[7] == Instruction.STATUS:
+                # Unstuffing leaves its spare bytes at the end: cut to size by the length field.
+                size = packet[5] + (packet[6] << 8) - 4
+                data = packet[_DATA2 : _DATA2 + size]
+                found[servo] = self._reading(data, packet[_ERROR2], block)
+        return found

@@ -1,0 +1,236 @@
+"""One control tick of a port: read, command, sample.
+
+In *observe* mode nothing is ever written: goals are read along with the positions.  In *drive*
+mode the positions are read first, then the newest commands are limited and written with one sync
+write; a sample pairs the two, as the wire's contract wants it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final, Literal
+
+from adaptive_contact.bridge.bus import Bus, Reading
+from adaptive_contact.bridge.drive import Driver, Mode, complaint
+from adaptive_contact.bridge.health import ServoHealth, due, is_stale
+from adaptive_contact.bridge.outlet import Mailbox
+from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
+from adaptive_contact.bridge.status import ServoCounts
+from adaptive_contact.wire import ServoSample
+
+__all__ = ["Cycle"]
+
+# A second try after a wrong checksum has to begin within this share of the control period.
+_RETRY_SHARE: Final = 0.4
+
+
+@dataclasses.dataclass
+class _Servo:
+    """What is known of a servo."""
+
+    joint: JointPlan
+    steps: int | None = None
+    speed_rad_s: float = 0.0
+    goal: int | None = None
+    last_goal: int | None = None
+    valid: bool = False
+
+    @property
+    def angle(self) -> float | None:
+        return None if self.steps is None else self.joint.angle(self.steps)
+
+
+class Cycle:
+    """The control ticks of one port.
+
+    Args:
+        plan: what is on the port.
+        bus: the port, open.
+        mode: ``observe`` or ``drive``.
+        mailbox: commands, for drive mode.
+        run: the ``run`` of the samples.
+    """
+
+    def __init__(
+        self,
+        plan: PortPlan,
+        bus: Bus,
+        mode: Literal["observe", "drive"],
+        mailbox: Mailbox,
+        run: int,
+    ) -> None:
+        self.plan = plan
+        self.bus = bus
+        self.mode = mode
+        self._mailbox = mailbox
+        self._run = run
+        self._model = plan.joints[0].model
+        self._servos = {joint.servo: _Servo(joint) for joint in plan.joints}
+        self.health = {joint.servo: ServoHealth() for joint in plan.joints}
+        self._drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
+        self._previews: dict[str, list[list[float]] | None] = {}
+        self._count = 0
+        self._hurry_until = 0
+
+    @property
+    def holding(self) -> list[str]:
+        """Legs whose commands have stopped."""
+        return [leg for leg, driver in self._drivers.items() if driver.mode is Mode.HOLDING]
+
+    @property
+    def limited(self) -> int:
+        """Commands that limits or the largest step cut down."""
+        return sum(driver.limited for driver in self._drivers.values())
+
+    @property
+    def counts(self) -> dict[str, ServoCounts]:
+        """What there is to tell of the servos, by id."""
+        told = {str(servo): record.counts for servo, record in self.health.items()}
+        return {servo: counts for servo, counts in told.items() if counts is not None}
+
+    def restart(self) -> None:
+        """Forget positions and goals after an outage: servos may have lost theirs."""
+        for servo in self._servos.values():
+            servo.steps = servo.goal = servo.last_goal = None
+        for record in self.health.values():
+            record.misses = 0
+        for driver in self._drivers.values():
+            driver.forget()
+
+    def tick(self, t_ns: int, seq: int, now_ns: int) -> dict[str, ServoSample]:
+        """Make one control tick.
+
+        Args:
+            t_ns: wall clock, for the samples.
+            seq: number of the tick.
+            now_ns: monotonic.
+
+        Returns:
+            A sample of every leg whose servos have all been heard at least once.
+
+        Raises:
+            PortLostError: the port is gone.
+        """
+        self._read(now_ns)
+        if self.mode == "drive":
+            self._write(now_ns)
+        self._count += 1
+        samples = (self._sample(leg, t_ns, seq) for leg in self.plan.legs)
+        return {leg.id: s for leg, s in zip(self.plan.legs, samples, strict=True) if s is not None}
+
+    def moving_goal(self) -> JointPlan | None:
+        """The joint whose goal moved most from the tick before to the last, if one did."""
+        best, largest = None, 0
+        for servo in self._servos.values():
+            if servo.goal is not None and servo.last_goal is not None and servo.valid:
+                moved = abs(servo.goal - servo.last_goal)
+                if moved > largest:
+                    best, largest = servo.joint, moved
+        return best
+
+    def goal_of(self, joint: JointPlan) -> tuple[int | None, int | None]:
+        """Goal of a joint at the last reading, and at the one before, steps."""
+        servo = self._servos[joint.servo]
+        return (servo.goal, servo.last_goal) if servo.valid else (None, None)
+
+    def ask_alarms(self) -> None:
+        """Ask servos that raise the alert of protocol 2.0 what is wrong; now and then."""
+        register = self._model.registers.get("hardware_error")
+        if register is None:
+            return
+        for servo, record in self.health.items():
+            if record.alerted and not record.silent:
+                record.alarm(self.bus.hardware_alarms(servo, register))
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _read(self, now_ns: int) -> None:
+        # Goals are read where they are not known: by an observer always, by a driver at first.
+        known = self.mode == "drive" and all(d.goal is not None for d in self._drivers.values())
+        block = self._model.motion if known else self._model.goal_and_motion
+        asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
+        until = now_ns / 1e9 + _RETRY_SHARE * self.plan.period_s
+        readings = self.bus.read(asked, block, until)
+        for number, servo in self._servos.items():
+            servo.last_goal = servo.goal
+            reading = readings.get(number)
+            if reading is None:
+                servo.valid = False
+                continue
+            was_silent = self.health[number].silent
+            self.health[number].note(reading)
+            if was_silent and reading.data is not None:
+                # Power has come back, it seems: ask the others at once.
+                self._hurry_until = self._count + len(self._servos) + 1
+            servo.valid = reading.data is not None and self._take(servo, reading, known)
+
+    def _take(self, servo: _Servo, reading: Reading, known: bool) -> bool:
+        """Take a reading's values; False if the position is a stale one."""
+        assert reading.data is not None
+        model, registers = self._model, self._model.registers
+        block = model.motion if known else model.goal_and_motion
+        steps = block.part(reading.data, registers["present_position"])
+        speed = model.signed_speed(block.part(reading.data, registers["present_speed"]))
+        if not known:
+            servo.goal = block.part(reading.data, registers["goal_position"])
+        stale = servo.steps is not None and is_stale(
+            steps, servo.steps, speed, servo.speed_rad_s, model.step_rad / self.plan.period_s
+        )
+        servo.steps, servo.speed_rad_s = steps, speed
+        if stale:
+            self.health[servo.joint.servo].faults["stale"] += 1
+        return not stale
+
+    def _write(self, now_ns: int) -> None:
+        registers = self._model.registers
+        goals: dict[int, int] = {}
+        for leg in self.plan.legs:
+            driver = self._drivers[leg.id]
+            self._hear(leg, driver)
+            servos = [self._servos[joint.servo] for joint in leg.joints]
+            waking = driver.goal is None
+            goal = driver.step([s.angle if s.valid else None for s in servos], now_ns)
+            if goal is None:
+                continue
+            if waking:
+                # Torque comes on with the goal where the leg is, so that nothing jumps.
+                here = {s.joint.servo: s.steps for s in servos if s.steps is not None}
+                self.bus.put_all(registers["goal_position"], here)
+                self.bus.put_all(registers["torque_enable"], dict.fromkeys(here, 1))
+            for servo, angle in zip(servos, goal, strict=True):
+                servo.goal = goals[servo.joint.servo] = servo.joint.steps(angle)
+        self.bus.put_all(registers["goal_position"], goals)
+
+    def _hear(self, leg: LegPlan, driver: Driver) -> None:
+        taken = self._mailbox.take(leg.id)
+        if taken is None:
+            return
+        command, arrival_ns = taken
+        wrong = complaint(command, len(leg.joints))
+        if wrong is not None:
+            self._mailbox.refuse(f"leg '{leg.id}': {wrong}")
+            return
+        driver.hear(command, arrival_ns)
+        self._previews[leg.id] = command.preview
+
+    def _sample(self, leg: LegPlan, t_ns: int, seq: int) -> ServoSample | None:
+        servos = [self._servos[joint.servo] for joint in leg.joints]
+        measured, desired = [], []
+        for servo in servos:
+            if servo.angle is None or servo.goal is None:
+                return None
+            measured.append(servo.angle)
+            desired.append(servo.joint.angle(servo.goal))
+        valid = [servo.valid for servo in servos]
+        driver = self._drivers.get(leg.id)
+        follows = driver is not None and driver.mode is Mode.FOLLOWING
+        return ServoSample(
+            t_ns=t_ns,
+            seq=seq,
+            measured=measured,
+            desired=desired,
+            # What lies ahead is known only while commands are followed to the letter.
+            preview=self._previews.get(leg.id) if follows else None,
+            valid=None if all(valid) else valid,
+            run=self._run,
+        )

@@ -1,0 +1,115 @@
+"""From commands to goals: never a movement that nobody asked for.
+
+A leg that has had no command yet gets no goal.  Its first command leads it from where it is, at
+an easy pace, to where the command wants it; from there it follows, within its limits and at most
+one step a tick.  Without a command for 200 ms it holds the last goal, and whatever comes next
+starts with the easy pace again.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from adaptive_contact.bridge.plan import LegPlan
+from adaptive_contact.wire import Command
+
+__all__ = ["HOLD_AFTER_NS", "Driver", "Mode", "complaint"]
+
+HOLD_AFTER_NS: Final = 200_000_000
+# Share of the largest step while a leg comes to its first command: 0.03 of 0.15 rad a tick.
+EASY_SHARE: Final = 0.2
+
+
+class Mode(enum.StrEnum):
+    """What a leg does."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    FOLLOWING = "following"
+    HOLDING = "holding"
+
+
+class Driver:
+    """One leg's goals.
+
+    Args:
+        leg: its servos and limits.
+
+    Attributes:
+        mode: what the leg does.
+        goal: (J,) rad, in force; None before the first command.
+        limited: commands that asked for more than limits or step allow.
+    """
+
+    def __init__(self, leg: LegPlan) -> None:
+        self.leg = leg
+        self.mode = Mode.IDLE
+        self.goal: list[float] | None = None
+        self.limited = 0
+        self._command: list[float] | None = None
+        self._heard_ns = 0
+
+    def forget(self) -> None:
+        """Start over: the servos may have been moved, or have lost their goals."""
+        self.mode = Mode.IDLE
+        self.goal = None
+        self._command = None
+
+    def hear(self, command: Command, arrival_ns: int) -> None:
+        """Take in a command that :func:`complaint` has nothing to say of."""
+        self._command = list(command.desired)
+        self._heard_ns = arrival_ns
+
+    def step(self, measured: Sequence[float | None], now_ns: int) -> list[float] | None:
+        """The goals to write in this tick.
+
+        Args:
+            measured: (J,) rad, None where the servo did not answer.
+            now_ns: monotonic.
+
+        Returns:
+            (J,) rad, or None when nothing is to be written.
+        """
+        if self._command is None:
+            return None
+        if now_ns - self._heard_ns > HOLD_AFTER_NS:
+            self.mode = Mode.HOLDING
+            return None
+        if self.mode in (Mode.IDLE, Mode.HOLDING):
+            if self.goal is None:
+                if any(angle is None for angle in measured):
+                    return None  # from where to go is not known
+                self.goal = [angle for angle in measured if angle is not None]
+            self.mode = Mode.APPROACHING
+        easy = self.mode is Mode.APPROACHING
+        largest = self.leg.max_step_rad * (EASY_SHARE if easy else 1.0)
+        assert self.goal is not None
+        arrived, limited = True, False
+        goal = []
+        for now, wanted, joint in zip(self.goal, self._command, self.leg.joints, strict=True):
+            # A joint found outside its limits may stay, or move inwards; never further out.
+            target = min(max(wanted, min(joint.lower_rad, now)), max(joint.upper_rad, now))
+            limited |= target != wanted
+            step = min(max(target - now, -largest), largest)
+            arrived &= step == target - now
+            goal.append(now + step)
+        self.limited += limited or not (arrived or easy)
+        if easy and arrived:
+            self.mode = Mode.FOLLOWING
+        self.goal = goal
+        return goal
+
+
+def complaint(command: Command, joints: int) -> str | None:
+    """Why a command cannot be used, or None."""
+    if len(command.desired) != joints:
+        return f"desired has {len(command.desired)} values for {joints} joints"
+    if not all(math.isfinite(x) for x in command.desired):
+        return "desired is not finite"
+    for row in command.preview or ():
+        if len(row) != joints or not all(math.isfinite(x) for x in row):
+            return f"preview has a row that is not {joints} finite values"
+    return None

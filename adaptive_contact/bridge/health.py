@@ -1,0 +1,116 @@
+"""How each servo does: faults counted, silent ones asked less often, stale readings told.
+
+A servo that does not answer costs its timeout.  After a few such cycles it is asked once in a
+while only, so that the others keep their rate; with its first answer it is back.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterable
+from typing import Final
+
+from adaptive_contact.bridge.bus import Fault, Reading
+from adaptive_contact.bridge.status import ServoCounts
+
+__all__ = ["ServoHealth", "due", "is_stale"]
+
+# Cycles without an answer in a row before a servo is called silent.
+SILENT_AFTER: Final = 3
+# A silent servo is asked every so many cycles, 0.2 s at 50 Hz.
+ASK_EVERY: Final = 10
+# A position that stays to the step while the servo says it moves this many steps a tick is stale:
+# half a step of noise alone makes it change.
+STALE_STEPS: Final = 3.0
+# Alarms are shown for this many readings after they were last seen.
+_ALARM_TICKS: Final = 50
+
+
+@dataclasses.dataclass
+class ServoHealth:
+    """One servo's record.
+
+    Attributes:
+        misses: cycles in a row without a reading.
+        faults: by kind, since the start.
+    """
+
+    misses: int = 0
+    faults: Counter[str] = dataclasses.field(default_factory=Counter)
+    _alarms: dict[str, int] = dataclasses.field(default_factory=dict)
+
+    @property
+    def silent(self) -> bool:
+        """Whether it is asked less often."""
+        return self.misses >= SILENT_AFTER
+
+    def note(self, reading: Reading) -> None:
+        """Take in what came of a read."""
+        for name in [*self._alarms]:
+            self._alarms[name] -= 1
+            if self._alarms[name] <= 0:
+                del self._alarms[name]
+        for name in reading.alarms:
+            if name not in self._alarms:
+                self.faults[name] += 1
+            self._alarms[name] = _ALARM_TICKS
+        if reading.fault is not None:
+            self.faults[reading.fault.value] += 1
+        if reading.data is not None:
+            self.misses = 0
+        elif reading.fault in (Fault.NO_ANSWER, Fault.CORRUPT):
+            self.misses += 1
+
+    def alarm(self, names: Iterable[str]) -> None:
+        """Note what is behind an alert."""
+        self.note(Reading(b"", tuple(names)))
+
+    @property
+    def alerted(self) -> bool:
+        """Whether the servo says that something is wrong without saying what."""
+        return "hardware" in self._alarms
+
+    @property
+    def counts(self) -> ServoCounts | None:
+        """What there is to tell, or None."""
+        if not self.faults:
+            return None
+        alarms = sorted(self._alarms)
+        return ServoCounts(
+            silent=self.silent, alarms=alarms, faults=dict(sorted(self.faults.items()))
+        )
+
+
+def due(health: dict[int, ServoHealth], cycle: int, *, hurry: bool = False) -> list[int]:
+    """Servos to ask in this cycle: all that answer, and at most one silent one.
+
+    Args:
+        health: by id, in the order they are asked.
+        cycle: number of the cycle.
+        hurry: ask a silent one in every cycle: another has just come back.
+    """
+    silent = [servo for servo, record in health.items() if record.silent]
+    # Silent ones take turns, so that many of them cost no more time than one.
+    turn = None
+    every = 1 if hurry else ASK_EVERY
+    if silent and cycle % every == 0:
+        turn = silent[(cycle // every) % len(silent)]
+    return [servo for servo, record in health.items() if not record.silent or servo == turn]
+
+
+def is_stale(
+    steps: int, before: int, speed_rad_s: float, speed_before_rad_s: float, tick_step_rad: float
+) -> bool:
+    """Whether a position is an old one come again.
+
+    Args:
+        steps: position now.
+        before: position a tick ago.
+        speed_rad_s: what the servo says of its speed now.
+        speed_before_rad_s: what it said a tick ago.
+        tick_step_rad: speed, rad/s, of one position step a tick.
+    """
+    if steps != before:
+        return False
+    return min(abs(speed_rad_s), abs(speed_before_rad_s)) > STALE_STEPS * tick_step_rad

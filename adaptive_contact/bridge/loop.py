@@ -1,0 +1,206 @@
+"""A port's process: ticks on an even grid, outages survived, status once a second."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from typing import Final, Literal
+
+from adaptive_contact.bridge.bus import Bus
+from adaptive_contact.bridge.cycle import Cycle
+from adaptive_contact.bridge.outlet import Mailbox, Outlet
+from adaptive_contact.bridge.phaselock import PhaseLock
+from adaptive_contact.bridge.plan import JointPlan, PortPlan
+from adaptive_contact.bridge.port import PortLostError
+from adaptive_contact.bridge.status import BridgeStatus, Pulse
+from adaptive_contact.bridge.tables import Block
+from adaptive_contact.errors import BusError
+
+__all__ = ["PortLoop"]
+
+_NS: Final = 1_000_000_000
+# A lost port is tried this often; a cable put back is found within two seconds with room to spare.
+_REOPEN_S: Final = 0.25
+_STATUS_NS: Final = _NS
+
+
+class PortLoop:
+    """Runs one port until it is stopped.
+
+    Args:
+        plan: what is on the port.
+        mode: ``observe`` or ``drive``.
+        outlet: where samples and status go.
+        mailbox: where commands come from.
+        run: the ``run`` of the samples, new at each start.
+    """
+
+    def __init__(
+        self,
+        plan: PortPlan,
+        mode: Literal["observe", "drive"],
+        outlet: Outlet,
+        mailbox: Mailbox,
+        run: int,
+    ) -> None:
+        self.plan = plan
+        self.mode = mode
+        self.bus = Bus(plan.name, plan.port)
+        self.cycle = Cycle(plan, self.bus, mode, mailbox, run)
+        self._outlet = outlet
+        self._mailbox = mailbox
+        self._pulse = Pulse(plan.period_s)
+        self._lock = PhaseLock(plan.period_s) if mode == "observe" else None
+        self._period_ns = round(plan.period_s * _NS)
+        self._reconnects = 0
+        self._lost = False
+        self._returning = False
+        self._held: list[str] = []
+        self._status_ns = 0
+        self._watched: JointPlan | None = None
+
+    def run(self, stop: threading.Event) -> None:
+        """Make ticks until ``stop`` is set; outages of the port are waited out.
+
+        Raises:
+            BusError: the port cannot be opened at the start.
+        """
+        self.bus.open()
+        # What exists now stays; the collector need not go through it in the middle of a tick.
+        gc.collect()
+        gc.freeze()
+        try:
+            self._run(stop)
+        finally:
+            self.bus.close()
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _run(self, stop: threading.Event) -> None:
+        mono_ns = time.monotonic_ns()
+        wall_ns = time.time_ns() - mono_ns
+        due_ns, seq = mono_ns + self._period_ns, 0
+        self._status_ns = mono_ns + _STATUS_NS
+        while not stop.is_set():
+            if self._lost and not self._reopen(stop):
+                continue
+            begun_ns, before = self._wait(due_ns, stop)
+            if stop.is_set():
+                return
+            late = (begun_ns - due_ns) // self._period_ns
+            if late > 0:
+                # Ticks of an outage are no failing of the cycle.
+                self._pulse.counts["missed"] += 0 if self._returning else late
+                due_ns += late * self._period_ns
+                seq += late
+            try:
+                samples = self.cycle.tick(wall_ns + begun_ns, seq, begun_ns)
+                self._outlet.samples(samples)
+                self._returning = False
+                self._pulse.beat(begun_ns, time.monotonic_ns())
+                due_ns += self._period_ns + self._shift(before)
+                seq += 1
+                self._tell_holding()
+                self._tell(begun_ns)
+            except PortLostError as error:
+                self._lose(error)
+
+    def _wait(self, due_ns: int, stop: threading.Event) -> tuple[int, int | None]:
+        """Wait for the tick; an observer reads one goal a little ahead of it.
+
+        Returns:
+            Monotonic time, and the goal read ahead in steps.
+        """
+        before = None
+        joint = self.cycle.moving_goal() if self._lock is not None else None
+        if self._lock is not None and joint is not None:
+            lead_ns = round(self._lock.lead_s * _NS)
+            stop.wait(max(due_ns - lead_ns - time.monotonic_ns(), 0) / _NS)
+            # Late already: the main reading comes first.
+            if time.monotonic_ns() < due_ns - lead_ns // 2:
+                before = self._goal(joint.servo)
+        stop.wait(max(due_ns - time.monotonic_ns(), 0) / _NS)
+        self._watched = joint
+        return time.monotonic_ns(), before
+
+    def _goal(self, servo: int) -> int | None:
+        register = self.plan.joints[0].model.registers["goal_position"]
+        block = Block(register.address, register.size)
+        try:
+            data = self.bus.read([servo], block)[servo].data
+        except PortLostError:
+            return None  # the main reading will tell
+        return None if data is None else block.part(data, register)
+
+    def _shift(self, before: int | None) -> int:
+        """Nanoseconds by which the next tick is moved, in observe mode."""
+        if self._lock is None or self._watched is None:
+            return 0
+        now, last = self.cycle.goal_of(self._watched)
+        return round(self._lock.update(before=before, now=now, last=last) * _NS)
+
+    def _lose(self, error: PortLostError) -> None:
+        self._lost = True
+        self._outlet.say(f"{error}; trying to open it again")
+
+    def _reopen(self, stop: threading.Event) -> bool:
+        """Try to open a lost port; True when it is back."""
+        try:
+            self.bus.open()
+        except BusError:
+            self._tell(time.monotonic_ns())
+            stop.wait(_REOPEN_S)
+            return False
+        self._lost, self._returning = False, True
+        self._reconnects += 1
+        self._pulse.forget()
+        self.cycle.restart()
+        self._outlet.say(f"port {self.plan.name}: {self.bus.device} is back")
+        return True
+
+    def _tell_holding(self) -> None:
+        held = self.cycle.holding
+        if held == self._held:
+            return
+        new = [leg for leg in held if leg not in self._held]
+        if new:
+            legs = ", ".join(new)
+            self._outlet.say(f"leg {legs}: no command for 200 ms, holding the last goal")
+        back = [leg for leg in self._held if leg not in held]
+        if back:
+            self._outlet.say(f"leg {', '.join(back)}: commands are back")
+        self._held = held
+
+    def _tell(self, now_ns: int) -> None:
+        """Publish the status where a second has passed."""
+        if now_ns < self._status_ns:
+            return
+        self._status_ns = now_ns + _STATUS_NS
+        if not self._lost:
+            self.cycle.ask_alarms()
+        self._outlet.status(self.status(now_ns))
+
+    def status(self, now_ns: int) -> BridgeStatus:
+        """How the port is."""
+        holding = self.cycle.holding
+        note = self._mailbox.last_reject
+        if self._lock is not None and self.cycle.moving_goal() and not self._lock.locked:
+            note = "looking for the moment at which the other controller writes its goals"
+        return BridgeStatus(
+            port=self.plan.name,
+            t_ns=time.time_ns(),
+            mode=self.mode,
+            state="lost" if self._lost else "holding" if holding else "running",
+            rate_hz=0.0 if self._lost else self._pulse.rate_hz(now_ns),
+            wanted_hz=1.0 / self.plan.period_s,
+            cycle_ms=self._pulse.cycle_ms,
+            jitter_ms=self._pulse.jitter_ms,
+            cycles=self._pulse.counts["cycles"],
+            missed=self._pulse.counts["missed"],
+            reconnects=self._reconnects,
+            commands_refused=self._mailbox.rejected,
+            holding=holding,
+            servos=self.cycle.counts,
+            note=note,
+        )

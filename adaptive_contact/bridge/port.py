@@ -1,0 +1,188 @@
+"""The DynamixelSDK's port, with what it gets wrong put right here and nowhere else.
+
+Measured on DynamixelSDK 4.1.0:
+
+- It busy-waits for every byte (77-94 % of a core): here a read sleeps in ``select``.
+- Its timeouts hold 34 ms at the least, taken from the wall clock: here they are as told, monotonic.
+- It opens a port that another program uses: here the port is locked, which pyserial reports.
+- A hang-up leaves ``is_using`` set, so that every later call returns -1000: :meth:`SdkPort.lost`.
+- pyserial's errors, termios' and the system's are three kinds: here one, :class:`PortLostError`.
+- ``addStuffing`` of protocol 2.0 forgets the packet it has stuffed, so that parameters with
+  ``FF FF FD`` go out broken: goals here are 0 to 4095 and never hold those bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import termios
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import serial  # type: ignore[import-untyped]
+from dynamixel_sdk import PortHandler
+from serial.tools import list_ports  # type: ignore[import-untyped]
+
+from adaptive_contact.errors import BusError
+from adaptive_contact.robot import Port
+
+__all__ = ["PortLostError", "SdkPort", "latency_advice"]
+
+# Start, eight data bits, stop.
+_BITS_PER_BYTE: Final = 10
+
+
+class PortLostError(BusError):
+    """A port that was open is gone: unplugged, or its other end hung up."""
+
+
+class SdkPort(PortHandler):  # type: ignore[misc]
+    """A serial port as the SDK's packet handlers want it.
+
+    Args:
+        name: of the port in ``robot.toml``.
+        port: its settings.
+    """
+
+    def __init__(self, name: str, port: Port) -> None:
+        super().__init__(port.device)
+        self.ser: Any = None
+        self.name = name
+        self.baudrate = port.baud
+        self._timeout_s = port.timeout_ms / 1000.0
+        self._byte_s = _BITS_PER_BYTE / port.baud
+        self._deadline = 0.0
+        self._fd = -1
+
+    def open(self) -> None:
+        """Open the port and lock it.
+
+        Raises:
+            BusError: in one line, why it cannot be opened and what to do.
+        """
+        try:
+            opened = self.openPort()
+        except serial.SerialException as error:
+            raise BusError(_explain(self.name, self.port_name, error)) from error
+        except (OSError, termios.error, ValueError) as error:
+            raise BusError(
+                f"port {self.name}: {self.port_name} cannot be opened ({error}); expected a serial "
+                "port such as /dev/ttyUSB0"
+            ) from error
+        if not opened:
+            raise BusError(
+                f"port {self.name}: baud rate {self.baudrate} is unknown to the DynamixelSDK; "
+                "set one that is, such as 1000000"
+            )
+
+    def close(self) -> None:
+        """Close the port; errors of a port that is gone anyway are not told."""
+        if self.ser is not None:
+            with contextlib.suppress(OSError, termios.error):  # unplugged: nothing left to close
+                self.ser.close()
+        self.is_open = False
+        self.is_using = False
+
+    def lost(self, error: Exception) -> PortLostError:
+        """Close after an error of the device, and make the error to raise."""
+        self.close()
+        return PortLostError(f"port {self.name}: {self.port_name} is gone ({error})")
+
+    # -- what the SDK's packet handlers call ----------------------------------------------------
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Open the device; called by the SDK."""
+        if self.is_open:
+            self.close()
+        self.ser = serial.Serial(
+            port=self.port_name, baudrate=self.baudrate, timeout=0, write_timeout=0, exclusive=True
+        )
+        # Sets an FTDI adapter's latency timer to 1 ms; pseudo-terminals and most other drivers
+        # have nothing to set.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
+            self.ser.set_low_latency_mode(True)
+        self._fd = self.ser.fileno()
+        self.is_open = True
+        self.is_using = False
+        self.ser.reset_input_buffer()
+        return True
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Read up to ``length`` bytes, sleeping until one is there or time is up."""
+        if length <= 0:  # asked for after a packet whose length was too short to be true
+            return b""
+        left = self._deadline - time.monotonic()
+        ready, _, _ = select.select([self._fd], [], [], max(left, 0.0))
+        if not ready:
+            return b""
+        data = os.read(self._fd, length)
+        if not data:
+            raise OSError(errno.EIO, "hung up")
+        return data
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        """Write a packet; a full buffer means that nobody takes it."""
+        return os.write(self._fd, bytes(packet))
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Begin to wait for so many bytes."""
+        self._deadline = time.monotonic() + packet_length * self._byte_s + self._timeout_s
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
+        """Begin to wait for so long."""
+        self._deadline = time.monotonic() + msec / 1000.0
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """Whether the wait is over."""
+        return time.monotonic() > self._deadline
+
+
+def latency_advice(device: str) -> str | None:
+    """What to set where a USB adapter holds bytes back longer than 1 ms, or None.
+
+    Args:
+        device: of the port; symbolic links are followed.
+    """
+    name = Path(os.path.realpath(device)).name
+    timer = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
+    try:
+        value = int(timer.read_text())
+    except (OSError, ValueError):
+        return None  # no FTDI adapter
+    if value <= 1:
+        return None
+    return (
+        f"{device}: the adapter's latency timer is {value} ms, expected 1; "
+        f"run: echo 1 | sudo tee {timer}"
+    )
+
+
+def _explain(name: str, device: str, error: serial.SerialException) -> str:
+    code = error.errno
+    if code is None and "exclusively lock" in str(error):
+        code = errno.EAGAIN
+    if code == errno.ENOENT:
+        there = ", ".join(sorted(p.device for p in list_ports.comports())) or "none"
+        return (
+            f"port {name}: {device} does not exist; serial ports here: {there}; plug the adapter "
+            "in, or correct the device"
+        )
+    if code in (errno.EACCES, errno.EPERM):
+        return (
+            f"port {name}: no permission for {device}; run: sudo usermod -aG dialout $USER, then "
+            "log in again"
+        )
+    if code in (errno.EAGAIN, errno.EBUSY):
+        return (
+            f"port {name}: {device} is in use by another program; end that one (`fuser {device}` "
+            "names it)"
+        )
+    if code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR, errno.EIO, errno.ENXIO):
+        return (
+            f"port {name}: {device} is no serial port that can be used; expected one such as "
+            "/dev/ttyUSB0"
+        )
+    return f"port {name}: {device} cannot be opened ({error}); check the adapter"

@@ -1,0 +1,216 @@
+"""``adaptive-contact state``: what the service has kept of its learners."""
+
+from __future__ import annotations
+
+import base64
+import math
+import struct
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from adaptive_contact.cli._options import JsonOption, StateOption
+from adaptive_contact.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from adaptive_contact.service.state import Record, Stored
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
+)
+
+_PIPE_WIDTH: Final = 160
+RobotOption = Annotated[
+    str | None, typer.Option("--robot", metavar="NAME", help="Only of this robot.")
+]
+LegOption = Annotated[str | None, typer.Option("--leg", metavar="ID", help="Only of this leg.")]
+
+
+@app.command()
+def show(
+    state: StateOption = None,
+    robot: RobotOption = None,
+    leg: LegOption = None,
+    json: JsonOption = False,
+) -> None:
+    """List what is kept: of which robot and leg, how old, and whether it is sound."""
+    found = _found(state, robot, leg)
+    if json:
+        import msgspec
+
+        rows = [_row(stored) for stored in found]
+        typer.echo(msgspec.json.format(msgspec.json.encode(rows), indent=2).decode())
+        return
+    if not found:
+        typer.echo(f"no state in {_folder(state)}")
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    for name in ("robot", "leg", "library", "settings", "model", "age", "size", "file"):
+        table.add_column(name)
+    table.add_column("state", overflow="fold")
+    for stored in found:
+        row = _row(stored)
+        age = "-" if row["age_s"] is None else _duration(row["age_s"])
+        cells = (row["robot"], row["leg"], row["library"], row["settings"], row["model_version"])
+        words = ["-" if cell is None else str(cell) for cell in cells]
+        size = f"{row['bytes'] / 1000:.0f} kB"
+        table.add_row(*words, age, size, stored.path.suffix[1:], row["refused"] or "sound")
+    Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
+
+
+@app.command()
+def export(
+    out: Annotated[Path, typer.Argument(metavar="FILE.json", help="Where to.")],
+    state: StateOption = None,
+    robot: RobotOption = None,
+    leg: LegOption = None,
+) -> None:
+    """Write the newest sound state of every leg as JSON, for people and other programs.
+
+    Arrays become lists.  To move state to another computer, copy the folder instead.
+    """
+    import msgspec
+
+    newest: dict[tuple[str, ...], Record] = {}
+    for record in _records(_found(state, robot, leg)):
+        key = tuple(msgspec.structs.astuple(record.identity))
+        if key not in newest or record.saved_ns > newest[key].saved_ns:
+            newest[key] = record
+    if not newest:
+        raise ConfigurationError(f"nothing to export: no sound state in {_folder(state)}")
+    legs = [
+        _plain(msgspec.to_builtins(record, builtin_types=(bytes,))) for record in newest.values()
+    ]
+    try:
+        out.write_bytes(msgspec.json.encode({"format": 1, "legs": legs}))
+    except OSError as error:
+        raise ConfigurationError(
+            f"{out}: cannot be written ({error.strerror}); give a file in a folder that is there"
+        ) from error
+    typer.echo(f"wrote {len(legs)} legs to {out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
+@app.command()
+def reset(
+    state: StateOption = None,
+    robot: RobotOption = None,
+    leg: LegOption = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+) -> None:
+    """Forget what was learned: the service starts from its baseline again.
+
+    Refused while a service saves into the folder, for it would save again.
+    """
+    from adaptive_contact.service.state import StateStore
+
+    found = _found(state, robot, leg)
+    if not found:
+        typer.echo(f"nothing to forget in {_folder(state)}")
+        return
+    if not yes:
+        typer.confirm(f"forget {len(found)} files in {_folder(state)}?", abort=True)
+    for folder in sorted({stored.path.parent for stored in found}):
+        store = StateStore.open(folder.parent, folder.name)
+        try:
+            if store.trouble is not None:
+                raise ConfigurationError(store.trouble)
+            for stored in found:
+                if stored.path.parent == folder:
+                    stored.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigurationError(f"{folder}: cannot be emptied ({error.strerror})") from error
+        finally:
+            store.close()
+    typer.echo(f"forgot {len(found)} files")
+
+
+def _folder(state: Path | None) -> Path:
+    from adaptive_contact.service.state import default_folder
+
+    return state or default_folder()
+
+
+def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Stored]:
+    """What is there; a file that cannot be read has neither robot nor leg, but a name."""
+    from adaptive_contact.service.state import Refused, list_states, robot_folder
+
+    root = _folder(state)
+    if state is not None and not root.is_dir():
+        raise ConfigurationError(f"{root} is no folder; give the --state DIR of the service")
+    found = []
+    for stored in list_states(root):
+        record = stored.record
+        if isinstance(record, Refused):
+            of_robot = stored.path.parent == robot_folder(root, robot or "")
+            of_leg = stored.path.name.partition("-")[0] == leg
+        else:
+            of_robot, of_leg = record.identity.robot == robot, record.identity.leg == leg
+        if (robot is None or of_robot) and (leg is None or of_leg):
+            found.append(stored)
+    return found
+
+
+def _records(found: Iterable[Stored]) -> Iterable[Record]:
+    from adaptive_contact.service.state import Refused
+
+    return [stored.record for stored in found if not isinstance(stored.record, Refused)]
+
+
+def _row(stored: Stored) -> dict[str, Any]:
+    from adaptive_contact.service.state import Refused
+
+    record = stored.record
+    row: dict[str, Any] = {
+        "file": str(stored.path),
+        "bytes": stored.size,
+        **dict.fromkeys(("robot", "leg", "library", "settings", "model_version", "age_s")),
+        "refused": None,
+    }
+    if isinstance(record, Refused):
+        row["refused"] = record.why
+        return row
+    identity = record.identity
+    row.update(robot=identity.robot, leg=identity.leg, library=identity.library)
+    age_s = max(0.0, (time.time_ns() - record.saved_ns) / 1e9)
+    row.update(settings=identity.settings, model_version=record.model_version, age_s=age_s)
+    if stored.path.suffix == ".refused":
+        row["refused"] = "refused by the service; the log says why"
+    return row
+
+
+def _plain(value: Any) -> Any:
+    """A snapshot without bytes: arrays of float64 with their shape become lists, others base64."""
+    if isinstance(value, dict):
+        shape = value.get("shape")
+        data = [item for item in value.values() if isinstance(item, bytes)]
+        if isinstance(shape, list) and len(data) == 1 and len(data[0]) == 8 * math.prod(shape):
+            return _nested(list(struct.unpack(f"<{math.prod(shape)}d", data[0])), shape)
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return base64.b64encode(value).decode() if isinstance(value, bytes) else value
+
+
+def _nested(flat: list[float], shape: list[int]) -> Any:
+    if len(shape) < 2:
+        return flat if shape else flat[0]
+    step = math.prod(shape[1:])
+    return [_nested(flat[i * step : (i + 1) * step], shape[1:]) for i in range(shape[0])]
+
+
+def _duration(seconds: float) -> str:
+    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.0f} s"

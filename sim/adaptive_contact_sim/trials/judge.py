@@ -1,0 +1,132 @@
+"""One learner on one leg-run, held against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.score import LegOutcome, LegStream, SwingTable, match, swings_to_recovery
+from adaptive_contact_sim.trials.replay import STATUSES, LegReplay, SwingLog
+from adaptive_contact_sim.trials.spec import Mark, Scenario
+
+__all__ = ["Judged", "Recovery", "judge", "longest_lock_out", "swings_until_valid", "within"]
+
+_VALID: Final = STATUSES.index("valid")
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What happened after a mark.
+
+    Attributes:
+        swings: until the leg could be relied on again, None where it could not.
+        alarms: false ones on the way; all there were where it did not recover.
+        of: swings that there were.
+    """
+
+    swings: int | None
+    alarms: int
+    of: int
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One learner on one leg-run.
+
+    Attributes:
+        outcome: of all its events.
+        recovery: by name of the mark.
+        lock_out: longest run of swings lost, from the first mark on.
+        confirmed: ticks it took for free.
+        touched: those of them on which the leg touched something.
+        until_valid: swings until it called itself valid, None where it did not.
+        valid_ns: when it did.
+        doubted: whether it ever called itself anything else.
+    """
+
+    outcome: LegOutcome
+    recovery: dict[str, Recovery]
+    lock_out: int
+    confirmed: int
+    touched: int
+    until_valid: int | None
+    valid_ns: int | None
+    doubted: bool
+
+
+def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
+    """Judge what a learner made of a leg-run."""
+    outcome = match(stream, replayed.events)
+    marks = scenario.marks
+    ends = [mark.at_s for mark in marks[1:]] + [np.inf]
+    recovery = {
+        mark.name: _recovery(outcome, mark, end, mixed=scenario.mixed)
+        for mark, end in zip(marks, ends, strict=True)
+    }
+    first_s = marks[0].at_s if marks else 0.0
+    until, valid_ns = swings_until_valid(replayed.log)
+    return Judged(
+        outcome=outcome,
+        recovery=recovery,
+        lock_out=longest_lock_out(within(outcome, first_s, np.inf).swings),
+        confirmed=replayed.confirmed,
+        touched=len(replayed.touched_ns),
+        until_valid=until,
+        valid_ns=valid_ns,
+        doubted=bool(np.any(replayed.log.status != _VALID)),
+    )
+
+
+def within(outcome: LegOutcome, from_s: float, to_s: float) -> LegOutcome:
+    """The swings that begin in a stretch of time, with what lies in them."""
+    end_ns = np.iinfo(np.int64).max if np.isinf(to_s) else round(to_s * 1e9)
+    return outcome.between(round(from_s * 1e9), end_ns)
+
+
+def longest_lock_out(swings: SwingTable) -> int:
+    """Longest run of swings in which a leg could not be relied on.
+
+    A swing is lost with a missed touch or a false alarm.  A blind leg is shown up by touches only,
+    so that a swing without any, and without an alarm, does not end a run of lost touches; such a
+    run counts the swings with touches.
+    """
+    lost = swings.errors > 0
+    telling = (swings.touches > 0) | (swings.false_alarms > 0)
+    return max(_longest_run(lost), _longest_run(lost[telling]))
+
+
+def swings_until_valid(log: SwingLog) -> tuple[int | None, int | None]:
+    """Swings until a learner called itself valid after having called itself anything else.
+
+    Returns:
+        Their number, 0 for one that never doubted itself, and the time; None where it never did.
+    """
+    valid = log.status == _VALID
+    if len(valid) == 0:
+        return None, None
+    if valid.all():
+        return 0, 0
+    first_doubt = int(np.argmin(valid))
+    later = np.flatnonzero(valid[first_doubt:])
+    if len(later) == 0:
+        return None, None
+    at = first_doubt + int(later[0])
+    return at + 1, int(log.t_ns[at])
+
+
+def _recovery(outcome: LegOutcome, mark: Mark, end_s: float, *, mixed: bool) -> Recovery:
+    swings = within(outcome, mark.at_s, end_s).swings
+    # Where every swing ends in contact there are none without, and recovery cannot need them.
+    needed = {} if mixed else {"least_of_a_kind": 0}
+    count = swings_to_recovery(swings, round(mark.at_s * 1e9), **needed)
+    return Recovery(count, int(np.sum(swings.false_alarms[:count])), len(swings.start_ns))
+
+
+def _longest_run(lost: NDArray[np.bool_] | Sequence[bool]) -> int:
+    edges = np.diff(np.concatenate(([0], np.asarray(lost, dtype=np.int64), [0])))
+    lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+    return int(lengths.max(initial=0))

@@ -1,0 +1,54 @@
+"""The learners that a scenario compares: which variants, and what each starts from."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Final
+
+from adaptive_contact.adapt import Baseline, ContactLearner, LearnerMode, shipped_baseline
+from adaptive_contact.errors import BaselineError
+from adaptive_contact.robot import Robot, shipped_robot
+
+from adaptive_contact_sim.trials.spec import BaselineChoice, Variant
+
+__all__ = ["OPPOSITE", "baseline_for", "learner", "reference_baseline", "robot"]
+
+# The leg diagonally opposite: of the other side, and of the other end.
+OPPOSITE: Final = {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"}
+
+
+@functools.cache
+def robot() -> Robot:
+    """The simulated robot's description."""
+    return shipped_robot()
+
+
+@functools.cache
+def reference_baseline() -> Baseline:
+    """The baseline that ships for it.
+
+    Raises:
+        BaselineError: none ships.
+    """
+    found = shipped_baseline(robot().name)
+    if found is None:
+        raise BaselineError(
+            f"no baseline ships for '{robot().name}'; make one with `adaptive-contact sim baseline`"
+        )
+    return found
+
+
+def baseline_for(choice: BaselineChoice, leg: str) -> Baseline | None:
+    """What a leg's learner starts from."""
+    shipped = reference_baseline()
+    if choice == "none":
+        return None
+    if choice == "other_leg":
+        return replace(shipped, legs={leg: shipped.legs[OPPOSITE[leg]]})
+    return shipped
+
+
+def learner(leg: str, choice: BaselineChoice, variant: Variant) -> ContactLearner:
+    """A new learner."""
+    return ContactLearner(robot(), leg, baseline_for(choice, leg), mode=LearnerMode(variant.value))

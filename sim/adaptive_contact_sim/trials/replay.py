@@ -1,0 +1,306 @@
+"""A recording through several learners at once, and what they did, kept as arrays.
+
+All variants see the same samples side by side.  Besides their events, each learner is asked how it
+is at the end of every swing, and which ticks it took for free; these are held against the truth.
+For the page of plots, one recording of a scenario is traced tick by tick.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple, get_args
+
+import adaptive_contact
+import msgspec
+import numpy as np
+from adaptive_contact.adapt import ContactLearner
+from adaptive_contact.adapt.baseline import dump_baseline
+from adaptive_contact.adapt.learner import advance
+from adaptive_contact.detect import statistic
+from adaptive_contact.score import Events
+from adaptive_contact.wire import ContactEvent, Status
+from numpy.typing import NDArray
+
+from adaptive_contact_sim.experiments.store import read_arrays, write_arrays
+from adaptive_contact_sim.trials.learners import learner, reference_baseline
+from adaptive_contact_sim.trials.recording import Recording, key_of
+from adaptive_contact_sim.trials.spec import ReplaySpec, Variant
+
+__all__ = [
+    "STATUSES",
+    "LegReplay",
+    "SwingLog",
+    "Trace",
+    "learner_fingerprint",
+    "load_replay",
+    "replay",
+    "replay_file",
+    "save_replay",
+]
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+FORMAT: Final = 1
+STATUSES: Final[tuple[Status, ...]] = get_args(Status)
+# Packages whose source decides what a learner does with a recording.
+_LEARNING: Final = ("identify", "detect", "adapt", "robot")
+
+
+class SwingLog(NamedTuple):
+    """How a learner was at the first sample after each swing, (s,) each.
+
+    Attributes:
+        t_ns: of that sample.
+        status: position in :data:`STATUSES`.
+        version: of the model.
+        level: drift level.
+        residual_rad: root mean square of recent free residuals, mean over joints.
+        swings, ticks: in the buffer.
+        promoted, refused, rolled_back: refits so far.
+    """
+
+    t_ns: Times
+    status: Times
+    version: Times
+    level: Array
+    residual_rad: Array
+    swings: Times
+    ticks: Times
+    promoted: Times
+    refused: Times
+    rolled_back: Times
+
+
+class Trace(NamedTuple):
+    """Everything a plot needs of one learner.
+
+    Attributes:
+        residual_rad: (n, J), NaN where nothing was predicted.
+        score: (n,) statistic over threshold, NaN where the tick was not judged.
+        coefficients: (s, p, J) after each swing, of the terms in ``names``.
+        names: (p,) terms.
+    """
+
+    residual_rad: Array
+    score: Array
+    coefficients: Array
+    names: NDArray[np.str_]
+
+
+@dataclass(frozen=True, eq=False)
+class LegReplay:
+    """What one learner made of one leg.
+
+    Attributes:
+        events: in order.
+        log: swing by swing.
+        confirmed: ticks it took for free.
+        touched_ns: those of them on which the leg touched something.
+        trace: of the traced recording.
+    """
+
+    events: Events
+    log: SwingLog
+    confirmed: int
+    touched_ns: Times
+    trace: Trace | None = None
+
+
+Replayed = dict[str, dict[Variant, LegReplay]]
+
+
+class _Watch:
+    """Looks at one learner while it goes along."""
+
+    def __init__(self, leg: str, variant: Variant, spec: ReplaySpec, ticks: int) -> None:
+        self.leg, self.variant = leg, variant
+        self.learner: ContactLearner = learner(leg, spec.baseline, variant)
+        self.events: list[ContactEvent] = []
+        self.confirmed: list[int] = []
+        self._rows: list[tuple[Any, ...]] = []
+        self._coefficients: list[Array] = []
+        self._names: tuple[str, ...] = ()
+        joints = len(self.learner.leg.joints)
+        self._residual = np.full((ticks, joints), np.nan) if spec.trace else None
+        self._score = np.full(ticks, np.nan)
+
+    def tick(self, k: int) -> None:
+        """After the learner has taken a tick in, if it is traced."""
+        of, tracker = self.learner, self.learner.tracker
+        if self._residual is None or tracker is None or tracker.usable == 0:
+            return
+        self._residual[k] = tracker.residuals[0]
+        if of.thresholds is not None:
+            said = statistic(
+                tracker.residuals, tracker.increments, of.whitening, np.array(tracker.usable)
+            )
+            self._score[k] = np.nanmax(said.value / of.thresholds)
+
+    def swing_over(self) -> None:
+        """At the first sample after a swing."""
+        status, buffer = self.learner.status, self.learner.status.buffer
+        self.confirmed.extend(self.learner.drain_confirmed())
+        self._rows.append(
+            (
+                status.t_ns,
+                STATUSES.index(status.status),
+                status.model_version,
+                status.drift.level,
+                float(np.mean(status.residual_rms)),
+                buffer.swings,
+                buffer.lift_ticks + buffer.descent_ticks,
+                status.refits.promoted,
+                status.refits.refused,
+                status.refits.rolled_back,
+            )
+        )
+        model = self.learner.model
+        if self._residual is not None and model is not None:
+            # A learner that found its model on the way has no terms before; they count as zero.
+            self._names = model.library.names
+            self._coefficients.append(model.coefficients.copy())
+
+    def result(self, touching: NDArray[np.bool_], t_ns: Times) -> LegReplay:
+        """All that was seen."""
+        self.confirmed.extend(self.learner.drain_confirmed())
+        events = Events(
+            np.array([e.t_ns for e in self.events], dtype=np.int64),
+            np.array([e.contact for e in self.events], dtype=np.bool_),
+            np.array([e.onset_ns for e in self.events], dtype=np.int64),
+        )
+        columns = list(zip(*self._rows, strict=True)) or [()] * len(SwingLog._fields)
+        log = SwingLog._make(
+            np.array(column, dtype=np.float64 if name in _FLOATS else np.int64)
+            for name, column in zip(SwingLog._fields, columns, strict=True)
+        )
+        confirmed = np.array(self.confirmed, dtype=np.int64)
+        touched = confirmed[touching[np.searchsorted(t_ns, confirmed)]]
+        trace = None
+        if self._residual is not None:
+            late = len(self._rows) - len(self._coefficients)
+            shape = self._coefficients[0].shape if self._coefficients else (0, 0)
+            known = [np.zeros(shape)] * late + self._coefficients
+            coefficients = np.stack(known) if known else np.zeros((0, 0, 0))
+            trace = Trace(self._residual, self._score, coefficients, np.array(self._names))
+        return LegReplay(events, log, len(confirmed), touched, trace)
+
+
+def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
+    """Feed a recording to new learners, all legs and variants of a tick at once.
+
+    Args:
+        spec: which learners.
+        recording: that of the spec.
+
+    Returns:
+        By leg and variant, what came of it.
+    """
+    legs = spec.recording.legs
+    ticks = len(recording.t_ns)
+    streams = [recording.samples(leg) for leg in legs]
+    swings = [recording.legs[leg].swing for leg in legs]
+    watches = [
+        (i, _Watch(leg, variant, spec, ticks))
+        for i, leg in enumerate(legs)
+        for variant in spec.variants
+    ]
+    for k, samples in enumerate(zip(*streams, strict=True)):
+        decided = advance([(watch.learner, samples[i]) for i, watch in watches])
+        over = [k > 0 and bool(s[k - 1]) and not s[k] for s in swings]
+        for (i, watch), event in zip(watches, decided, strict=True):
+            if event is not None:
+                watch.events.append(event)
+            if spec.trace:
+                watch.tick(k)
+            if over[i]:
+                watch.swing_over()
+    touching = [recording.touching(leg) for leg in legs]
+    result: Replayed = {leg: {} for leg in legs}
+    for i, watch in watches:
+        result[watch.leg][watch.variant] = watch.result(touching[i], recording.t_ns)
+    return result
+
+
+def save_replay(replayed: Replayed, path: Path) -> None:
+    """Write a replay, whole or not at all.
+
+    Raises:
+        ConfigurationError: it cannot be written there.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for leg, variants in replayed.items():
+        for variant, of in variants.items():
+            own = f"{leg}.{variant}."
+            arrays |= {f"{own}event.{n}": v for n, v in of.events._asdict().items()}
+            arrays |= {f"{own}log.{n}": v for n, v in of.log._asdict().items()}
+            arrays |= {f"{own}confirmed": np.array(of.confirmed), f"{own}touched": of.touched_ns}
+            if of.trace is not None:
+                arrays |= {f"{own}trace.{n}": _small(v) for n, v in of.trace._asdict().items()}
+    write_arrays(path, arrays)
+
+
+def load_replay(spec: ReplaySpec, path: Path) -> Replayed | None:
+    """Read a replay; None where there is none, or none that can be read."""
+    arrays = read_arrays(path)
+    if arrays is None:
+        return None
+    try:
+        return {
+            leg: {variant: _leg_replay(arrays, f"{leg}.{variant}.") for variant in spec.variants}
+            for leg in spec.recording.legs
+        }
+    except KeyError:
+        return None
+
+
+def replay_file(spec: ReplaySpec, folder: Path) -> Path:
+    """Where a replay lives: named by all that decides it, the learner's own source included."""
+    text = msgspec.json.encode(
+        [
+            FORMAT,
+            learner_fingerprint(),
+            key_of(spec.recording),
+            spec.baseline,
+            spec.variants,
+            spec.trace,
+        ]
+    )
+    return folder / f"{hashlib.sha256(text).hexdigest()[:20]}.npz"
+
+
+@functools.cache
+def learner_fingerprint() -> str:
+    """Hash of the learner's source, of this module's, and of the shipped baseline."""
+    product = Path(adaptive_contact.__file__).parent
+    files = [f for name in _LEARNING for f in sorted((product / name).glob("*.py"))]
+    digest = hashlib.sha256()
+    for file in (*files, Path(__file__)):
+        digest.update(file.name.encode() + file.read_bytes())
+    digest.update(dump_baseline(reference_baseline()).encode())
+    return digest.hexdigest()[:16]
+
+
+_FLOATS: Final = ("level", "residual_rad")
+
+
+def _small(values: NDArray[Any]) -> NDArray[Any]:
+    """Single precision is plenty for a plot."""
+    return values.astype(np.float32) if values.dtype == np.float64 else values
+
+
+def _leg_replay(arrays: Mapping[str, NDArray[Any]], own: str) -> LegReplay:
+    trace = None
+    if f"{own}trace.score" in arrays:
+        trace = Trace._make(arrays[f"{own}trace.{name}"] for name in Trace._fields)
+    return LegReplay(
+        events=Events._make(arrays[f"{own}event.{name}"] for name in Events._fields),
+        log=SwingLog._make(arrays[f"{own}log.{name}"] for name in SwingLog._fields),
+        confirmed=int(arrays[f"{own}confirmed"]),
+        touched_ns=arrays[f"{own}touched"],
+        trace=trace,
+    )

@@ -1,0 +1,172 @@
+"""Making what is missing: recordings and replays, several at a time, resumable.
+
+A job is one recording with all the replays that want it.  Each is a pure function of its settings
+and writes its files whole, so that an interrupted run goes on where it stopped and ends with the
+same numbers, however many processes there are.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+from adaptive_contact_sim.trials.recording import key_of, made
+from adaptive_contact_sim.trials.replay import (
+    load_replay,
+    replay,
+    replay_file,
+    save_replay,
+)
+from adaptive_contact_sim.trials.spec import ReplaySpec, Scenario
+
+__all__ = ["Done", "Folders", "Job", "jobs", "run"]
+
+# How a worker ends that was interrupted: at once and silently; what it wrote is whole.
+_INTERRUPTED: Final = 130
+
+
+class Folders(NamedTuple):
+    """Where things are kept.
+
+    Attributes:
+        recordings, replays: files named by hashes.
+        pages: pictures.
+        results: the figures.
+    """
+
+    recordings: Path
+    replays: Path
+    pages: Path
+    results: Path
+
+    @classmethod
+    def of(cls, out: Path) -> Folders:
+        """The places below a folder, made if need be.
+
+        Raises:
+            ConfigurationError: they cannot be made.
+        """
+        folders = cls(out / "recordings", out / "replays", out / "pages", out / "results.json")
+        try:
+            for folder in folders[:3]:
+                folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"{out}: cannot be made ({error.strerror}); give another folder with --out"
+            ) from error
+        return folders
+
+
+class Job(NamedTuple):
+    """One recording, and the replays of it that are missing."""
+
+    replays: tuple[ReplaySpec, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Simulated."""
+        return self.replays[0].recording.seconds
+
+    @property
+    def work(self) -> float:
+        """How long it takes, roughly: simulated seconds, and those that learners go through."""
+        learners = sum(
+            len(spec.recording.legs) * len(spec.variants) * spec.recording.seconds
+            for spec in self.replays
+        )
+        return self.seconds + _LEARNER_SHARE * learners
+
+
+class Done(NamedTuple):
+    """A job that ended; ``problem`` says why without replays."""
+
+    job: Job
+    problem: str | None
+
+
+# A learner's second against a simulated one.
+_LEARNER_SHARE: Final = 0.06
+
+
+def jobs(chosen: Iterable[Scenario], folders: Folders) -> list[Job]:
+    """What is missing of some scenarios, the longest first."""
+    wanted: dict[str, list[ReplaySpec]] = {}
+    for scenario in chosen:
+        for spec in (*scenario.replays, *scenario.references):
+            group = wanted.setdefault(key_of(spec.recording), [])
+            if spec not in group and not replay_file(spec, folders.replays).exists():
+                group.append(spec)
+    missing = [Job(tuple(group)) for group in wanted.values() if group]
+    return sorted(missing, key=lambda job: -job.work)
+
+
+def run(
+    work: Sequence[Job],
+    folders: Folders,
+    *,
+    processes: int = 2,
+    progress: Callable[[Done], None] = lambda _: None,
+) -> list[str]:
+    """Do jobs.
+
+    Args:
+        work: what is missing.
+        folders: where it goes.
+        processes: how many at a time; with one, no other process is started.
+        progress: told of every job that is done.
+
+    Returns:
+        Why some have no replays, one line each.
+
+    Raises:
+        ConfigurationError: a file cannot be written.
+        KeyboardInterrupt: interrupted; what was done is kept.
+    """
+    problems: list[str] = []
+
+    def note(done: Done) -> None:
+        if done.problem:
+            problems.append(done.problem)
+        progress(done)
+
+    if processes <= 1 or len(work) <= 1:
+        for job in work:
+            note(_do(job, folders))
+        return problems
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_obey_interrupts)
+    try:
+        futures = [pool.submit(_do, job, folders) for job in work]
+        for future in as_completed(futures):
+            note(future.result())
+    except BaseException:
+        # Interrupted, or a job failed: those under way end, the others are not begun.
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
+    return sorted(problems)
+
+
+def _do(job: Job, folders: Folders) -> Done:
+    first = job.replays[0]
+    try:
+        recording = made(first.recording, folders.recordings)
+    except SimulationDiverged as error:
+        seed = first.recording.settings.seed
+        return Done(job, f"the run with seed {seed} has no recording: {error}")
+    for spec in job.replays:
+        path = replay_file(spec, folders.replays)
+        if load_replay(spec, path) is None:
+            save_replay(replay(spec, recording), path)
+    return Done(job, None)
+
+
+def _obey_interrupts() -> None:
+    """In a worker: Ctrl-C goes to the whole group; leave without a word, the parent speaks."""
+    signal.signal(signal.SIGINT, lambda *_: os._exit(_INTERRUPTED))

@@ -1,0 +1,234 @@
+"""The runs behind the scenarios: which leg, which seed, how long, what changes.
+
+Every run in pose moves one leg; runs go round the six legs and both workspaces, with the same seeds
+in every scenario, so that figures compare like with like.  Every run of a walk gives six leg-runs;
+what drifts there drifts in all legs.  Seeds from 7000 on are for reporting only: baselines are
+learned from 1000 on, tests use others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+from adaptive_contact.wire import Drift, DriftKind, DriftShape
+
+from adaptive_contact_sim.drift import Injection
+from adaptive_contact_sim.elements import JOINTS, LEGS
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
+from adaptive_contact_sim.trials.spec import Phase, RecordingSpec, Staging
+from adaptive_contact_sim.walk import WalkSettings
+
+__all__ = [
+    "FULL_SIZES",
+    "POSE_SWING_S",
+    "QUICK_SIZES",
+    "WALK_SWING_S",
+    "Sizes",
+    "What",
+    "all_touch",
+    "around",
+    "drifting",
+    "of_robot_0",
+    "pose_run",
+    "pose_runs",
+    "turn_runs",
+    "walk_run",
+    "walk_runs",
+    "without_drift",
+    "without_staging",
+]
+
+# A trial in pose: 10 ticks up, 10 down, 3 of hold.  A cycle of the tripod at its mean speed.
+POSE_SWING_S: Final = 0.46
+WALK_SWING_S: Final = 0.64 / 0.46
+# Swings after a change that are on the way, not after it: the goal for the 95th percentile.
+SETTLE_SWINGS: Final = 20
+_STEP_UP_AND_DOWN_S: Final = 2.0
+# Offsets of the seeds of a kind of run from the first.
+_WALK: Final = 200
+_TURNS: Final = 400
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much of everything; times in s of simulated time.
+
+    Attributes:
+        leg_runs: behind every figure, at least.
+        before_s, after_s: around a step.
+        walk_before_s, walk_after_s: around a step while walking.
+        slow_s: length of a ramp or a random walk, with ``before_s`` before it.
+        slow_after_s: after a ramp or a random walk.
+        pulse_s: length of a pulse.
+        contact_swings: in a row that end in contact.
+        turn_trials: of a leg between two long rests, each of which lasts five turns.
+        caught_s: how long a foot is caught.
+        steady_walks: walks without drift, per leg-run asked for.
+        first_seed: of all runs.
+    """
+
+    leg_runs: int = 20
+    before_s: float = 40.0
+    after_s: float = 110.0
+    walk_before_s: float = 60.0
+    walk_after_s: float = 180.0
+    slow_s: float = 600.0
+    slow_after_s: float = 60.0
+    pulse_s: float = 60.0
+    contact_swings: int = 500
+    turn_trials: int = 262
+    caught_s: float = 30.0
+    steady_walks: float = 2.9
+    first_seed: int = 7000
+
+
+FULL_SIZES: Final = Sizes()
+QUICK_SIZES: Final = Sizes(
+    leg_runs=2,
+    before_s=15.0,
+    after_s=45.0,
+    walk_before_s=20.0,
+    walk_after_s=60.0,
+    slow_s=60.0,
+    slow_after_s=20.0,
+    pulse_s=20.0,
+    contact_swings=60,
+    turn_trials=40,
+    caught_s=10.0,
+    steady_walks=0.5,
+)
+
+
+@dataclass(frozen=True)
+class What:
+    """A change: of what, by how much; ``turning`` takes another joint in every run."""
+
+    kind: DriftKind
+    value: float
+    turning: bool = False
+    shape: DriftShape = "step"
+
+
+def pose_run(
+    sizes: Sizes, run: int, seconds: float, staging: Staging | None = None
+) -> RecordingSpec:
+    """One leg in pose; half of its swings, about, end in a touch that can be judged."""
+    leg = LEGS[run % len(LEGS)]
+    whole = (run + run // len(LEGS)) % 2 == 1
+    # In the whole reach a fifth of the obstacles cannot be put in time.
+    obstacles = ObstacleSettings(probability=0.65 if whole else 0.55, where=(0.1, 0.5))
+    motion = PoseSettings(legs=(leg,), workspace="whole" if whole else "paper", obstacles=obstacles)
+    settings = SimulationSettings(motion=motion, seed=sizes.first_seed + run)
+    return RecordingSpec(settings, seconds, (leg,), staging or Staging())
+
+
+def pose_runs(sizes: Sizes, seconds: float) -> tuple[RecordingSpec, ...]:
+    """As many of them as there are leg-runs."""
+    return tuple(pose_run(sizes, run, seconds) for run in range(sizes.leg_runs))
+
+
+def walk_run(
+    sizes: Sizes, run: int, seconds: float, ground: TerrainKind = "rough"
+) -> RecordingSpec:
+    """A tripod over some ground, legs stopping 60 ms after the true touch."""
+    settings = SimulationSettings(
+        motion=WalkSettings(),
+        terrain=TerrainSettings(kind=ground),
+        seed=sizes.first_seed + _WALK + run,
+    )
+    return RecordingSpec(settings, seconds, LEGS)
+
+
+def walk_runs(
+    sizes: Sizes, seconds: float, ground: TerrainKind = "rough"
+) -> tuple[RecordingSpec, ...]:
+    """As many walks as give the leg-runs."""
+    count = math.ceil(sizes.leg_runs / len(LEGS))
+    return tuple(walk_run(sizes, run, seconds, ground) for run in range(count))
+
+
+def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
+    """All legs in pose, each in its turn, twice; and how long it takes until all had one, s."""
+    round_s = len(LEGS) * (sizes.turn_trials * POSE_SWING_S + _STEP_UP_AND_DOWN_S)
+    motion = PoseSettings(
+        legs=LEGS,
+        trials_per_turn=sizes.turn_trials,
+        obstacles=ObstacleSettings(probability=0.55, where=(0.1, 0.5)),
+    )
+    count = math.ceil(sizes.leg_runs / len(LEGS))
+    seeds = [sizes.first_seed + _TURNS + run for run in range(count)]
+    runs = [
+        RecordingSpec(SimulationSettings(motion=motion, seed=seed), 2 * round_s, LEGS)
+        for seed in seeds
+    ]
+    return tuple(runs), round_s
+
+
+def drifting(
+    spec: RecordingSpec, run: int, at_s: float, *whats: What, duration_s: float = 0.0
+) -> RecordingSpec:
+    """The recording with changes in every leg that it keeps, from a moment on."""
+    injections = []
+    for what in whats:
+        for leg in spec.legs:
+            place = LEGS.index(leg)
+            joint = JOINTS[(run + run // len(LEGS) + place) % len(JOINTS)]
+            shared = what.kind == "supply"
+            drift = Drift(
+                kind=what.kind,
+                value=what.value,
+                leg=None if shared else leg,
+                joint=joint if what.turning else None,
+                shape=what.shape,
+                duration_s=duration_s,
+                seed=len(LEGS) * run + place,
+            )
+            injections.append(Injection(drift, at_s))
+            if shared:
+                break
+    return replace(spec, settings=replace(spec.settings, drift=tuple(injections)))
+
+
+def all_touch(
+    sizes: Sizes, run: int, seconds: float, staging: Staging, soft: float = 0.0
+) -> RecordingSpec:
+    """One leg in the paper's workspace, where an obstacle can always be put in time."""
+    spec = pose_run(sizes, run, seconds, staging)
+    motion = spec.settings.motion
+    assert isinstance(motion, PoseSettings)
+    # Lower than 0.2 of the descent the foot is still rising; below 0.4 some touch too late.
+    obstacles = ObstacleSettings(
+        probability=0.55, soft=soft, where=(0.2, 0.4), shapes=("plate", "sphere")
+    )
+    motion = replace(motion, workspace="paper", obstacles=obstacles)
+    return replace(spec, settings=replace(spec.settings, motion=motion))
+
+
+def without_drift(spec: RecordingSpec) -> RecordingSpec:
+    """The recording as it would have been without drift."""
+    return replace(spec, settings=replace(spec.settings, drift=()))
+
+
+def without_staging(spec: RecordingSpec) -> RecordingSpec:
+    """The recording with nothing done besides."""
+    return replace(spec, staging=Staging())
+
+
+def of_robot_0(spec: RecordingSpec) -> RecordingSpec:
+    """The recording of the robot that the shipped baseline was learned on."""
+    return replace(spec, settings=replace(spec.settings, robot_seed=0))
+
+
+def around(at_s: float, end_s: float, swing_s: float) -> tuple[Phase, ...]:
+    """Phases around a change: before, the swings on the way, and after."""
+    settled = min(at_s + SETTLE_SWINGS * swing_s, end_s)
+    return (
+        Phase("before", 0.0, at_s),
+        Phase("on the way", at_s, settled),
+        Phase("after", settled, end_s),
+    )

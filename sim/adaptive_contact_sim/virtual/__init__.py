@@ -1,0 +1,23 @@
+"""A virtual Dynamixel bus: pseudo-terminals whose servos are a simulated robot.
+
+Any Dynamixel software can open them, ours or others'.  Bytes and control tables are those of
+:mod:`adaptive_contact.bridge`; nothing of the DynamixelSDK is used on this side.
+"""
+
+from __future__ import annotations
+
+from adaptive_contact_sim.virtual.backend import Backend, KinematicBackend
+from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec, parse_fault
+from adaptive_contact_sim.virtual.server import VirtualPort, VirtualServer
+from adaptive_contact_sim.virtual.servo import VirtualServo
+
+__all__ = [
+    "Backend",
+    "FaultSchedule",
+    "FaultSpec",
+    "KinematicBackend",
+    "VirtualPort",
+    "VirtualServer",
+    "VirtualServo",
+    "parse_fault",
+]

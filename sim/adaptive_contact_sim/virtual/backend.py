@@ -1,0 +1,110 @@
+"""What moves behind the virtual servos: a physics, or a light stand-in for tests of buses."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Backend", "KinematicBackend"]
+
+Array = NDArray[np.float64]
+
+
+class Backend(Protocol):
+    """A set of servos by index; angles in the servos' own frames, rad from the horn's centre."""
+
+    def advance(self, now_s: float) -> float:
+        """Bring the servos up to a moment.
+
+        Args:
+            now_s: monotonic time.
+
+        Returns:
+            Monotonic time at which it wants to be called again at the latest.
+        """
+
+    def angle(self, index: int) -> float:
+        """Angle of a servo's horn, rad."""
+
+    def speed(self, index: int) -> float:
+        """Speed of a servo's horn, rad/s."""
+
+    def set_goal(self, index: int, angle_rad: float) -> None:
+        """Write a servo's goal."""
+
+    def goal(self, index: int) -> float | None:
+        """A goal that somebody else (a gait inside) has written, or None."""
+
+    def set_torque(self, index: int, on: bool) -> None:
+        """Switch a servo's drive on or off."""
+
+
+class KinematicBackend:
+    """Servos that run to their goals: exponentially, with a largest speed; no forces.
+
+    The closed form between two calls makes it as fast as it gets, and exact at any moment.
+
+    Args:
+        size: number of servos.
+        time_constant_s: of the exponential approach.
+        top_speed_rad_s: largest speed.
+    """
+
+    _IDLE_S: Final = 0.05
+
+    def __init__(
+        self, size: int, *, time_constant_s: float = 0.03, top_speed_rad_s: float = 5.0
+    ) -> None:
+        self._tau = time_constant_s
+        self._top = top_speed_rad_s
+        self._angle = np.zeros(size)
+        self._speed = np.zeros(size)
+        self._goal = np.zeros(size)
+        self._driven = np.ones(size, dtype=np.bool_)
+        self._now: float | None = None
+
+    def advance(self, now_s: float) -> float:
+        """Bring the servos up to a moment."""
+        if self._now is None:
+            self._now = now_s
+        elapsed = now_s - self._now
+        if elapsed > 0.0:
+            self._now = now_s
+            off = np.where(self._driven, self._goal - self._angle, 0.0)
+            # At full speed as long as the error is beyond top * tau, then exponentially.
+            linear = np.clip((np.abs(off) - self._top * self._tau) / self._top, 0.0, elapsed)
+            rest = off - np.sign(off) * self._top * linear
+            left = rest * np.exp(-(elapsed - linear) / self._tau)
+            self._angle = self._angle + off - left
+            self._speed = np.clip(left / self._tau, -self._top, self._top)
+        return now_s + self._IDLE_S
+
+    def angle(self, index: int) -> float:
+        """Angle of a servo's horn, rad."""
+        return float(self._angle[index])
+
+    def speed(self, index: int) -> float:
+        """Speed of a servo's horn, rad/s."""
+        return float(self._speed[index])
+
+    def set_goal(self, index: int, angle_rad: float) -> None:
+        """Write a servo's goal."""
+        if not math.isfinite(angle_rad):
+            raise ValueError(f"goal {angle_rad} of servo {index} is not finite")
+        self._goal[index] = angle_rad
+
+    def goal(self, index: int) -> float | None:
+        """Nobody else writes goals here."""
+        return None
+
+    def set_torque(self, index: int, on: bool) -> None:
+        """Switch a servo's drive on or off."""
+        self._driven[index] = on
+
+    def place(self, index: int, angle_rad: float) -> None:
+        """Put a servo somewhere, at rest, goal included."""
+        self._angle[index] = self._goal[index] = angle_rad
+        self._speed[index] = 0.0

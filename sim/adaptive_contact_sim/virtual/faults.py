@@ -1,0 +1,169 @@
+"""What can go wrong on a bus, switched on by name and moment.
+
+A fault is written ``kind:id=3,p=0.1@5+2``: of servo 3 (all without ``id``), with a probability of
+0.1 per answer (always without ``p``), from 5 s after the start for 2 s (at once and for good
+without).
+
+=========  ==================================================================
+silent     no answer
+late       the answer comes ``ms`` later (30 by default)
+flip       a bit of the answer is flipped
+stale      the last answer's data again
+error      the error byte says ``bits``: overload, overheating, voltage
+hangup     the port is closed, as by a pulled cable, and back at the end
+=========  ==================================================================
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterable
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from adaptive_contact.bridge.protocol1 import ERROR_BITS
+from adaptive_contact.bridge.protocol2 import HARDWARE_ERROR_BITS
+from adaptive_contact.errors import ConfigurationError
+
+__all__ = ["FaultKind", "FaultSchedule", "FaultSpec", "parse_fault"]
+
+FaultKind = Literal["silent", "late", "flip", "stale", "error", "hangup"]
+_KINDS: Final = get_args(FaultKind)
+_FORM: Final = re.compile(
+    r"(?P<kind>[a-z]+)(?::(?P<settings>[^@]*))?(?:@(?P<start>[0-9.]+)(?:\+(?P<length>[0-9.]+))?)?\Z"
+)
+_EXAMPLE: Final = "silent:id=3@5+2"
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultSpec:
+    """A fault.
+
+    Attributes:
+        kind: what happens.
+        servo: to which, None for all.
+        probability: per answer.
+        start_s, end_s: since the start of the bus.
+        ms: of a late answer.
+        bits: names of error bits.
+        port: of a hang-up, None for all.
+    """
+
+    kind: FaultKind
+    servo: int | None = None
+    probability: float = 1.0
+    start_s: float = 0.0
+    end_s: float = float("inf")
+    ms: float = 30.0
+    bits: tuple[str, ...] = ("overload",)
+    port: str | None = None
+
+    @property
+    def error1(self) -> int:
+        """Error byte of protocol 1.0."""
+        return sum(bit for bit, name in ERROR_BITS.items() if name in self.bits)
+
+    @property
+    def error2(self) -> int:
+        """Hardware Error Status of protocol 2.0."""
+        return sum(bit for bit, name in HARDWARE_ERROR_BITS.items() if name in self.bits)
+
+
+def parse_fault(text: str) -> FaultSpec:
+    """Read a fault as a person writes it.
+
+    Raises:
+        ConfigurationError: it cannot be read.
+    """
+    match = _FORM.match(text)
+    if match is None or match["kind"] not in _KINDS:
+        raise ConfigurationError(
+            f"fault '{text}': expected one of {', '.join(_KINDS)}, such as {_EXAMPLE}"
+        )
+    start = float(match["start"] or 0.0)
+    spec = FaultSpec(
+        kind=match["kind"],
+        start_s=start,
+        end_s=start + float(match["length"]) if match["length"] else float("inf"),
+    )
+    for part in filter(None, (match["settings"] or "").split(",")):
+        name, _, value = part.partition("=")
+        try:
+            spec = _with(spec, name.strip(), value.strip())
+        except ValueError:
+            raise ConfigurationError(
+                f"fault '{text}': '{part}' cannot be read; settings are id, p, ms, bits, port, "
+                f"such as {_EXAMPLE}"
+            ) from None
+    if spec.kind == "hangup" and spec.end_s == float("inf"):
+        spec = dataclasses.replace(spec, end_s=spec.start_s + 1.0)
+    return spec
+
+
+def _with(spec: FaultSpec, name: str, value: str) -> FaultSpec:
+    if name == "id":
+        return dataclasses.replace(spec, servo=int(value))
+    if name == "p":
+        probability = float(value)
+        if not 0.0 <= probability <= 1.0:
+            raise ValueError(value)
+        return dataclasses.replace(spec, probability=probability)
+    if name == "ms":
+        return dataclasses.replace(spec, ms=float(value))
+    if name == "port":
+        return dataclasses.replace(spec, port=value)
+    if name == "bits":
+        bits = tuple(value.split("|"))
+        known = {*ERROR_BITS.values(), *HARDWARE_ERROR_BITS.values()}
+        if not set(bits) <= known:
+            raise ValueError(value)
+        return dataclasses.replace(spec, bits=bits)
+    raise ValueError(name)
+
+
+class FaultSchedule:
+    """Which faults are on, and whether they strike now.
+
+    Args:
+        specs: from the start.
+        rng: of the probabilities.
+    """
+
+    def __init__(self, specs: Iterable[FaultSpec], rng: np.random.Generator) -> None:
+        self._specs = tuple(specs)
+        self._rng = rng
+        self.struck: dict[str, int] = {}
+
+    def switch(self, specs: Iterable[FaultSpec]) -> None:
+        """Put other faults in force; may be called from another thread."""
+        self._specs = tuple(specs)
+
+    def strike(self, kind: FaultKind, servo: int, elapsed_s: float) -> FaultSpec | None:
+        """The fault of a kind that hits this answer, or None."""
+        for spec in self._specs:
+            if (
+                spec.kind == kind
+                and spec.servo in (None, servo)
+                and spec.start_s <= elapsed_s < spec.end_s
+                and (spec.probability >= 1.0 or self._rng.random() < spec.probability)
+            ):
+                self.struck[kind] = self.struck.get(kind, 0) + 1
+                return spec
+        return None
+
+    def hung_up(self, port: str, elapsed_s: float) -> bool:
+        """Whether a port's cable is out."""
+        return any(
+            spec.kind == "hangup"
+            and spec.port in (None, port)
+            and spec.start_s <= elapsed_s < spec.end_s
+            for spec in self._specs
+        )
+
+    def flip(self, packet: bytes) -> bytes:
+        """A packet with one bit turned."""
+        at = int(self._rng.integers(len(packet)))
+        turned = packet[at] ^ (1 << int(self._rng.integers(8)))
+        return packet[:at] + bytes((turned,)) + packet[at + 1 :]

@@ -1,0 +1,317 @@
+"""Pseudo-terminals with servos behind them, and the loop that serves them.
+
+One thread does it all: it brings the backend up to the moment, answers what has come, and sleeps
+in ``select`` until the next packet, reply or physics step.  A port's path is a symbolic link, so
+that it stays the same when a hang-up gives it another pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import os
+import pty
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Frame, Instruction, Status
+from adaptive_contact.bridge.protocol1 import Protocol1
+from adaptive_contact.bridge.protocol2 import Protocol2, fast_sync_status
+from adaptive_contact_sim.virtual.backend import Backend
+from adaptive_contact_sim.virtual.faults import FaultSchedule
+from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
+
+__all__ = ["VirtualPort", "VirtualServer"]
+
+_ALERT: Final = 0x80
+_INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
+_BITS_PER_BYTE: Final = 10
+
+
+class VirtualPort:
+    """One bus: a pseudo-terminal and its servos.
+
+    Args:
+        name: as in ``robot.toml``.
+        path: of the link that masters open.
+        servos: on this bus; two of the same id answer both.
+        faults: what goes wrong.
+        baud: the servos hear nothing at another one; None for any.
+        wire_time: let answers take as long as on a wire of this baud rate.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        servos: Sequence[VirtualServo],
+        faults: FaultSchedule,
+        *,
+        baud: int | None = 1_000_000,
+        wire_time: bool = False,
+    ) -> None:
+        self.name = name
+        self.path = path
+        self.servos = tuple(servos)
+        self.faults = faults
+        self.requests = 0
+        self.master = -1
+        self._slave = -1
+        self._byte_s = _BITS_PER_BYTE / baud if wire_time and baud else 0.0
+        self._wire_time = wire_time
+        self._speed = None if baud is None else getattr(termios, f"B{baud}", None)
+        protocol = servos[0].model.protocol if servos else 1
+        self._codec: Codec = Protocol1() if protocol == 1 else Protocol2()
+        self._buffer = bytearray()
+        self._replies: list[tuple[float, int, bytes]] = []
+        self._sent = 0
+
+    @property
+    def is_up(self) -> bool:
+        """Whether there is a terminal to open."""
+        return self.master >= 0
+
+    def open(self) -> None:
+        """Make the pseudo-terminal and its link."""
+        self.master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        part = self.path.with_name(self.path.name + ".part")
+        with contextlib.suppress(FileNotFoundError):
+            part.unlink()
+        part.symlink_to(os.ttyname(self._slave))
+        part.replace(self.path)
+        self._buffer.clear()
+        self._replies.clear()
+
+    def close(self) -> None:
+        """Hang up: the link is gone, and who has the terminal open sees the end of it."""
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        for descriptor in (self.master, self._slave):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self.master = self._slave = -1
+
+    def receive(self, now_s: float, elapsed_s: float) -> None:
+        """Take what has come and answer it."""
+        try:
+            data = os.read(self.master, 4096)
+        except (BlockingIOError, InterruptedError):
+            return
+        if self._speed is not None and termios.tcgetattr(self._slave)[4] != self._speed:
+            return  # at another baud rate, packets are noise
+        self._buffer += data
+        frames, _ = self._codec.parse(self._buffer)
+        for frame in frames:
+            self.requests += 1
+            heard = len(data) * self._byte_s
+            self._answer(frame, now_s + heard, elapsed_s)
+
+    def flush(self, now_s: float) -> float:
+        """Send replies that are due.
+
+        Returns:
+            When the next is due, infinity without any.
+        """
+        while self._replies and self._replies[0][0] <= now_s:
+            packet = heapq.heappop(self._replies)[2]
+            with contextlib.suppress(BlockingIOError):  # nobody reads: as on a wire, it is lost
+                os.write(self.master, packet)
+        return self._replies[0][0] if self._replies else float("inf")
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _answer(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
+        version = self._codec.version
+        if version == 2 and frame.code in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
+            self._sync_read(frame, now_s, elapsed_s)
+            return
+        if frame.code == Instruction.SYNC_WRITE:
+            self._sync_write(frame)
+            return
+        everyone = frame.id == BROADCAST_ID
+        for servo in self.servos:
+            if not everyone and servo.id != frame.id:
+                continue
+            status = self._execute(servo, frame)
+            speaks = servo.answers == 2 or frame.code == Instruction.PING
+            speaks |= servo.answers == 1 and frame.code == Instruction.READ
+            if everyone:
+                speaks = version == 2 and frame.code == Instruction.PING
+            if status is not None and speaks:
+                now_s = self._reply(servo, status, now_s, elapsed_s)
+
+    def _execute(self, servo: VirtualServo, frame: Frame) -> Status | None:
+        """Carry out an instruction; None for those that nobody answers."""
+        version, p = self._codec.version, frame.parameters
+        width = version  # bytes of an address and of a length
+        if frame.code == Instruction.PING:
+            if version == 1:
+                return Status(servo.id, 0, b"")
+            told = servo.model.number.to_bytes(2, "little") + bytes((servo.value("firmware"),))
+            return Status(servo.id, 0, told)
+        if frame.code == Instruction.READ and len(p) == 2 * width:
+            data = servo.read(
+                int.from_bytes(p[:width], "little"), int.from_bytes(p[width:], "little")
+            )
+            if isinstance(data, Refusal):
+                return Status(servo.id, data.error, b"")
+            return Status(servo.id, 0, data)
+        if frame.code in (Instruction.WRITE, Instruction.REG_WRITE) and len(p) > width:
+            address = int.from_bytes(p[:width], "little")
+            if frame.code == Instruction.REG_WRITE:
+                servo.registered = (address, p[width:])
+                return Status(servo.id, 0, b"")
+            refusal = servo.write(address, p[width:])
+            return Status(servo.id, 0 if refusal is None else refusal.error, b"")
+        if frame.code == Instruction.ACTION:
+            if servo.registered is not None:
+                servo.write(*servo.registered)
+                servo.registered = None
+            return Status(servo.id, 0, b"")
+        return Status(servo.id, _INSTRUCTION_ERROR[version], b"")
+
+    def _sync_write(self, frame: Frame) -> None:
+        p, width = frame.parameters, self._codec.version
+        address = int.from_bytes(p[:width], "little")
+        size = int.from_bytes(p[width : 2 * width], "little")
+        rows = p[2 * width :]
+        for at in range(0, len(rows) - size, size + 1):
+            for servo in self.servos:
+                if servo.id == rows[at]:
+                    servo.write(address, rows[at + 1 : at + 1 + size])
+
+    def _sync_read(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
+        p = frame.parameters
+        address, size = int.from_bytes(p[:2], "little"), int.from_bytes(p[2:4], "little")
+        by_id = {servo.id: servo for servo in self.servos}
+        joint: list[Status] = []
+        for wanted in p[4:]:
+            servo = by_id.get(wanted)
+            mute = servo is None or self.faults.strike("silent", wanted, elapsed_s) is not None
+            if servo is None or mute:
+                # Each waits for the one before it: whoever comes after a mute one stays mute.
+                break
+            data = servo.read(address, size)
+            error = data.error if isinstance(data, Refusal) else 0
+            status = Status(servo.id, error, b"" if isinstance(data, Refusal) else data)
+            if frame.code == Instruction.FAST_SYNC_READ:
+                joint.append(self._troubled(servo, status, elapsed_s))
+            else:
+                now_s = self._reply(servo, status, now_s, elapsed_s, asked=True)
+        if joint and len(joint) == len(p) - 4:
+            packet = fast_sync_status(joint)
+            if self.faults.strike("flip", joint[0].id, elapsed_s):
+                packet = self.faults.flip(packet)
+            self._send(packet, now_s + self._spent(by_id[joint[0].id], packet))
+
+    def _troubled(self, servo: VirtualServo, status: Status, elapsed_s: float) -> Status:
+        """A status as faults make it: stale data, error bits."""
+        stale = self.faults.strike("stale", servo.id, elapsed_s)
+        if stale and servo.stale_data is not None and len(servo.stale_data) == len(status.data):
+            status = status._replace(data=servo.stale_data)
+        elif status.data:
+            servo.stale_data = status.data
+        spec = self.faults.strike("error", servo.id, elapsed_s)
+        if servo.model.protocol == 2:
+            servo.set_hardware_error(0 if spec is None else spec.error2)
+        if spec is None:
+            return status
+        alert = spec.error1 if servo.model.protocol == 1 else _ALERT
+        return status._replace(error=status.error | alert)
+
+    def _reply(
+        self,
+        servo: VirtualServo,
+        status: Status,
+        now_s: float,
+        elapsed_s: float,
+        *,
+        asked: bool = False,
+    ) -> float:
+        """Queue an answer, with what goes wrong; returns when the bus is free again."""
+        if not asked and self.faults.strike("silent", servo.id, elapsed_s):
+            return now_s
+        status = self._troubled(servo, status, elapsed_s)
+        packet = self._codec.status(status.id, status.error, status.data)
+        due_s = now_s + self._spent(servo, packet)
+        if self.faults.strike("flip", servo.id, elapsed_s):
+            packet = self.faults.flip(packet)
+        late = self.faults.strike("late", servo.id, elapsed_s)
+        self._send(packet, due_s if late is None else due_s + late.ms / 1000.0)
+        return due_s
+
+    def _spent(self, servo: VirtualServo, packet: bytes) -> float:
+        if not self._wire_time:
+            return 0.0
+        return servo.return_delay_s + len(packet) * self._byte_s
+
+    def _send(self, packet: bytes, due_s: float) -> None:
+        self._sent += 1
+        heapq.heappush(self._replies, (due_s, self._sent, packet))
+
+
+class VirtualServer:
+    """Serves virtual ports in real time.
+
+    Args:
+        ports: the buses.
+        backend: what moves behind all of them.
+    """
+
+    def __init__(self, ports: Sequence[VirtualPort], backend: Backend) -> None:
+        self.ports = tuple(ports)
+        self._backend = backend
+        self._start_s = 0.0
+
+    @property
+    def elapsed_s(self) -> float:
+        """Since the start."""
+        return time.monotonic() - self._start_s
+
+    def __enter__(self) -> VirtualServer:
+        self._start_s = time.monotonic()
+        for port in self.ports:
+            port.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for port in self.ports:
+            port.close()
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve until stopped; the ports have to be open (``with server:``)."""
+        while not stop.is_set():
+            self._cable()
+            now_s = time.monotonic()
+            next_s = min(self._backend.advance(now_s), now_s + 0.05)
+            for port in self.ports:
+                if port.is_up:
+                    next_s = min(next_s, port.flush(time.monotonic()))
+            masters = {port.master: port for port in self.ports if port.is_up}
+            wait_s = max(next_s - time.monotonic(), 0.0)
+            ready, _, _ = select.select(list(masters), [], [], wait_s)
+            if ready:
+                # The servos are where they are when asked, not where they were a step ago.
+                self._backend.advance(time.monotonic())
+            for master in ready:
+                now_s = time.monotonic()
+                masters[master].receive(now_s, now_s - self._start_s)
+                masters[master].flush(time.monotonic())
+
+    def _cable(self) -> None:
+        """Pull cables and put them back, as the faults say."""
+        elapsed = self.elapsed_s
+        for port in self.ports:
+            out = port.faults.hung_up(port.name, elapsed)
+            if out and port.is_up:
+                port.close()
+            elif not out and not port.is_up:
+                port.open()

@@ -1,0 +1,89 @@
+"""A snapshot is taken over whole or not at all."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+
+from adaptive_contact.adapt import ContactLearner, shipped_baseline
+from adaptive_contact.robot import shipped_robot
+
+
+@pytest.fixture(scope="module")
+def robot() -> Any:
+    return shipped_robot()
+
+
+@pytest.fixture(scope="module")
+def saved(robot: Any) -> dict[str, Any]:
+    snapshot = ContactLearner(robot, "rf", shipped_baseline(robot.name)).snapshot()
+    assert snapshot is not None
+    return msgpack.unpackb(msgpack.packb(snapshot))  # as it comes back from a file
+
+
+def learner(robot: Any, leg: str = "rf") -> ContactLearner:
+    return ContactLearner(robot, leg, shipped_baseline(robot.name))
+
+
+def test_it_comes_back_the_same(robot: Any, saved: dict[str, Any]) -> None:
+    fresh = learner(robot)
+    assert fresh.restore(copy.deepcopy(saved)) is None
+    assert msgpack.packb(fresh.snapshot()) == msgpack.packb(saved)
+
+
+def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
+    tree = copy.deepcopy(saved)
+    tree["follower"][name] = value
+    return tree
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("format", 99, "format is 99"),
+        ("library", {"name": "paper"}, "another library"),
+        ("coefficients", {"shape": [1], "data": b"x" * 8}, "its model has shape"),
+        ("coefficients", 3, "its model is no array"),
+        ("level", float("nan"), "its level is nan"),
+        ("level", "high", "its level is 'high'"),
+        ("status", "happy", "its status is 'happy'"),
+        ("segments", [{}], "is no array"),
+        ("version", -1, "version or era"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(
+    robot: Any, saved: dict[str, Any], name: str, value: object, says: str
+) -> None:
+    fresh = learner(robot)
+    before = msgpack.packb(fresh.snapshot())
+    line = fresh.restore(damage(saved, name, value))
+    assert line is not None
+    assert says in line
+    assert "\n" not in line
+    assert msgpack.packb(fresh.snapshot()) == before
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e6])
+def test_an_implausible_model_is_refused(robot: Any, saved: dict[str, Any], wild: float) -> None:
+    tree = copy.deepcopy(saved)
+    model = tree["follower"]["coefficients"]
+    values = np.frombuffer(model["data"]).copy()
+    values[0] = wild
+    model["data"] = values.tobytes()
+    assert learner(robot).restore(tree) is not None
+
+
+def test_another_leg_s_snapshot_is_refused(robot: Any, saved: dict[str, Any]) -> None:
+    line = learner(robot, "lf").restore(saved)
+    assert line is not None
+    assert "another baseline" in line
+
+
+def test_without_a_baseline_there_is_nothing_to_save(robot: Any, saved: dict[str, Any]) -> None:
+    bare = ContactLearner(robot, "rf")
+    assert bare.snapshot() is None
+    assert "no baseline" in str(bare.restore(saved))

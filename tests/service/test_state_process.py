@@ -1,0 +1,151 @@
+"""`serve --state` and `state show|export|reset` as processes, killed and restarted."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from adaptive_contact.cli.state import app
+from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.wire import LearnerStatus, ServoSample, learner_key, servo_key
+
+pytestmark = pytest.mark.e2e
+
+Join = Callable[..., Link]
+Sample = Callable[..., ServoSample]
+
+
+@pytest.fixture
+def state() -> Callable[..., tuple[int, str, str]]:
+    """Runs `adaptive-contact state …`; exit code, stdout, and the line that main would print."""
+
+    def run(*args: str) -> tuple[int, str, str]:
+        result = CliRunner().invoke(app, args)
+        error = result.exception
+        if isinstance(error, AdaptiveContactError):
+            return 2, result.stdout, str(error)
+        assert error is None or isinstance(error, SystemExit), result.exc_info
+        return result.exit_code, result.stdout, ""
+
+    return run
+
+
+def learner(link: Link, inbox: Any, leg: str, test: Callable[[LearnerStatus], bool]) -> Any:
+    got = inbox(LearnerStatus)
+    subscribed = link.subscribe(learner_key(leg), got)
+    found = got.wait(lambda items: any(test(status) for status in items))
+    subscribed.close()
+    return next(status for status in found if test(status))
+
+
+def feed(link: Link, leg: str, sample: Sample, first: int, last: int, **fields: Any) -> None:
+    publisher = link.publisher(servo_key(leg))
+    until = time.monotonic() + 5
+    while not publisher.matched:
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    for seq in range(first, last + 1):
+        publisher.put(sample(seq, contact=seq % 2 == 1, **fields))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_what_was_learned_survives_and_what_passed_meanwhile_is_counted(
+    serve: Any, join: Join, inbox: Any, sample: Sample, tmp_path: Path, number: int
+) -> None:
+    folder = str(tmp_path / "kept")
+    first = serve("--state", folder)
+    link = join(first.endpoint)
+    feed(link, "rf", sample, 1, 20, run=5)
+    assert learner(link, inbox, "rf", lambda status: status.ticks == 20).contacts == 10
+    if number == signal.SIGKILL:
+        kept = inbox(ServiceStatus)
+        link.subscribe(SERVICE_STATUS, kept, history=True)
+        kept.wait(lambda items: items[-1].state is not None and items[-1].state.saved > 0, 15.0)
+    assert first.stop(number) == (0 if number == signal.SIGTERM else -number)
+    second = serve("--state", folder)
+    assert "state restored" in second.log.read_text()
+    link = join(second.endpoint)
+    feed(link, "rf", sample, 31, 40, run=5)
+    status = learner(link, inbox, "rf", lambda status: status.ticks == 10)
+    assert status.contacts == 15, "the learner went on from where it was"
+    assert status.missed == 10, "21 to 30 passed while nobody listened"
+    assert second.stop() == 0
+
+
+def test_a_second_service_says_so_and_does_not_save(
+    serve: Any, join: Join, inbox: Any, tmp_path: Path
+) -> None:
+    folder = str(tmp_path)
+    first = serve("--state", folder)
+    second = serve("--state", folder, "--connect", first.endpoint)
+    got = inbox(ServiceStatus)
+    join(first.endpoint).subscribe(SERVICE_STATUS, got, history=True)
+    found = got.wait(
+        lambda items: len({s.instance for s in items if s.note and "another service" in s.note}) > 1
+    )
+    assert "every event comes twice; stop one of them" in str(found[-1].note)
+    assert any(status.note and "in use by another service" in status.note for status in got.items)
+    assert second.stop() == 0
+    got.items.clear()
+    got.wait(lambda items: items[-1].note is None)
+    assert first.stop() == 0
+
+
+def test_contradictory_options_get_one_line(serve: Any, tmp_path: Path) -> None:
+    served = serve("--state", str(tmp_path), "--no-state", wait=False)
+    assert served.process.wait(10) != 0
+    assert "--state and --no-state contradict each other" in served.log.read_text()
+
+
+def test_show_export_and_reset(
+    serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path
+) -> None:
+    folder = tmp_path / "kept"
+    code, _, error = state("show", "--state", str(folder))
+    assert (code, error.count("\n")) == (2, 0)
+    assert "is no folder; give the --state DIR of the service" in error
+    served = serve("--state", str(folder))
+    link = join(served.endpoint)
+    for leg in ("lf", "rf"):
+        feed(link, leg, sample, 1, 4)
+        learner(link, inbox, leg, lambda status: status.ticks == 4)
+    assert served.stop() == 0
+
+    code, out, error = state("show", "--state", str(folder), "--json")
+    assert (code, error) == (0, "")
+    rows = json.loads(out)
+    assert [(row["robot"], row["leg"], row["model_version"]) for row in rows] == [
+        ("mini", "lf", 3),
+        ("mini", "rf", 3),
+    ]
+    assert all(row["refused"] is None for row in rows)
+    damaged = Path(rows[0]["file"])
+    damaged.write_bytes(damaged.read_bytes()[:-9])
+    _, out, _ = state("show", "--state", str(folder))
+    assert "damaged" in out
+    assert "sound" in out
+
+    exported = tmp_path / "out.json"
+    code, out, _ = state("export", str(exported), "--state", str(folder))
+    assert (code, out.startswith("wrote 1 legs")) == (0, True)
+    (leg,) = json.loads(exported.read_text())["legs"]
+    assert (leg["identity"]["leg"], leg["body"]["contacts"]) == ("rf", 2)
+
+    running = serve("--state", str(folder))
+    code, _, error = state("reset", "--state", str(folder), "--yes")
+    assert code == 2
+    assert "in use by another service" in error
+    assert running.stop() == 0
+    code, out, _ = state("reset", "--state", str(folder), "--leg", "rf", "--yes")
+    assert (code, out.startswith("forgot")) == (0, True)
+    left = json.loads(state("show", "--state", str(folder), "--json")[1])
+    assert {Path(row["file"]).name.partition("-")[0] for row in left} == {"lf"}

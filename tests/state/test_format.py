@@ -1,0 +1,92 @@
+"""Whatever is on disk: a whole state, or one line on why it is none."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact.service.state import Identity, Record, Refused, pack, unpack
+
+WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
+
+
+def record(**changes: object) -> Record:
+    body = {"weights": {"shape": [2, 2], "data": np.eye(2).tobytes()}, "ticks": 7, "name": "ü"}
+    made = Record(
+        identity=WHO,
+        saved_ns=5,
+        package="0.1.0",
+        model_version=3,
+        run=12,
+        seq=99,
+        body=body,
+    )
+    return msgspec.structs.replace(made, **changes)
+
+
+def why(data: bytes, identity: Identity | None = WHO) -> str:
+    found = unpack(data, identity)
+    assert isinstance(found, Refused), found
+    assert "\n" not in found.why
+    return found.why
+
+
+def test_what_is_packed_is_read_back() -> None:
+    assert unpack(pack(record()), WHO) == record()
+    assert unpack(pack(record(run=None, seq=None)), None) == record(run=None, seq=None)
+
+
+def test_every_flipped_byte_is_refused() -> None:
+    data = pack(record())
+    for at in range(len(data)):
+        flipped = bytearray(data)
+        flipped[at] ^= 0x40
+        assert why(bytes(flipped))
+
+
+def test_every_truncation_is_refused() -> None:
+    data = pack(record())
+    for length in range(len(data)):
+        assert why(data[:length])
+    assert "damaged" in why(data + b"x")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "line"),
+    [
+        ("robot", "maxi", "of another robot: 'maxi', this is 'mini'"),
+        ("leg", "lf", "of another leg: 'lf', this is 'rf'"),
+        ("library", "paper", "of another library: 'paper', this is 'servo'"),
+        ("settings", "0", "of another settings: '0', this is '0123456789abcdef'"),
+    ],
+)
+def test_what_belongs_to_something_else_is_refused(field: str, value: str, line: str) -> None:
+    other = msgspec.structs.replace(WHO, **{field: value})
+    assert why(pack(record(identity=other))) == line
+    assert unpack(pack(record(identity=other)), None)
+
+
+@pytest.mark.parametrize(("version", "age"), [(1, "an older"), (3, "a newer")])
+def test_other_versions_are_told(version: int, age: str) -> None:
+    body = msgspec.msgpack.encode({"whatever": version})
+    head = struct.pack("<H", version)
+    data = struct.pack(
+        "<8sHQ32s", b"ACSTATE\n", version, len(body), hashlib.sha256(head + body).digest()
+    )
+    assert why(data + body) == f"written by {age} version (format {version}, this one reads 2)"
+
+
+@pytest.mark.parametrize("body", [b"", b"\xc1", b"\x93\x01", b"\x80", msgspec.msgpack.encode([1])])
+def test_a_right_checksum_over_nonsense_is_refused(body: bytes) -> None:
+    head = struct.pack("<H", 2)
+    data = struct.pack("<8sHQ32s", b"ACSTATE\n", 2, len(body), hashlib.sha256(head + body).digest())
+    assert "cannot be read" in why(data + body)
+
+
+def test_a_body_that_cannot_be_written_is_an_error_of_the_learner() -> None:
+    with pytest.raises(TypeError):
+        pack(record(body={"thing": object()}))

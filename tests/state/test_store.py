@@ -1,0 +1,183 @@
+"""A folder of states: atomic saves, one owner, and the one before as a way back."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from adaptive_contact.service.state import (
+    Identity,
+    Record,
+    Refused,
+    StateStore,
+    list_states,
+    robot_folder,
+    store,
+)
+from adaptive_contact.service.state.settings import default_folder
+
+WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
+
+
+def record(version: int = 1, identity: Identity = WHO) -> Record:
+    return Record(
+        identity=identity,
+        saved_ns=version,
+        package="",
+        model_version=version,
+        run=None,
+        seq=version,
+        body={"data": bytes(1000)},
+    )
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Any:
+    made = StateStore.open(tmp_path, "mini")
+    yield made
+    made.close()
+
+
+def versions(made: StateStore) -> list[int | str]:
+    found = [one for _, one in made.candidates(WHO)]
+    return [one.why if isinstance(one, Refused) else one.model_version for one in found]
+
+
+def test_the_newest_comes_first_then_the_one_before(opened: StateStore) -> None:
+    assert versions(opened) == []
+    for version in (1, 2, 3):
+        opened.save(record(version))
+    assert versions(opened) == [3, 2]
+    assert {path.suffix for path in opened.folder.iterdir()} == {".state", ".before", ""}
+
+
+def test_a_damaged_newest_leaves_the_one_before_and_is_set_aside(opened: StateStore) -> None:
+    opened.save(record(1))
+    opened.save(record(2))
+    newest = opened.path(WHO)
+    newest.write_bytes(newest.read_bytes()[:-1])
+    (path, refused), (_, before) = list(opened.candidates(WHO))
+    assert isinstance(refused, Refused)
+    assert isinstance(before, Record)
+    opened.set_aside(path)
+    assert versions(opened) == [1]
+    opened.save(record(3))
+    opened.save(record(4))
+    assert versions(opened) == [4, 3]
+    assert newest.with_suffix(".refused").is_file()
+
+
+@pytest.mark.parametrize("step", ["write", "fsync", "replace_old", "replace_new"])
+def test_a_failure_at_any_step_leaves_a_whole_state(
+    opened: StateStore, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    opened.save(record(1))
+    opened.save(record(2))
+    full = OSError(errno.ENOSPC, "No space left on device")
+    replace = Path.replace
+
+    def fails(*_: Any) -> Any:
+        raise full
+
+    if step == "write":
+        monkeypatch.setattr(store, "pack", fails)
+    elif step == "fsync":
+        monkeypatch.setattr(os, "fsync", fails)
+    else:
+        suffix = f".{step.removeprefix('replace_')}"
+        monkeypatch.setattr(
+            Path,
+            "replace",
+            lambda self, to: fails() if self.suffix == suffix else replace(self, to),
+        )
+    with pytest.raises(OSError, match="No space left"):
+        opened.save(record(3))
+    monkeypatch.undo()
+    left = versions(opened)
+    assert left in ([2, 1], [2], [2, 2])
+    assert not opened.path(WHO).with_suffix(".new").exists()
+    opened.save(record(4))
+    assert versions(opened)[0] == 4
+
+
+def test_a_crash_between_the_renames_loses_nothing(opened: StateStore) -> None:
+    opened.save(record(1))
+    opened.path(WHO).replace(opened.path(WHO).with_suffix(".before"))
+    opened.path(WHO).with_suffix(".new").write_bytes(b"half of a st")
+    assert versions(opened) == [1]
+
+
+def test_a_file_system_without_links_still_keeps_the_one_before(
+    opened: StateStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuses(*_: Any) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "hardlink_to", refuses)
+    for version in (1, 2, 3):
+        opened.save(record(version))
+    assert versions(opened) == [3, 2]
+
+
+def test_one_service_at_a_time_saves(opened: StateStore, tmp_path: Path) -> None:
+    opened.save(record(1))
+    second = StateStore.open(tmp_path, "mini")
+    assert second.trouble is not None
+    assert "in use by another service" in second.trouble
+    assert versions(second) == [1]
+    opened.close()
+    third = StateStore.open(tmp_path, "mini")
+    assert third.trouble is None
+    third.close()
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("not a folder")
+    made = StateStore.open(file, "mini")
+    assert made.trouble is not None
+    assert "cannot be written to" in made.trouble
+    assert "--no-state" in made.trouble
+    assert versions(made) == []
+
+
+def test_names_stay_inside_the_folder(tmp_path: Path) -> None:
+    for name in ("../up", "a/b", "", ".", "..", "é" * 300, "x\0y"):
+        folder = robot_folder(tmp_path, name)
+        assert folder.parent == tmp_path
+        assert folder.name not in ("", ".", "..")
+        assert len(folder.name.encode()) < 200
+    assert robot_folder(tmp_path, "a/b") != robot_folder(tmp_path, "a_b")
+    assert robot_folder(tmp_path, "hexapod-ax12a").name == "hexapod-ax12a"
+
+
+def test_other_settings_are_counted_and_left_alone(opened: StateStore) -> None:
+    opened.save(record(1, msgspec.structs.replace(WHO, settings="other")))
+    assert versions(opened) == []
+    assert opened.others(WHO) == 1
+    (stored,) = list_states(opened.folder.parent)
+    assert isinstance(stored.record, Record)
+
+
+def test_unreadable_and_huge_files_are_refused(
+    opened: StateStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened.path(WHO).mkdir()
+    assert versions(opened) == ["cannot be read (is a directory)"]
+    opened.path(WHO).rmdir()
+    opened.save(record(1))
+    monkeypatch.setattr(store, "MAX_BYTES", 100)
+    assert "larger than" in str(versions(opened)[0])
+
+
+def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert default_folder() == tmp_path / "adaptive-contact"
+    monkeypatch.setenv("XDG_STATE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert default_folder() == tmp_path / ".local/state/adaptive-contact"
