@@ -7,8 +7,10 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.adapt.advance import advance
 from adaptive_contact.adapt.baseline import Baseline
-from adaptive_contact.adapt.learner import ContactLearner, advance
+from adaptive_contact.adapt.learner import ContactLearner
+from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
@@ -24,16 +26,20 @@ class LearnerBank:
     Args:
         robot: its description.
         baseline: what is known of its legs' free motion.
+        refitter: does the sparse refits and cold starts; in line where absent.
 
     Raises:
         BaselineError: the baseline belongs to another robot.
     """
 
-    def __init__(self, robot: Robot, baseline: Baseline | None = None) -> None:
+    def __init__(
+        self, robot: Robot, baseline: Baseline | None = None, *, refitter: Refitter | None = None
+    ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
         self.robot = robot
         self.baseline = baseline
+        self._refitter = refitter or InlineRefitter()
         self._learners: dict[str, ContactLearner] = {}
 
     @property
@@ -63,7 +69,7 @@ class LearnerBank:
                 return None
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
-        self._learners[leg] = ContactLearner(robot, leg, self.baseline)
+        self._learners[leg] = ContactLearner(robot, leg, self.baseline, refitter=self._refitter)
         return self._learners[leg]
 
     def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:

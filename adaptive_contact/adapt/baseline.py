@@ -32,6 +32,7 @@ __all__ = [
     "parse_baseline",
     "save_baseline",
     "shipped_baseline",
+    "thresholds_of",
 ]
 
 Array = NDArray[np.float64]
@@ -79,8 +80,7 @@ class Baseline:
 
         The rate is split evenly over the windows, which can only make alarms rarer.
         """
-        per_tick = false_alarms_per_hour / ROBOT_HOUR_TICKS / len(self.tails)
-        return np.array([t.quantile(min(per_tick, t.rate)) for t in self.tails])
+        return thresholds_of(self.tails, false_alarms_per_hour)
 
     def check_fits(self, robot: Robot) -> None:
         """Refuse a baseline of another robot.
@@ -108,6 +108,12 @@ class Baseline:
                     f"the baseline was learned at {known.model.library.period_s} s per tick, the "
                     f"robot runs at {robot.period_s} s; fit a baseline at this rate"
                 )
+
+
+def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Array:
+    """(windows,) thresholds from tails, see :meth:`Baseline.thresholds`."""
+    per_tick = false_alarms_per_hour / ROBOT_HOUR_TICKS / len(tails)
+    return np.array([t.quantile(min(per_tick, t.rate)) for t in tails])
 
 
 class _LegFile(msgspec.Struct, forbid_unknown_fields=True):

@@ -19,8 +19,10 @@ from scipy import stats
 
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.challenger import Challenger
 from adaptive_contact.adapt.directions import core_support, drift_directions
-from adaptive_contact.adapt.refit import Refitter, RefitJob
+from adaptive_contact.adapt.kinds import kind_of_change
+from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.snapshot import (
     FORMAT,
@@ -31,7 +33,7 @@ from adaptive_contact.adapt.snapshot import (
     segment_of,
     unpack_segment,
 )
-from adaptive_contact.identify import FitStatus, LegModel
+from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 from adaptive_contact.wire import DriftLevel, RefitCounts, Status
 
@@ -54,20 +56,17 @@ SETTLED_LEVEL: Final = 2.5
 # Swings after which a leg that will not settle is called ambiguous, or taken for noisier.
 PATIENCE_SWINGS: Final = 20
 LOOSEN_EVERY: Final = 5
+# A foot that does not rise in so many swings in a row is held by something.
+HELD_SWINGS: Final = 2
+# A baseline whose very first lifts are all further off than this (five times the noise) is of
+# another leg; a leg that merely changed overnight is followed instead.
+UNFIT_LEVEL: Final = 25.0
+UNFIT_LIFTS: Final = 3
 # The baseline is taken up again when it has been this much better for so many lifts.
 RETURN_RATIO: Final = 0.6
 RETURN_SWINGS: Final = 3
 # A term never moves a tick by more than this; the fastest servos make 0.5 rad in one.
 MAX_TERM_RAD: Final = 2.0
-REFIT_EVERY_SWINGS: Final = 20
-REFIT_DUE_TICKS: Final = 50
-# A refit holds on to the model in force with the weight of so many rows per term.
-PRIOR_ROWS: Final = 20.0
-TRIAL_ROWS: Final = 200
-# A candidate must predict the trial's rows better than the champion did before learning them, by
-# so many standard errors of the paired difference.
-PROMOTE_ERRORS: Final = 3.0
-MIN_ROWS_PER_TERM: Final = 4
 
 
 class LearnerMode(enum.StrEnum):
@@ -78,14 +77,6 @@ class LearnerMode(enum.StrEnum):
     REFIT = "refit"
     RLS = "rls"
     FULL = "full"
-
-
-@dataclasses.dataclass
-class _Trial:
-    """A candidate being compared on rows neither has seen."""
-
-    coefficients: Array
-    gains: list[float] = dataclasses.field(default_factory=list)
 
 
 class Follower:
@@ -108,7 +99,6 @@ class Follower:
         self._leg = leg
         self._baseline = known.model
         self._noise = known.noise.rms
-        self._refitter = refitter
         self._scale = known.scale
         self._rls = self._recursion(known.model)
         self._swing_level: float | None = None
@@ -122,13 +112,10 @@ class Follower:
         self._better_baseline = 0
         self._era = 0
         self._loose_swings = 0
-        self._swings_since_refit = 0
-        self._refits = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
-        self._reason: str | None = None
-        self._pending: tuple[int, int] | None = None  # job, ticks to go
-        self._jobs = 0
-        self._trial: _Trial | None = None
-        self._lifts_missing = 0
+        self._challenger = Challenger(leg, self._noise, self._scale, refitter)
+        self._held_swings = 0
+        self._lifts = self._lifts_far = 0
+        self._kind: str | None = None
 
     # -- what the detector asks -------------------------------------------------------------------
 
@@ -159,12 +146,12 @@ class Follower:
     @property
     def drift(self) -> DriftLevel:
         """For the status."""
-        return DriftLevel(level=self.level, since_ns=self._since_ns)
+        return DriftLevel(level=self.level, since_ns=self._since_ns, kind=self._kind)
 
     @property
     def refits(self) -> RefitCounts:
         """For the status."""
-        return RefitCounts(**self._refits, last_reason=self._reason)
+        return self._challenger.counts
 
     # -- what the learner tells -------------------------------------------------------------------
 
@@ -191,6 +178,8 @@ class Follower:
         joints = len(self._noise)
         kept = levels[: max(1, len(levels) - 1)]  # one wild reading is no change
         level = float(kept.mean())
+        self._lifts += 1
+        self._lifts_far += level > UNFIT_LEVEL
         dof = joints * len(kept)
         limit = DOUBT_SLACK * float(stats.chi2.isf(DOUBT_PROBABILITY, dof)) / dof
         if level > limit * self.level:
@@ -205,12 +194,39 @@ class Follower:
         """The confirmed part of a descent."""
         self._confirm(rows, region)
 
+    def foot_held(self, held: bool) -> None:
+        """Tell whether the foot failed to rise with its command in the swing that ends.
+
+        A foot that is caught and a leg that has lost its strength look alike; neither is learned.
+        """
+        self._held_swings = self._held_swings + 1 if held else 0
+        if self._held_swings >= HELD_SWINGS:
+            self.status = "ambiguous"
+        elif self.status == "ambiguous" and not held and self._swings_adapting == 0:
+            self.status = "valid"
+
+    @property
+    def unfit(self) -> bool:
+        """Whether the baseline was never this leg's: its first lifts were all far off."""
+        return self._lifts_far >= UNFIT_LIFTS and self._lifts_far == self._lifts
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person, None when all is well."""
+        if self._held_swings >= HELD_SWINGS:
+            return f"the foot did not rise in {self._held_swings} swings: caught, or no strength"
+        if self.status == "ambiguous":
+            return (
+                f"lifts stay {self.level**0.5:.1f} times as far from the model as they should: "
+                "a lasting change, or a foot that drags"
+            )
+        return None
+
     def swing_done(self) -> None:
         """A swing has been resolved."""
         self._loose_swings = max(0, self._loose_swings - 1)
-        self._swings_since_refit += 1
         if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
-            self._request()
+            self._challenger.swing_done(self.model, self.buffer, self._era)
 
     def tick(self, budget: int) -> None:
         """Once per control tick: learn a few rows, collect a result that is due."""
@@ -220,12 +236,7 @@ class Follower:
                 self._compare(row)
                 self._rls.update(row.theta, row.target)
             self._publish()
-        if self._pending is not None:
-            job, wait = self._pending
-            if wait > 0:
-                self._pending = (job, wait - 1)
-            else:
-                self._collect(job)
+        self._challenger.tick()
 
     def snapshot(self) -> dict[str, Any]:
         """What has been learned, for :meth:`restore`."""
@@ -241,8 +252,7 @@ class Follower:
             "since_ns": self._since_ns,
             "era": self._era,
             "loose_swings": self._loose_swings,
-            "refits": dict(self._refits),
-            "reason": self._reason,
+            "refits": self._challenger.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
         }
 
@@ -283,10 +293,7 @@ class Follower:
         self.level, self._era, self.status = level, era, status
         self._loose_swings = int(saved.get("loose_swings", 0))
         self._since_ns = None  # of another clock, perhaps
-        for name, count in dict(saved.get("refits", {})).items():
-            if name in self._refits and isinstance(count, int):
-                self._refits[name] = count
-        self._reason = saved.get("reason")
+        self._challenger.restore(saved.get("refits"))
         self.buffer.restore(segments)
         return None
 
@@ -301,7 +308,7 @@ class Follower:
             self._doubted_ns = t_ns
             return
         if self.status != "adapting" or self._swings_adapting >= LOOSEN_EVERY:
-            self._change(self._doubted_ns)
+            self._change([*self._doubted, *rows], self._doubted_ns)
         self._swings_adapting += 1
         self.level = self._swing_level**0.5
         self._accept([*self._doubted, *rows], level, region)
@@ -309,17 +316,20 @@ class Follower:
         if self._swings_adapting > PATIENCE_SWINGS:
             self.status = "ambiguous"
 
-    def _change(self, since_ns: int) -> None:
+    def _change(self, rows: list[Row], since_ns: int) -> None:
         """Something about the leg has changed: let the recursion move."""
         if self.status != "adapting":
             self._since_ns = since_ns
+            theta = np.array([row.theta for row in rows])
+            residual = np.array([row.target for row in rows]) - theta @ self.model.coefficients
+            self._kind = kind_of_change(theta, residual, self.model, self._noise)
         self.status = "adapting"
         self._swings_adapting = 0
         self._era += 1
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
             self._loose_swings = PATIENCE_SWINGS
             self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
-        self._trial, self._pending = None, None
+        self._challenger.withdraw()
 
     def _accept(self, rows: list[Row], level: float, region: int) -> None:
         share = LEVEL_SHARE_ADAPTING if self.status == "adapting" else LEVEL_SHARE
@@ -344,7 +354,7 @@ class Follower:
         patient = self._swings_adapting > PATIENCE_SWINGS
         if self._settled >= SETTLED_SWINGS or patient:
             self.status = "valid"
-            self._since_ns = None
+            self._since_ns = self._kind = None
             self._swings_adapting = 0
 
     def _consider_baseline(self, rows: list[Row]) -> None:
@@ -359,11 +369,17 @@ class Follower:
         self._better_baseline = 0
         self._rls = self._recursion(self._baseline)
         self._queue.clear()
-        self._refits["rolled_back"] += 1
-        self._reason = f"rolled back: the baseline fits {RETURN_SWINGS} lifts better"
+        self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self._publish()
         self.level = 1.0
         self._era += 1
+
+    def _compare(self, row: Row) -> None:
+        """Let a candidate, if there is one, be tried on a row before it is learned."""
+        promoted = self._challenger.compare(row, self.model)
+        if promoted is not None:
+            self.model = promoted
+            self._rls = self._recursion(promoted)
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:
         theta = np.array([row.theta for row in rows])
@@ -379,68 +395,8 @@ class Follower:
         coefficients = self._rls.coefficients
         if not np.isfinite(coefficients).all():
             self._rls = self._recursion(self._baseline)
-            self._refits["rolled_back"] += 1
-            self._reason = "rolled back: a coefficient was not finite"
+            self._challenger.rolled_back("a coefficient was not finite")
             coefficients = self._rls.coefficients
         self.model = dataclasses.replace(
             self.model, coefficients=coefficients, version=max(1, self.model.version)
         )
-
-    # -- refits -----------------------------------------------------------------------------------
-
-    def _request(self) -> None:
-        if (
-            self._pending is not None
-            or self._trial is not None
-            or self._swings_since_refit < REFIT_EVERY_SWINGS
-        ):
-            return
-        p, joints = self.model.coefficients.shape
-        fit, held_out = self.buffer.factors(p, joints, era=self._era)
-        if fit.rows < MIN_ROWS_PER_TERM * p:
-            return
-        self._swings_since_refit = 0
-        self._jobs += 1
-        # A minute of one gait does not span the workspace: what it does not excite stays as it is.
-        prior = np.diag(self._scale * PRIOR_ROWS**0.5)
-        fit.add(prior, prior @ self.model.coefficients)
-        self._refitter.submit(RefitJob(self._leg, self._jobs, fit, held_out, self._noise))
-        self._pending = (self._jobs, REFIT_DUE_TICKS)
-
-    def _collect(self, job: int) -> None:
-        result = self._refitter.collect(self._leg, job)
-        if result is None:
-            return
-        self._pending = None
-        if result.status is not FitStatus.OK:
-            self._refuse(f"refused: the fit ended with '{result.status}'")
-            return
-        self._trial = _Trial(result.coefficients)
-
-    def _compare(self, row: Row) -> None:
-        trial = self._trial
-        if trial is None:
-            return
-        champion = (row.target - row.theta @ self.model.coefficients) / self._noise
-        candidate = (row.target - row.theta @ trial.coefficients) / self._noise
-        gain = np.minimum(np.square(champion), 25.0) - np.minimum(np.square(candidate), 25.0)
-        trial.gains.append(float(gain.mean()))
-        if len(trial.gains) < TRIAL_ROWS:
-            return
-        self._trial = None
-        mean = float(np.mean(trial.gains))
-        errors = mean / max(float(np.std(trial.gains)) / len(trial.gains) ** 0.5, 1e-12)
-        words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
-        if errors < PROMOTE_ERRORS:
-            self._refuse(f"refused: {words}")
-            return
-        self.model = dataclasses.replace(
-            self.model, coefficients=trial.coefficients, version=self.model.version + 1
-        )
-        self._rls = self._recursion(self.model)
-        self._refits["promoted"] += 1
-        self._reason = f"promoted: {words}"
-
-    def _refuse(self, reason: str) -> None:
-        self._refits["refused"] += 1
-        self._reason = reason

@@ -10,14 +10,16 @@ free will be learned there (design, section 7).
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter, deque
-from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.baseline import Baseline, LegBaseline, unlike
+from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.baseline import Baseline, LegBaseline, thresholds_of, unlike
+from adaptive_contact.adapt.coldstart import ColdResult, ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.segments import Row, SwingBook
@@ -26,11 +28,11 @@ from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS, Tracker
 from adaptive_contact.detect import (
     ContactState,
     Decision,
+    Tail,
     context_of,
     onset_fraction,
-    statistic,
 )
-from adaptive_contact.identify import LegModel
+from adaptive_contact.identify import LegModel, leg_library
 from adaptive_contact.robot import Leg, Robot, height
 from adaptive_contact.robot.phase import Direction, PhaseTracker
 from adaptive_contact.wire import (
@@ -47,12 +49,16 @@ from adaptive_contact.wire import (
     Status,
 )
 
-__all__ = ["ContactLearner", "advance"]
+__all__ = ["ContactLearner"]
 
 Array = NDArray[np.float64]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
+# A command that lifts less says nothing of whether the foot follows; one that is followed by less
+# than this share of it is not followed (a free foot lags, but reaches more than two thirds).
+LEAST_RISE_M: Final = 0.015
+HELD_SHARE: Final = 0.3
 # Free residuals remembered for the status, about the swings of the last ten seconds.
 STATUS_TICKS: Final = 256
 
@@ -86,6 +92,8 @@ class ContactLearner:
         self.robot = robot
         self.leg: Leg = robot.leg(leg)
         self._note: str | None = None
+        self._mode = mode
+        self._refitter = refitter or InlineRefitter()
         self._known = self._choose(baseline)
         self._origin = None if baseline is None else baseline.origin
         self._guard = StreamGuard(len(self.leg.joints))
@@ -114,11 +122,15 @@ class ContactLearner:
         self._rising_foot = False
         self._measured_height = 0.0
         self._swing_open = False
+        self._lowest = self._commanded_low = 0.0
+        self._commanded_rise = self._measured_rise = 0.0
+        self._cold: ColdStart | None = None
+        self._cold_job: int | None = None
         if self._known is not None:
             assert baseline is not None
-            self.tracker = Tracker(self._known.model, self._quantum)
-            self.thresholds = baseline.thresholds(robot.detector.false_alarms_per_hour)
-            self._follower = Follower(leg, self._known, mode, refitter or InlineRefitter())
+            self._begin(self._known, baseline.tails)
+        elif mode is not LearnerMode.FROZEN:
+            self._cold = self._cold_start()
 
     # -- public --------------------------------------------------------------------------------
 
@@ -261,6 +273,15 @@ class ContactLearner:
         self._t_ns = sample.t_ns
         self._connect(result, sample)
         self._follow_phase(sample)
+        if self._cold is not None:
+            if result.restart or result.missed:
+                self._cold.interrupt()
+            self._cold.add(
+                sample.measured,
+                sample.desired,
+                swing=self._swing_ticks > 0,
+                sound=sample.valid is None or all(sample.valid),
+            )
         return True
 
     def observe(self, sample: ServoSample) -> bool:
@@ -278,6 +299,8 @@ class ContactLearner:
             now = height(sample.measured, self.leg.lengths_m, self._axes)
             self._rising_foot = now > self._measured_height
             self._measured_height = now
+            self._measured_rise = max(self._measured_rise, now - self._lowest)
+            self._commanded_rise = max(self._commanded_rise, self._height - self._commanded_low)
         judged = judged and self._swing_ticks > 1
         if judged and self._follower is not None and tracker.theta is not None:
             self._unit = self._follower.variance(tracker.theta)
@@ -334,12 +357,56 @@ class ContactLearner:
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""
+        if self._cold is not None:
+            self._try_cold()
         if self._follower is None or self.tracker is None or not self._follower.learning:
             return
         self._follower.tick(ROWS_PER_TICK)
         self.tracker.model = self._follower.model
+        if self._follower.unfit:
+            self._forget_baseline()
 
     # -- private -------------------------------------------------------------------------------
+
+    def _begin(self, known: LegBaseline, tails: tuple[Tail, ...], version: int = 0) -> None:
+        """Detect and follow from here on."""
+        model = dataclasses.replace(known.model, version=version)
+        known = dataclasses.replace(known, model=model)
+        self._known, self._note = known, None
+        self.tracker = Tracker(model, self._quantum)
+        self.thresholds = thresholds_of(tails, self.robot.detector.false_alarms_per_hour)
+        self._follower = Follower(self.leg.id, known, self._mode, self._refitter)
+
+    def _cold_start(self) -> ColdStart:
+        return ColdStart(self.leg, leg_library(self.robot, self.leg), self._quantum)
+
+    def _try_cold(self) -> None:
+        """Hand in a first fit when it is time, and take its result when it is there."""
+        assert self._cold is not None
+        if self._cold_job is None:
+            job = self._cold.job()
+            if job is not None:
+                self._cold_job = job.number
+                self._refitter.submit(job)
+            return
+        result = self._refitter.collect(self.leg.id, self._cold_job)
+        if result is None:
+            return
+        assert isinstance(result, ColdResult)
+        self._cold_job = None
+        self._note = result.reason
+        if result.known is not None:
+            self._origin = f"cold start: {result.reason}"
+            self._begin(result.known, prior_tails(len(self.leg.joints)), version=1)
+            self._cold = None
+
+    def _forget_baseline(self) -> None:
+        """The baseline was never this leg's: start cold, and say so."""
+        self._known = self._follower = self.tracker = None
+        self._origin = None
+        self._state.reset()
+        self._note = "the baseline does not fit this leg: learning it anew"
+        self._cold = self._cold_start()
 
     def _enter(self, distance: float, sample: ServoSample, *, calm: bool) -> None:
         """Enter the tick in the swing's book, and hand on what the book releases."""
@@ -377,6 +444,8 @@ class ContactLearner:
             return
         self._swing_open = False
         self._confirm(self._book.resolve())
+        if self._commanded_rise > LEAST_RISE_M:
+            self._follower.foot_held(self._measured_rise < HELD_SHARE * self._commanded_rise)
         self._follower.swing_done()
 
     def _connect(self, result: Accepted, sample: ServoSample) -> None:
@@ -418,6 +487,9 @@ class ContactLearner:
         if self._swing_ticks == 1:
             self._resolve()
             self._swing_open = True
+            self._lowest = self._measured_height
+            self._commanded_low = self._height
+            self._commanded_rise = self._measured_rise = 0.0
             self._book.begin(sample.t_ns)
             if self._follower is not None:
                 self._follower.begin_swing()
@@ -464,7 +536,7 @@ class ContactLearner:
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
         if baseline is None:
-            self._note = "no baseline: record free swings and run `adaptive-contact fit`"
+            self._note = "no baseline: learning from the swings as they come"
             return None
         known = baseline.legs.get(self.leg.id)
         if known is None:
@@ -475,6 +547,8 @@ class ContactLearner:
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person."""
+        if self._follower is not None and self._follower.note is not None:
+            return self._follower.note
         if self._counts["no_phase"] and self._phase is None:
             return (
                 "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
@@ -483,70 +557,3 @@ class ContactLearner:
         if self._counts["no_preview"]:
             return "the model needs a preview that the samples do not carry: no predictions"
         return None
-
-
-def advance(
-    work: Sequence[tuple[ContactLearner, ServoSample]],
-) -> list[ContactEvent | None]:
-    """Take several learners one sample further, each with its own.
-
-    Args:
-        work: learners, each at most once, with the sample that is next for it.
-
-    Returns:
-        The event of each, or None.
-    """
-    events: list[ContactEvent | None] = [None] * len(work)
-    admitted = [i for i, (learner, sample) in enumerate(work) if learner.admit(sample)]
-    judged = [i for i in admitted if work[i][0].observe(work[i][1])]
-    said = dict(zip(judged, _statistics([work[i][0] for i in judged]), strict=True))
-    ready: list[Tracker] = []
-    for i in admitted:
-        learner, sample = work[i]
-        value, distance = said.get(i, (None, 0.0))
-        events[i] = learner.decide(value, distance, sample)
-        if learner.command(sample):
-            assert learner.tracker is not None
-            ready.append(learner.tracker)
-        elif learner.tracker is not None:
-            learner.tracker.predicted = False
-        learner.learn()
-    _predict(ready)
-    return events
-
-
-def _statistics(learners: Sequence[ContactLearner]) -> list[tuple[Array, float]]:
-    """Value (windows,) and distance for each learner; those with as many joints go together."""
-    if not learners:
-        return []
-    trackers = [learner.tracker for learner in learners]
-    assert all(t is not None for t in trackers)
-    if len({t.residuals.shape for t in trackers if t is not None}) > 1:
-        return [value for learner in learners for value in _statistics([learner])]
-    said = statistic(
-        np.stack([t.residuals for t in trackers if t is not None]),
-        np.stack([t.increments for t in trackers if t is not None]),
-        np.stack([learner.whitening for learner in learners]),
-        np.array([t.usable for t in trackers if t is not None]),
-    )
-    return list(zip(said.value, said.distance.tolist(), strict=True))
-
-
-def _predict(trackers: Sequence[Tracker]) -> None:
-    """Predict the next tick of each; legs with the same library go together."""
-    if not trackers:
-        return
-    first = trackers[0].model.library
-    if any(t.model.library is not first and t.model.library != first for t in trackers[1:]):
-        for tracker in trackers:
-            _predict([tracker])
-        return
-    theta = first.evaluate(
-        np.stack([t.measured for t in trackers]),
-        np.stack([t.desired for t in trackers]),
-        np.stack([t.preview for t in trackers]),
-    )
-    coefficients = np.stack([t.model.coefficients for t in trackers])
-    increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
-    for tracker, row, increment in zip(trackers, theta, increments, strict=True):
-        tracker.foresee(row, increment)

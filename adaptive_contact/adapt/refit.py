@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.identify import Factor, FitSettings, FitStatus, fit_sparse
 
-__all__ = ["InlineRefitter", "RefitJob", "RefitResult", "Refitter", "refit"]
+__all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refit"]
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,10 @@ class RefitJob:
     held_out: Factor
     noise: Array
 
+    def run(self) -> RefitResult:
+        """Fit a sparse model, λ and support chosen on the held-out segments."""
+        return refit(self)
+
 
 @dataclasses.dataclass(frozen=True)
 class RefitResult:
@@ -59,13 +63,28 @@ class RefitResult:
     held_out: float
 
 
-class Refitter(Protocol):
-    """Who does refits."""
+class Job(Protocol):
+    """Work on numbers alone, that can be done anywhere: a refit, or a cold start."""
 
-    def submit(self, job: RefitJob) -> None:
+    @property
+    def leg(self) -> str:
+        """Whose."""
+
+    @property
+    def number(self) -> int:
+        """Which of that leg's."""
+
+    def run(self) -> object:
+        """Do it."""
+
+
+class Refitter(Protocol):
+    """Who does jobs."""
+
+    def submit(self, job: Job) -> None:
         """Take a job; never blocks."""
 
-    def collect(self, leg: str, number: int) -> RefitResult | None:
+    def collect(self, leg: str, number: int) -> object | None:
         """The result, or None while there is none; never blocks."""
 
 
@@ -73,16 +92,16 @@ class InlineRefitter:
     """Does a job when its result is asked for."""
 
     def __init__(self) -> None:
-        self._jobs: dict[tuple[str, int], RefitJob] = {}
+        self._jobs: dict[tuple[str, int], Job] = {}
 
-    def submit(self, job: RefitJob) -> None:
+    def submit(self, job: Job) -> None:
         """Keep the job."""
         self._jobs[job.leg, job.number] = job
 
-    def collect(self, leg: str, number: int) -> RefitResult | None:
+    def collect(self, leg: str, number: int) -> object | None:
         """Do it."""
         job = self._jobs.pop((leg, number), None)
-        return None if job is None else refit(job)
+        return None if job is None else job.run()
 
 
 def refit(job: RefitJob) -> RefitResult:

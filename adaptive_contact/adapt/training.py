@@ -35,7 +35,7 @@ from adaptive_contact.identify import (
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.phase import directions
 
-__all__ = ["LegFigures", "Stretch", "Training", "learn", "swing_ticks"]
+__all__ = ["LegFigures", "Stretch", "Training", "learn", "learn_leg", "swing_ticks"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -157,7 +157,7 @@ def learn(
             continue
         progress(leg.id)
         terms = leg_library(robot, leg, library, window)
-        legs[leg.id], figures[leg.id], values = _learn_leg(
+        legs[leg.id], figures[leg.id], values = learn_leg(
             leg, terms, stretches, robot.quantum(leg.id), threshold
         )
         statistics.append(values)
@@ -171,13 +171,28 @@ def learn(
     return Training(baseline, figures)
 
 
-def _learn_leg(
+def learn_leg(
     leg: Leg,
     library: Library,
     stretches: Sequence[Stretch],
     quantum_rad: float,
     threshold: float | None,
 ) -> tuple[LegBaseline, LegFigures, Array]:
+    """Learn one leg.
+
+    Args:
+        leg: its description.
+        library: the terms to choose from.
+        stretches: its samples.
+        quantum_rad: position step of its servos.
+        threshold: λ in units of the residual; chosen on held-out swings where None.
+
+    Returns:
+        What is known then, how good it is, and (n, windows) of the statistic on free ticks.
+
+    Raises:
+        IdentificationError: there is too little to learn from.
+    """
     rows = _rows(leg, library, stretches, quantum_rad)
     if len(rows.target) < 4 * library.size:
         raise IdentificationError(

@@ -180,7 +180,8 @@ def _explain(name: str, device: str, error: serial.SerialException) -> str:
             f"port {name}: {device} is in use by another program; end that one (`fuser {device}` "
             "names it)"
         )
-    if code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR, errno.EIO, errno.ENXIO):
+    unfit = code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR, errno.EIO, errno.ENXIO)
+    if unfit or "Could not configure port" in str(error):
         return (
             f"port {name}: {device} is no serial port that can be used; expected one such as "
             "/dev/ttyUSB0"

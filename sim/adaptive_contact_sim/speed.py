@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.learner import advance
+from adaptive_contact.adapt.advance import advance
 from adaptive_contact.identify import Factor, FitSettings, fit_sparse, leg_library, stack
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.arrays import Run

@@ -37,8 +37,14 @@ P1_INSTRUCTIONS = [
         "1E 04 00 10 00 50 01 01 20 02 60 03",
         "FF FF FE 0E 83 1E 04 00 10 00 50 01 01 20 02 60 03 67",
     ),
-    ("bulk read", ALL, I.BULK_READ, "00 02 01 1E 02 02 24", "FF FF FE 09 92 00 02 01 1E 02 02 24 1D"),
-]  # fmt: skip
+    (
+        "bulk read",
+        ALL,
+        I.BULK_READ,
+        "00 02 01 1E 02 02 24",
+        "FF FF FE 09 92 00 02 01 1E 02 02 24 1D",
+    ),
+]
 P1_STATUS = [
     ("ping", 1, 0, "", "FF FF 01 02 00 FC"),
     ("temperature 32", 1, 0, "20", "FF FF 01 03 00 20 DB"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.learner import advance
+from adaptive_contact.adapt.advance import advance
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, ServoSample

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+
 from adaptive_contact_sim.trials.recording import key_of, made
 from adaptive_contact_sim.trials.replay import (
     load_replay,

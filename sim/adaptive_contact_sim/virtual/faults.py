@@ -19,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterable
-from typing import Final, Literal, get_args
+from typing import Final, Literal, cast, get_args
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def parse_fault(text: str) -> FaultSpec:
         )
     start = float(match["start"] or 0.0)
     spec = FaultSpec(
-        kind=match["kind"],
+        kind=cast(FaultKind, match["kind"]),
         start_s=start,
         end_s=start + float(match["length"]) if match["length"] else float("inf"),
     )

@@ -1,0 +1,90 @@
+"""Several learners one sample further, their libraries and statistics evaluated together.
+
+This is what makes six legs cost little more than one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.tracker import Tracker
+from adaptive_contact.detect import statistic
+from adaptive_contact.wire import ContactEvent, ServoSample
+
+if TYPE_CHECKING:
+    from adaptive_contact.adapt.learner import ContactLearner
+
+__all__ = ["advance"]
+
+Array = NDArray[np.float64]
+
+
+def advance(
+    work: Sequence[tuple[ContactLearner, ServoSample]],
+) -> list[ContactEvent | None]:
+    """Take several learners one sample further, each with its own.
+
+    Args:
+        work: learners, each at most once, with the sample that is next for it.
+
+    Returns:
+        The event of each, or None.
+    """
+    events: list[ContactEvent | None] = [None] * len(work)
+    admitted = [i for i, (learner, sample) in enumerate(work) if learner.admit(sample)]
+    judged = [i for i in admitted if work[i][0].observe(work[i][1])]
+    said = dict(zip(judged, _statistics([work[i][0] for i in judged]), strict=True))
+    ready: list[Tracker] = []
+    for i in admitted:
+        learner, sample = work[i]
+        value, distance = said.get(i, (None, 0.0))
+        events[i] = learner.decide(value, distance, sample)
+        if learner.command(sample):
+            assert learner.tracker is not None
+            ready.append(learner.tracker)
+        elif learner.tracker is not None:
+            learner.tracker.predicted = False
+        learner.learn()
+    _predict(ready)
+    return events
+
+
+def _statistics(learners: Sequence[ContactLearner]) -> list[tuple[Array, float]]:
+    """Value (windows,) and distance for each learner; those with as many joints go together."""
+    if not learners:
+        return []
+    trackers = [learner.tracker for learner in learners]
+    assert all(t is not None for t in trackers)
+    if len({t.residuals.shape for t in trackers if t is not None}) > 1:
+        return [value for learner in learners for value in _statistics([learner])]
+    said = statistic(
+        np.stack([t.residuals for t in trackers if t is not None]),
+        np.stack([t.increments for t in trackers if t is not None]),
+        np.stack([learner.whitening for learner in learners]),
+        np.array([t.usable for t in trackers if t is not None]),
+    )
+    return list(zip(said.value, said.distance.tolist(), strict=True))
+
+
+def _predict(trackers: Sequence[Tracker]) -> None:
+    """Predict the next tick of each; legs with the same library go together."""
+    if not trackers:
+        return
+    first = trackers[0].model.library
+    if any(t.model.library is not first and t.model.library != first for t in trackers[1:]):
+        for tracker in trackers:
+            _predict([tracker])
+        return
+    theta = first.evaluate(
+        np.stack([t.measured for t in trackers]),
+        np.stack([t.desired for t in trackers]),
+        np.stack([t.preview for t in trackers]),
+    )
+    coefficients = np.stack([t.model.coefficients for t in trackers])
+    increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
+    for tracker, row, increment in zip(trackers, theta, increments, strict=True):
+        tracker.foresee(row, increment)

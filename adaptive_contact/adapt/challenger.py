@@ -1,0 +1,144 @@
+"""Sparse refits against the model in force: asked for, tried on new ticks, promoted or refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.refit import RefitJob, RefitResult, Refitter
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.identify import FitStatus, LegModel
+from adaptive_contact.wire import RefitCounts
+
+__all__ = ["Challenger"]
+
+Array = NDArray[np.float64]
+
+REFIT_EVERY_SWINGS: Final = 20
+# Ticks after its snapshot at which a result takes effect, so that a replay, which waits for it,
+# gives the same events as the live run, which does not.
+REFIT_DUE_TICKS: Final = 50
+# A minute of one gait does not span the workspace: a refit holds on to the model in force with the
+# weight of so many rows per term.
+PRIOR_ROWS: Final = 20.0
+MIN_ROWS_PER_TERM: Final = 4
+# New ticks on which candidate and champion are compared, the champion before it learns them.
+TRIAL_ROWS: Final = 200
+# The candidate must be better by so many standard errors of the paired difference.
+PROMOTE_ERRORS: Final = 3.0
+
+
+class Challenger:
+    """The refits of one leg.
+
+    Args:
+        leg: its id.
+        noise: (J,) rad.
+        scale: (p,) typical size of each regressor.
+        refitter: does the work.
+    """
+
+    def __init__(self, leg: str, noise: Array, scale: Array, refitter: Refitter) -> None:
+        self._leg = leg
+        self._noise = noise
+        self._scale = scale
+        self._refitter = refitter
+        self._swings = 0
+        self._jobs = 0
+        self._pending: tuple[int, int] | None = None  # job, ticks to go
+        self._candidate: Array | None = None
+        self._gains: list[float] = []
+        self._tally = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
+        self._reason: str | None = None
+
+    @property
+    def counts(self) -> RefitCounts:
+        """For the status."""
+        return RefitCounts(**self._tally, last_reason=self._reason)
+
+    def swing_done(self, model: LegModel, buffer: SlidingBuffer, era: int) -> None:
+        """Ask for a refit when it is time and there is enough to fit to."""
+        self._swings += 1
+        if self._pending or self._candidate is not None or self._swings < REFIT_EVERY_SWINGS:
+            return
+        p, joints = model.coefficients.shape
+        fit, held_out = buffer.factors(p, joints, era=era)
+        if fit.rows < MIN_ROWS_PER_TERM * p:
+            return
+        prior = np.diag(self._scale * PRIOR_ROWS**0.5)
+        fit.add(prior, prior @ model.coefficients)
+        self._swings = 0
+        self._jobs += 1
+        self._refitter.submit(RefitJob(self._leg, self._jobs, fit, held_out, self._noise))
+        self._pending = (self._jobs, REFIT_DUE_TICKS)
+
+    def tick(self) -> None:
+        """Collect a result that is due."""
+        if self._pending is None:
+            return
+        job, wait = self._pending
+        if wait > 0:
+            self._pending = (job, wait - 1)
+            return
+        result = self._refitter.collect(self._leg, job)
+        if result is None:
+            return
+        self._pending = None
+        assert isinstance(result, RefitResult)
+        if result.status is not FitStatus.OK:
+            self._refuse(f"the fit ended with '{result.status}'")
+            return
+        self._candidate, self._gains = result.coefficients, []
+
+    def compare(self, row: Row, model: LegModel) -> LegModel | None:
+        """Try the candidate on a row that neither has seen; the new model if it has won."""
+        if self._candidate is None:
+            return None
+        champion = np.square((row.target - row.theta @ model.coefficients) / self._noise)
+        candidate = np.square((row.target - row.theta @ self._candidate) / self._noise)
+        # One wild reading must not decide.
+        gain = np.minimum(champion, 25.0) - np.minimum(candidate, 25.0)
+        self._gains.append(float(gain.mean()))
+        if len(self._gains) < TRIAL_ROWS:
+            return None
+        coefficients, self._candidate = self._candidate, None
+        mean = float(np.mean(self._gains))
+        errors = mean / max(float(np.std(self._gains)) / len(self._gains) ** 0.5, 1e-12)
+        words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
+        if errors < PROMOTE_ERRORS:
+            self._refuse(words)
+            return None
+        self._tally["promoted"] += 1
+        self._reason = f"promoted: {words}"
+        return dataclasses.replace(model, coefficients=coefficients, version=model.version + 1)
+
+    def withdraw(self) -> None:
+        """The leg has changed: what was fitted to its past is void."""
+        self._pending, self._candidate = None, None
+
+    def rolled_back(self, why: str) -> None:
+        """Count a return to an earlier model."""
+        self._tally["rolled_back"] += 1
+        self._reason = f"rolled back: {why}"
+
+    def snapshot(self) -> dict[str, object]:
+        """Counts, for :meth:`restore`."""
+        return {**self._tally, "reason": self._reason}
+
+    def restore(self, saved: object) -> None:
+        """Take over saved counts; what is none is left."""
+        if not isinstance(saved, dict):
+            return
+        for name in self._tally:
+            if isinstance(saved.get(name), int):
+                self._tally[name] = saved[name]
+        reason = saved.get("reason")
+        self._reason = reason if isinstance(reason, str) else None
+
+    def _refuse(self, why: str) -> None:
+        self._tally["refused"] += 1
+        self._reason = f"refused: {why}"

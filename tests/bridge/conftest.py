@@ -1,0 +1,157 @@
+"""Virtual buses in a thread, opened by the real DynamixelSDK."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adaptive_contact.bridge.plan import PortPlan, plan_ports
+from adaptive_contact.bridge.status import BridgeStatus
+from adaptive_contact.bridge.tables import models_named
+from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.wire import ServoSample
+from adaptive_contact_sim.virtual import (
+    FaultSchedule,
+    KinematicBackend,
+    VirtualPort,
+    VirtualServer,
+    VirtualServo,
+    parse_fault,
+)
+
+PERIOD_S = 0.02
+
+
+@dataclasses.dataclass
+class Rig:
+    """A robot on virtual ports, served by a thread."""
+
+    robot: Robot
+    plans: tuple[PortPlan, ...]
+    backend: KinematicBackend
+    faults: FaultSchedule
+    ports: tuple[VirtualPort, ...]
+
+    def fault(self, *texts: str) -> None:
+        """Put these faults in force, from now on, and no others."""
+        self.faults.switch([parse_fault(text) for text in texts])
+
+    def servo(self, servo: int) -> VirtualServo:
+        return next(s for port in self.ports for s in port.servos if s.id == servo)
+
+    @property
+    def requests(self) -> int:
+        return sum(port.requests for port in self.ports)
+
+
+class Catcher:
+    """An outlet that keeps everything, and can be waited on."""
+
+    def __init__(self) -> None:
+        self.ticks: list[dict[str, ServoSample]] = []
+        self.statuses: list[BridgeStatus] = []
+        self.lines: list[str] = []
+        self._changed = threading.Condition()
+
+    def samples(self, samples: Mapping[str, ServoSample]) -> None:
+        with self._changed:
+            self.ticks.append(dict(samples))
+            self._changed.notify_all()
+
+    def status(self, status: BridgeStatus) -> None:
+        with self._changed:
+            self.statuses.append(status)
+            self._changed.notify_all()
+
+    def say(self, line: str) -> None:
+        with self._changed:
+            self.lines.append(line)
+            self._changed.notify_all()
+
+    def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 10.0) -> None:
+        with self._changed:
+            assert self._changed.wait_for(lambda: true(self), timeout_s), (
+                f"not within {timeout_s} s: {len(self.ticks)} ticks, {self.lines}, "
+                f"{self.statuses[-1:]}"
+            )
+
+
+def robot_text(
+    directory: Path,
+    *,
+    legs: int = 2,
+    joints: int = 3,
+    model: str = "AX-12A",
+    protocol: int = 1,
+    ports: int = 1,
+    extra: str = "",
+) -> str:
+    lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
+    for p in range(ports):
+        lines.append(f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\n{extra}\n')
+    for i in range(legs):
+        ids = [i * joints + j + 1 for j in range(joints)]
+        names = [f"j{j}" for j in range(joints)]
+        lines.append(
+            f'[[leg]]\nid = "l{i}"\njoints = {names}\n'
+            f'servos = {{ ids = {ids}, model = "{model}", port = "p{i % ports}" }}\n'
+            f"limits = {{ lower_rad = {[-1.0] * joints}, upper_rad = {[1.0] * joints} }}\n"
+        )
+    return "\n".join(lines)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
+    """Makes rigs; their threads end with the test."""
+    stop = threading.Event()
+    threads: list[threading.Thread] = []
+    servers: list[VirtualServer] = []
+
+    def make(noise_steps: float = 0.0, wire_time: bool = False, **shape: Any) -> Rig:
+        robot = parse_robot(robot_text(tmp_path, **shape), source="rig")
+        plans = plan_ports(robot)
+        joints = [(plan, joint) for plan in plans for joint in plan.joints]
+        backend = KinematicBackend(len(joints))
+        rng = np.random.default_rng(7)
+        faults = FaultSchedule([], rng)
+        index = {joint.servo: i for i, (_, joint) in enumerate(joints)}
+        ports = tuple(
+            VirtualPort(
+                plan.name,
+                Path(plan.port.device),
+                [
+                    VirtualServo(
+                        joint.servo,
+                        models_named(joint.model.name)[0],
+                        backend,
+                        index[joint.servo],
+                        rng,
+                        noise_steps=noise_steps,
+                    )
+                    for joint in plan.joints
+                ],
+                faults,
+                wire_time=wire_time,
+            )
+            for plan in plans
+        )
+        server = VirtualServer(ports, backend)
+        server.__enter__()
+        servers.append(server)
+        thread = threading.Thread(target=server.run, args=(stop,), daemon=True)
+        thread.start()
+        threads.append(thread)
+        return Rig(robot, plans, backend, faults, ports)
+
+    yield make
+    stop.set()
+    for thread in threads:
+        thread.join(5.0)
+    for server in servers:
+        server.__exit__()

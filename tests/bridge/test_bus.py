@@ -1,0 +1,239 @@
+"""The bus over the real DynamixelSDK and a pseudo-terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.bridge.bus import Bus, Fault, Pong
+from adaptive_contact.bridge.port import PortLostError
+from adaptive_contact.bridge.tables import Block
+from adaptive_contact.errors import BusError
+from adaptive_contact.robot import Port
+
+AX = {"model": "AX-12A", "protocol": 1}
+XL = {"model": "XL330-M288", "protocol": 2}
+FAST = {**XL, "extra": "fast = true"}
+
+
+def opened(rig) -> Bus:
+    plan = rig.plans[0]
+    bus = Bus(plan.name, plan.port)
+    bus.open()
+    return bus
+
+
+def read_until(bus: Bus, ids: list[int], block: Block, deadline: float) -> None:
+    while time.monotonic() < deadline:
+        bus.read(ids, block)
+
+
+@pytest.mark.parametrize("kind", [AX, XL, FAST])
+def test_reads_every_servo(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    for i in range(6):
+        r.backend.place(i, 0.1 * i)
+    bus, joints = opened(r), r.plans[0].joints
+    block = joints[0].model.goal_and_motion
+    readings = bus.read([j.servo for j in joints], block)
+    for i, joint in enumerate(joints):
+        data = readings[joint.servo].data
+        assert data is not None
+        steps = block.part(data, joint.model.registers["present_position"])
+        assert joint.angle(steps) == pytest.approx(0.1 * i, abs=joint.model.step_rad)
+    bus.close()
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_pings_gets_and_puts(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    bus, model = opened(r), r.plans[0].joints[0].model
+    assert bus.ping(3) == Pong(model.number)
+    assert bus.ping(99) is None
+    assert bus.put(3, model.registers["torque_enable"], 1)
+    assert bus.get(3, model.registers["torque_enable"]) == 1
+    assert not bus.put(3, model.registers["model_number"], 5)  # read only: refused
+    assert bus.get(99, model.registers["id"]) is None
+    bus.close()
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_one_sync_write_reaches_all(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    bus, model = opened(r), r.plans[0].joints[0].model
+    goal = model.registers["goal_position"]
+    bus.put_all(model.registers["torque_enable"], dict.fromkeys(range(1, 7), 1))
+    bus.put_all(goal, {i: model.centre + 10 * i for i in range(1, 7)})
+    assert [bus.get(i, goal) for i in range(1, 7)] == [model.centre + 10 * i for i in range(1, 7)]
+    bus.close()
+
+
+@pytest.mark.parametrize("kind", [AX, XL, FAST])
+def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    bus, joints = opened(r), r.plans[0].joints
+    r.fault("silent:id=2")
+    readings = bus.read([j.servo for j in joints], joints[0].model.motion)
+    assert readings[2].fault is Fault.NO_ANSWER
+    assert all(readings[j.servo].data is not None for j in joints if j.servo != 2)
+    bus.close()
+
+
+@pytest.mark.parametrize("kind", [AX, XL, FAST])
+def test_flipped_bits_are_never_taken_for_data(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    for i in range(6):
+        r.backend.place(i, 0.3)
+    bus, joints = opened(r), r.plans[0].joints
+    register, block = joints[0].model.registers["present_position"], joints[0].model.motion
+    r.fault("flip:p=0.3")
+    good = faulty = 0
+    for _ in range(30):
+        for reading in bus.read([j.servo for j in joints], block, time.monotonic() + 1).values():
+            faulty += reading.fault is not None
+            if reading.data is not None:
+                good += 1
+                steps = block.part(reading.data, register)
+                # Protocol 1.0's one-byte sum lets no single flipped bit pass.
+                assert joints[0].angle(steps) == pytest.approx(0.3, abs=0.01)
+    assert good > 100
+    assert faulty > 10
+    bus.close()
+
+
+def test_error_bits_are_named(rig: Callable) -> None:
+    r = rig(**AX)
+    bus, joints = opened(r), r.plans[0].joints
+    r.fault("error:id=4,bits=overload|overheating")
+    readings = bus.read([j.servo for j in joints], joints[0].model.motion)
+    assert set(readings[4].alarms) == {"overload", "overheating"}
+    assert readings[4].data is not None
+    assert readings[3].alarms == ()
+    bus.close()
+
+
+def test_an_alert_of_protocol_2_is_asked_for(rig: Callable) -> None:
+    r = rig(**XL)
+    bus, joints = opened(r), r.plans[0].joints
+    r.fault("error:id=4,bits=overheating")
+    model = joints[0].model
+    assert bus.read([j.servo for j in joints], model.motion)[4].alarms == ("hardware",)
+    assert bus.hardware_alarms(4, model.registers["hardware_error"]) == ("overheating",)
+    bus.close()
+
+
+def test_an_error_without_data_is_no_index_error(rig: Callable) -> None:
+    r = rig(**AX)
+    bus = opened(r)
+    reading = bus.read([1], Block(48, 40))[1]  # beyond the table: error status without data
+    assert reading.fault is Fault.REFUSED
+    assert "range" in reading.alarms
+    bus.close()
+
+
+def test_a_late_answer_is_not_taken_for_another_servos(rig: Callable) -> None:
+    r = rig(**AX)
+    for i in range(6):
+        r.backend.place(i, 0.1 * i)
+    bus, joints = opened(r), r.plans[0].joints
+    r.fault("late:id=2,ms=8")
+    register, block = joints[0].model.registers["present_position"], joints[0].model.motion
+    for _ in range(10):
+        for i, reading in enumerate(bus.read([j.servo for j in joints], block).values()):
+            if reading.data is not None:
+                steps = block.part(reading.data, register)
+                assert joints[0].angle(steps) == pytest.approx(0.1 * i, abs=0.01)
+    bus.close()
+
+
+def test_a_hang_up_is_one_error_and_the_port_comes_back(rig: Callable) -> None:
+    r = rig(**AX)
+    bus, joints = opened(r), r.plans[0].joints
+    ids, block = [j.servo for j in joints], joints[0].model.motion
+    r.fault("hangup:@0+1000000")
+    deadline = time.monotonic() + 5
+    with pytest.raises(PortLostError, match=r"p0: .* is gone"):
+        read_until(bus, ids, block, deadline)
+    with pytest.raises(PortLostError):
+        bus.read(ids, block)
+    r.fault()
+    while time.monotonic() < deadline:
+        try:
+            bus.open()
+            break
+        except BusError:
+            continue
+    assert all(x.data is not None for x in bus.read(ids, block).values())
+    bus.close()
+
+
+def test_a_wrong_baud_rate_is_silence(rig: Callable, tmp_path: Path) -> None:
+    rig(**AX)
+    bus = Bus("p0", Port(device=str(tmp_path / "p0"), baud=57600))
+    bus.open()
+    assert bus.ping(1) is None
+    bus.close()
+
+
+def test_two_servos_of_one_id_are_seen(rig: Callable) -> None:
+    r = rig(**AX)
+    port = r.ports[0]
+    port.servos = (*port.servos, port.servos[2])
+    bus = opened(r)
+    pong = bus.ping(3)
+    assert pong is not None
+    assert pong.doubled
+    bus.close()
+
+
+def test_missing_port(tmp_path: Path) -> None:
+    with pytest.raises(BusError, match=r"port legs: /nowhere/x does not exist; .* plug"):
+        Bus("legs", Port(device="/nowhere/x")).open()
+
+
+def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import serial
+
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(13, "could not open port: Permission denied")
+
+    monkeypatch.setattr("adaptive_contact.bridge.port.serial.Serial", refuse)
+    with pytest.raises(BusError, match="dialout"):
+        Bus("legs", Port(device="/dev/ttyX")).open()
+
+
+def test_a_port_in_use(rig: Callable) -> None:
+    r = rig(**AX)
+    first = opened(r)
+    with pytest.raises(BusError, match="in use by another program"):
+        opened(r)
+    first.close()
+
+
+def test_no_serial_port(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no port")
+    with pytest.raises(BusError, match="no serial port"):
+        Bus("legs", Port(device=str(tmp_path / "file"))).open()
+
+
+def test_an_unknown_baud_rate(rig: Callable, tmp_path: Path) -> None:
+    rig(**AX)
+    with pytest.raises(BusError, match="baud rate 250000"):
+        Bus("p0", Port(device=str(tmp_path / "p0"), baud=250000)).open()
+
+
+def test_reading_sleeps_instead_of_spinning(rig: Callable) -> None:
+    r = rig(**AX)
+    bus = opened(r)
+    r.fault("silent:")
+    model = r.plans[0].joints[0].model
+    cpu, wall = time.thread_time(), time.monotonic()
+    for _ in range(40):
+        bus.read([1], model.motion)
+    cpu, wall = time.thread_time() - cpu, time.monotonic() - wall
+    assert wall > 40 * 0.005
+    assert cpu < 0.35 * wall
+    bus.close()

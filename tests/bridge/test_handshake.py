@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from adaptive_contact.bridge.handshake import check_ports
+from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.errors import BusError, ConfigurationError
+from adaptive_contact.robot import parse_robot
+
+AX = {"model": "AX-12A", "protocol": 1}
+XL = {"model": "XL-330", "protocol": 2}
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_all_is_well(rig: Callable, kind: dict) -> None:
+    r = rig(**kind, ports=2)
+    findings = check_ports(r.plans)
+    assert findings.errors == []
+    assert findings.advice == []
+
+
+def test_all_that_is_wrong_comes_in_one_message(rig: Callable, tmp_path: Path) -> None:
+    r = rig(**AX)
+    port = r.ports[0]
+    # 2 and 5 are missing, 9 is there instead, and 3 is another model.
+    port.servos = tuple(s for s in port.servos if s.id not in (2, 5))
+    r.servo(1).id = 9
+    r.servo(3)._store("model_number", 18)
+    findings = check_ports(r.plans)
+    with pytest.raises(BusError) as caught:
+        findings.raise_errors()
+    text = str(caught.value)
+    assert "missing servo 1 (l0 j0), 2 (l0 j1), 5 (l1 j1)" in text
+    assert "unexpected servo 9 (AX-12A)" in text
+    assert "servo 3 (l0 j2) is AX-18A, expected AX-12A" in text
+
+
+def test_two_of_one_id(rig: Callable) -> None:
+    r = rig(**AX)
+    port = r.ports[0]
+    port.servos = (*port.servos, port.servos[0])
+    assert any("several servos answer to id 1" in line for line in check_ports(r.plans).errors)
+
+
+def test_nobody_at_all(rig: Callable) -> None:
+    r = rig(**AX)
+    r.fault("silent:")
+    [line] = check_ports(r.plans, full=False).errors
+    assert "no servo answers at 1000000 baud" in line
+
+
+def test_settings_that_are_in_the_way(rig: Callable) -> None:
+    r = rig(**AX)
+    r.servo(1)._store("upper_limit", 0)
+    r.servo(2)._store("status_return", 0)
+    lines = "\n".join(check_ports(r.plans, full=False).errors)
+    assert "servo 1 is in wheel mode" in lines
+    r2 = r.plans  # the port is closed again after each handshake
+    assert "status return level 0" in "\n".join(check_ports(r2, full=False).errors) or "2" in lines
+
+
+def test_a_wrong_operating_mode(rig: Callable) -> None:
+    r = rig(**XL)
+    r.servo(4)._store("operating_mode", 1)
+    [line] = check_ports(r.plans, full=False).errors
+    assert "servo 4 is in operating mode 1, expected 3" in line
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    servos = r.ports[0].servos
+    for servo in servos:
+        servo._store("return_delay", 250)
+    before = [bytes(servo._memory) for servo in servos]
+    findings = check_ports(r.plans, full=False)
+    assert "return delay of servo 1, 2, 3, 4, 5, 6 is 500 us" in findings.advice[0]
+    assert "--configure" in findings.advice[0]
+    assert [bytes(servo._memory) for servo in servos] == before
+    assert len(check_ports(r.plans, full=False, configure=True).done) == 6
+    assert [servo.value("return_delay") for servo in servos] == [0] * 6
+
+
+def test_a_driving_x_servo_is_not_let_go(rig: Callable) -> None:
+    r = rig(**XL)
+    r.servo(1)._store("return_delay", 250)
+    r.servo(1)._store("torque_enable", 1)
+    findings = check_ports(r.plans, full=False, configure=True)
+    assert "servo 1 drives" in findings.advice[0]
+    assert r.servo(1).torque
+
+
+BASE = """
+[robot]
+name = "r"
+period_s = 0.02
+quantum_rad = 0.005
+[port.a]
+device = "/dev/ttyA"
+[[leg]]
+id = "l"
+joints = ["x", "y"]
+servos = { ids = [1, 2] }
+"""
+
+
+def planned(text: str):
+    return plan_ports(parse_robot(text, source="r.toml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("ids = [1, 2]", "ids = [1, 1]", "servo id 1 is used twice"),
+        ("ids = [1, 2]", "ids = [1, 300]", "ids are 0 to 252"),
+        ("ids = [1, 2]", 'ids = [1, 2], model = "AX-21A"', "did you mean 'AX-12A'"),
+        ("ids = [1, 2]", 'ids = [1, 2], model = "XL-330"', "speaks protocol 2"),
+        ("ids = [1, 2]", 'ids = [1, 2], port = "b"', "no such \\[port.NAME\\] \\(a\\)"),
+        ("ids = [1, 2]", "ids = [1, 2], max_step_rad = 9", "max_step_rad is 9"),
+        ('"/dev/ttyA"', '"/dev/ttyA"\nbaud = 250000', "baud 250000 is not supported"),
+        ('"/dev/ttyA"', '"/dev/ttyA"\nfast = true', "fast is for protocol 2"),
+        (
+            "servos =",
+            "limits = { lower_rad = [6, -1], upper_rad = [6.2, 1] }\nservos =",
+            "'x' cannot move: .* do not meet",
+        ),
+        ("servos =", "#", "has no servos"),
+    ],
+)  # fmt: skip
+def test_bad_descriptions_are_told_in_one_line(old: str, new: str, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words) as caught:
+        planned(BASE.replace(old, new))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_device_from_the_command_line() -> None:
+    robot = parse_robot(BASE, source="r.toml")
+    [plan] = plan_ports(robot, {"a": "/dev/other"})
+    assert plan.port.device == "/dev/other"
+    bare = msgspec.structs.replace(robot, ports={})
+    with pytest.raises(ConfigurationError, match="has no port; add"):
+        plan_ports(bare)
+    assert plan_ports(bare, {"main": "/dev/x"})[0].name == "main"
+    with pytest.raises(ConfigurationError, match="no port 'b'"):
+        plan_ports(robot, {"b": "/dev/x"})
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_angles_and_steps_agree(direction: int) -> None:
+    text = BASE.replace(
+        "ids = [1, 2]", f"ids = [1, 2], directions = [{direction}, 1], offsets_rad = [0.3, 0]"
+    )
+    joint = planned(text)[0].joints[0]
+    assert joint.angle(joint.model.centre) == pytest.approx(0.3)
+    assert (joint.angle(600) - 0.3) * direction > 0
+    for steps in range(0, 1024, 7):
+        assert joint.steps(joint.angle(steps)) == steps
+    assert joint.steps(99.0) in (0, 1023)

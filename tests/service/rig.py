@@ -1,0 +1,223 @@
+"""A robot of made-up legs, a listener that judges events, a router to kill and a wire to cut.
+
+The fake learner says contact where ``measured[0]`` is off by more than 0.2 rad; the robot's legs
+touch for ten ticks and are free for ten, so that what every event must say is known.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ALL_LEARNER,
+    ContactEvent,
+    LearnerStatus,
+    ServoSample,
+    decode,
+    servo_key,
+)
+
+PERIOD_S = 0.02
+HALF = 10  # ticks of contact, ticks without
+S = 1_000_000_000
+
+# A router in a process of its own, on a port that is given or found.
+ROUTER = """
+import sys, threading
+from adaptive_contact.service.link import Link, router_settings
+with Link.open(router_settings([sys.argv[1]])) as link:
+    print(link.endpoints[0], flush=True)
+    threading.Event().wait()
+"""
+
+# A subscriber that hangs when it is stopped: a foreign one, with Zenoh's own settings.
+FOREIGN = """
+import sys, threading, zenoh
+text = '{mode: "client", connect: {endpoints: ["%s"]}}' % sys.argv[1]
+with zenoh.open(zenoh.Config.from_json5(text)) as session:
+    kept = session.declare_subscriber("robot/**", lambda sample: None)
+    print("subscribed", flush=True)
+    threading.Event().wait()
+"""
+
+
+def touches(seq: int) -> bool:
+    """Whether the robot's legs touch in a tick."""
+    return seq % (2 * HALF) >= HALF
+
+
+class Robot50(threading.Thread):
+    """Publishes legs at 50 Hz until closed, whatever happens to the network."""
+
+    def __init__(
+        self,
+        endpoint: str,
+        legs: tuple[str, ...] = ("rf",),
+        *,
+        run: int | None = None,
+        epoch_ns: int = S,
+        first: int = 0,
+    ) -> None:
+        super().__init__(daemon=True)
+        self.link = Link.open(client_settings([endpoint], wait=False))
+        self.publishers = {leg: self.link.publisher(servo_key(leg)) for leg in legs}
+        self.seq = first
+        self.run_id = run
+        self.epoch_ns = epoch_ns
+        self.stop = threading.Event()
+        self.sent_at: dict[int, float] = {}
+        self.start()
+
+    def run(self) -> None:
+        due = time.monotonic()
+        while not self.stop.is_set():
+            seq = self.seq
+            off = 0.5 if touches(seq) else 0.0
+            sample = ServoSample(
+                t_ns=self.epoch_ns + seq * 20_000_000,
+                seq=seq,
+                measured=[off, 0.1, 0.2],
+                desired=[0.0, 0.1, 0.2],
+                run=self.run_id,
+            )
+            self.sent_at[seq] = time.monotonic()
+            for publisher in self.publishers.values():
+                publisher.put(sample)
+            self.seq += 1
+            due += PERIOD_S
+            self.stop.wait(max(0.0, due - time.monotonic()))
+
+    def close(self) -> None:
+        self.stop.set()
+        self.join(5)
+        self.link.close()
+
+
+class Listener:
+    """Keeps events and statuses of all legs, with the time of their arrival."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.link = Link.open(client_settings([endpoint], wait=False))
+        self.events: list[tuple[float, ContactEvent]] = []
+        self.statuses: dict[str, LearnerStatus] = {}
+        self.words: list[tuple[str, str]] = []  # (leg, status) at each change
+        self._changed = threading.Condition()
+        self.link.subscribe(ALL_CONTACT, self._event, history=True)
+        self.link.subscribe(ALL_LEARNER, self._status)
+
+    def _event(self, received: Received) -> None:
+        event = decode(received.payload, ContactEvent, received.encoding)
+        assert isinstance(event, ContactEvent)
+        with self._changed:
+            self.events.append((received.arrival_ns / 1e9, event))
+            self._changed.notify_all()
+
+    def _status(self, received: Received) -> None:
+        status = decode(received.payload, LearnerStatus, received.encoding)
+        assert isinstance(status, LearnerStatus)
+        with self._changed:
+            before = self.statuses.get(status.leg)
+            if before is None or before.status != status.status:
+                self.words.append((status.leg, status.status))
+            self.statuses[status.leg] = status
+            self._changed.notify_all()
+
+    def wait(self, test: Any, timeout_s: float = 10.0) -> None:
+        """Wait until ``test(self)`` holds; it is looked at whenever something arrives."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: test(self), timeout_s), (
+                f"not in {timeout_s} s; {self.statuses}; last events {self.events[-3:]}"
+            )
+
+    def wait_event(self, leg: str, *, after: float, timeout_s: float = 10.0) -> float:
+        """When the first event of a leg arrived after a moment; it must be right."""
+        self.wait(
+            lambda me: any(at > after and event.leg == leg for at, event in me.events), timeout_s
+        )
+        at, event = next(pair for pair in self.events if pair[0] > after and pair[1].leg == leg)
+        assert event.contact == touches(event.seq)
+        return at
+
+    def steady(self, robot: Robot50, leg: str, count: int = 6) -> None:
+        """From now on every change must come, once, at the tick at which it happens."""
+        with self._changed:
+            begin = len(self.events)
+        self.wait(lambda me: len(me.of(leg, begin)) >= count)
+        seqs = [event.seq for event in self.of(leg, begin)]
+        assert all(event.contact == touches(event.seq) for event in self.of(leg, begin))
+        assert [b - a for a, b in zip(seqs, seqs[1:], strict=False)] == [HALF] * (len(seqs) - 1)
+
+    def of(self, leg: str, begin: int = 0) -> list[ContactEvent]:
+        return [event for _, event in self.events[begin:] if event.leg == leg]
+
+    def close(self) -> None:
+        self.link.close()
+
+
+class Wire:
+    """A TCP wire between a client and a router that can be cut: nothing passes, nobody is told."""
+
+    def __init__(self, endpoint: str) -> None:
+        host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+        self._target = (host, int(port))
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+        self._whole = threading.Event()
+        self._whole.set()
+        self._closing = False
+        self._sockets: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        self._whole.clear()
+
+    def mend(self) -> None:
+        self._whole.set()
+
+    def close(self) -> None:
+        self._closing = True
+        self._whole.set()
+        for one in (self._server, *self._sockets):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._server.accept()
+                threading.Thread(target=self._join, args=[near], daemon=True).start()
+
+    def _join(self, near: socket.socket) -> None:
+        self._sockets.append(near)
+        self._whole.wait()
+        with contextlib.suppress(OSError):
+            far = socket.create_connection(self._target, 5)
+            self._sockets.append(far)
+            back = threading.Thread(target=self._carry, args=[far, near], daemon=True)
+            back.start()
+            self._carry(near, far)
+
+    def _carry(self, one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := one.recv(65536):
+                self._whole.wait()  # in the cut the bytes stay here, as they would in the kernel
+                other.sendall(data)
+            other.shutdown(socket.SHUT_RDWR)
+
+
+@contextlib.contextmanager
+def closing(*things: Any) -> Iterator[None]:
+    """Close them, last first, whatever happens."""
+    with contextlib.ExitStack() as stack:
+        for thing in things:
+            stack.callback(thing.close)
+        yield

@@ -1,0 +1,283 @@
+"""What happens to a robot that nobody watches: events are right again within two seconds.
+
+Real processes, real Zenoh, a fake learner behind the real checks of a stream.  Every test shows
+what a person sees of the fault: in LearnerStatus, in ``watch``, or in the log.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from adaptive_contact.service.feed import Feed
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.watch_table import table
+from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
+
+pytestmark = pytest.mark.e2e
+
+# The issue's 2 s, and what this shared machine may take on top.
+RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0.5"))
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.fixture(scope="module")
+def rig() -> ModuleType:
+    path = Path(__file__).with_name("rig.py")
+    spec = importlib.util.spec_from_file_location("service_rig", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["service_rig"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def free_endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def watched(link: Link) -> str:
+    """What `watch` shows, after it has heard the service once."""
+    feed = Feed(link)
+    until = time.monotonic() + 5
+    view = feed.view(time.monotonic_ns())
+    while view.service is None or any(leg.status is None for leg in view.legs):
+        assert time.monotonic() < until, "the service says nothing"
+        time.sleep(0.05)
+        view = feed.view(time.monotonic_ns())
+    text = io.StringIO()
+    Console(file=text, width=200).print(table(view))
+    return text.getvalue()
+
+
+def resident_mb(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * PAGE / 1e6
+
+
+def test_a_killed_router_comes_back(serve: Any, command: Any, rig: ModuleType) -> None:
+    endpoint = free_endpoint()
+
+    def start() -> Any:
+        process = command("-c", rig.ROUTER, endpoint, stdout=-1)
+        assert process.stdout.readline().strip() == endpoint
+        return process
+
+    router = start()
+    served = serve("--connect", endpoint)
+    robot, listener = rig.Robot50(endpoint, ("lf", "rf")), rig.Listener(endpoint)
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        router.kill()
+        router.wait(5)
+        last = robot.seq
+        listener_lost = time.monotonic()
+        while robot.seq < last + 50:  # a second of outage
+            time.sleep(0.02)
+        start()
+        back = time.monotonic()
+        assert listener.wait_event("rf", after=back) - back < RECOVERY_S
+        listener.steady(robot, "rf")
+        listener.steady(robot, "lf")
+        listener.wait(lambda me: me.statuses["rf"].missed >= 40)
+        status = listener.statuses["rf"]
+        assert status.ticks + status.missed <= robot.seq, "no sample counts twice"
+        assert f" {status.missed} " in watched(listener.link)
+        assert listener_lost < back
+    assert served.stop() == 0
+    log = served.log.read_text()
+    assert f"unreachable: nobody listens on {endpoint}" in log
+    assert "router is back" in log
+
+
+def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleType) -> None:
+    served = serve()
+    wire = rig.Wire(served.endpoint)
+    near, far = rig.Robot50(served.endpoint, ("lf",)), rig.Robot50(wire.endpoint, ("rf",))
+    listener = rig.Listener(served.endpoint)
+    with rig.closing(wire, listener, far, near):
+        listener.steady(far, "rf", 2)
+        wire.cut()
+        began = len(listener.of("lf"))
+        listener.wait(lambda me: me.statuses["rf"].status == "silent")
+        assert str(listener.statuses["rf"].note).startswith("no sample for 0.")
+        # Longer than the lease of 2 s, so that the link is given up and made anew.
+        listener.wait(lambda me: len(me.of("lf")) >= began + 18)
+        wire.mend()
+        mended = time.monotonic()
+        assert listener.wait_event("rf", after=mended) - mended < RECOVERY_S
+        listener.wait(lambda me: me.statuses["rf"].missed > 0)
+        # What waited in the cut wire may come in one go; from then on all is as before.
+        listener.wait(lambda me: me.of("rf")[-1].seq > far.seq - 30)
+        listener.steady(far, "rf")
+        seqs = [event.seq for event in listener.of("lf")]
+        assert seqs == list(range(seqs[0], seqs[-1] + 1, rig.HALF)), "the other leg lost nothing"
+        assert listener.statuses["lf"].missed == 0
+    assert served.stop() == 0
+
+
+def test_a_service_restarted_under_a_running_robot(
+    serve: Any, rig: ModuleType, tmp_path: Path
+) -> None:
+    endpoint = free_endpoint()
+    arguments = ("--listen", endpoint, "--state", str(tmp_path / "kept"))
+    first = serve(*arguments)
+    robot, listener = rig.Robot50(endpoint, ("rf",), run=7), rig.Listener(endpoint)
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        assert first.stop() == 0
+        second = serve(*arguments)
+        ready = time.monotonic()
+        assert listener.wait_event("rf", after=ready) - ready < RECOVERY_S
+        listener.steady(robot, "rf")
+        status = listener.statuses["rf"]
+        assert status.missed > 10, "what passed while the service was down is counted"
+        assert status.ticks + status.missed <= robot.seq
+    assert second.stop() == 0
+
+
+@pytest.mark.parametrize("run", [None, 9])
+def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run: int) -> None:
+    served = serve()
+    listener = rig.Listener(served.endpoint)
+    first = rig.Robot50(served.endpoint, run=run, epoch_ns=10**18, first=5000)
+    with rig.closing(listener, first):
+        listener.steady(first, "rf", 2)
+    listener = rig.Listener(served.endpoint)
+    # Years back, and counted from 0 again.
+    second = rig.Robot50(served.endpoint, run=None if run is None else run + 1, epoch_ns=rig.S)
+    with rig.closing(listener, second):
+        began = time.monotonic()
+        assert listener.wait_event("rf", after=began) - began < RECOVERY_S
+        listener.steady(second, "rf")
+        rejects = listener.statuses["rf"].rejects
+        # Without `run` the service cannot know at once: it counts what it does not believe yet.
+        assert rejects == ({} if run else {"time_backwards": 9})
+        if run is None:
+            assert "time_backwards 9" in watched(listener.link)
+    assert served.stop() == 0
+
+
+def test_two_publishers_of_one_leg(serve: Any, rig: ModuleType) -> None:
+    served = serve()
+    old = rig.Robot50(served.endpoint, ("lf", "rf"), run=1)
+    listener = rig.Listener(served.endpoint)
+    with rig.closing(listener, old):
+        listener.steady(old, "rf", 2)
+        new = rig.Robot50(served.endpoint, ("rf",), run=2, first=10_000)
+        with rig.closing(new):
+            listener.wait(lambda me: me.of("rf")[-1].seq >= 10_000)
+            listener.steady(new, "rf")
+            assert listener.of("rf")[-1].seq >= 10_000
+            listener.wait(lambda me: me.statuses["rf"].rejects.get("other_publisher", 0) > 30)
+            assert "other_publisher" in watched(listener.link)
+        # The newer one is gone: the older one is believed again within two seconds.
+        gone = time.monotonic()
+        listener.wait(lambda me: me.events[-1][1].leg == "rf" and me.of("rf")[-1].seq < 10_000)
+        assert time.monotonic() - gone < RECOVERY_S
+        listener.steady(old, "rf")
+        assert listener.statuses["lf"].rejects == {}
+    assert served.stop() == 0
+
+
+def test_a_flood_is_bounded_and_counted(serve: Any, rig: ModuleType) -> None:
+    served = serve()
+    robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
+    flooder = rig.Robot50(served.endpoint, ("lf",), run=1)
+    stop = threading.Event()
+    publisher = listener.link.publisher(servo_key("lf"))
+
+    def pour() -> None:
+        number = 10**6
+        while not stop.is_set():
+            for _ in range(50):  # 5,000 a second: 100 times the rate
+                sample = ServoSample(
+                    t_ns=number, seq=number, measured=[0.0] * 3, desired=[0.0] * 3, run=2
+                )
+                publisher.put_raw(encode(sample), MSGPACK)
+                number += 1
+            stop.wait(0.01)
+
+    with rig.closing(listener, flooder, robot):
+        listener.steady(robot, "rf", 2)
+        before = resident_mb(served.process.pid)
+        pouring = threading.Thread(target=pour)
+        pouring.start()
+        began = len(listener.of("rf"))
+        try:
+            listener.wait(lambda me: len(me.of("rf")) >= began + 15)
+        finally:
+            stop.set()
+            pouring.join(5)
+        ended = time.monotonic()
+        after = resident_mb(served.process.pid)
+        assert after - before < 30.0
+        seqs = [event.seq for event in listener.of("rf")[1:]]
+        assert [b - a for a, b in zip(seqs, seqs[1:], strict=False)] == [rig.HALF] * (len(seqs) - 1)
+        # The flooded leg has its own robot back within two seconds.
+        listener.wait(lambda me: me.events[-1][1].leg == "lf" and me.events[-1][0] > ended)
+        assert listener.events[-1][0] - ended < RECOVERY_S
+        status = listener.statuses["lf"]
+        assert status.rejects.get("other_publisher", 0) > 0
+    assert served.stop() == 0
+
+
+def test_a_subscriber_that_hangs(
+    serve: Any, command: Any, rig: ModuleType, sample: Callable[..., ServoSample]
+) -> None:
+    served = serve()
+    robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
+    hanging = command("-c", rig.FOREIGN, served.endpoint, stdout=-1)
+    assert hanging.stdout.readline().strip() == "subscribed"
+    stop = threading.Event()
+    publisher = listener.link.publisher(servo_key("lf"))
+
+    def pour() -> None:
+        number = 1
+        while not stop.is_set():
+            for _ in range(40):  # an event each, until every buffer towards it is full
+                publisher.put(sample(number, contact=number % 2 == 1))
+                number += 1
+            stop.wait(0.01)
+
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        hanging.send_signal(signal.SIGSTOP)
+        stopped = time.monotonic()
+        before = resident_mb(served.process.pid)
+        began = len(listener.of("rf"))
+        pouring = threading.Thread(target=pour)
+        pouring.start()
+        try:
+            listener.wait(lambda me: len(me.of("rf")) >= began + 30, 20.0)
+        finally:
+            stop.set()
+            pouring.join(5)
+            hanging.send_signal(signal.SIGCONT)
+        delays = [
+            at - robot.sent_at[event.seq]
+            for at, event in listener.events
+            if event.leg == "rf" and at > stopped
+        ]
+        # Once, until its link is dropped; not five seconds, and not again and again.
+        assert max(delays) < 1.0
+        assert sorted(delays)[len(delays) // 2] < 0.1
+        assert resident_mb(served.process.pid) - before < 60.0
+        listener.steady(robot, "rf")
+        assert listener.statuses["rf"].missed == 0
+    assert served.stop() == 0
