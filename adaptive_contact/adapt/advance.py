@@ -6,7 +6,7 @@ This is what makes six legs cost little more than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,23 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 if TYPE_CHECKING:
     from adaptive_contact.adapt.learner import ContactLearner
 
-__all__ = ["advance"]
+__all__ = ["Verdict", "advance"]
 
 Array = NDArray[np.float64]
+
+
+class Verdict(NamedTuple):
+    """What the statistic says of a tick.
+
+    Attributes:
+        score: the largest statistic over its threshold.
+        width: ticks of the window that gave it.
+        distance: of the last residual from zero, whitened and squared, in any direction.
+    """
+
+    score: float
+    width: int
+    distance: float
 
 
 def advance(
@@ -37,12 +51,11 @@ def advance(
     events: list[ContactEvent | None] = [None] * len(work)
     admitted = [i for i, (learner, sample) in enumerate(work) if learner.admit(sample)]
     judged = [i for i in admitted if work[i][0].observe(work[i][1])]
-    said = dict(zip(judged, _statistics([work[i][0] for i in judged]), strict=True))
+    said = dict(zip(judged, _verdicts([work[i][0] for i in judged]), strict=True))
     ready: list[Tracker] = []
     for i in admitted:
         learner, sample = work[i]
-        value, distance = said.get(i, (None, 0.0))
-        events[i] = learner.decide(value, distance, sample)
+        events[i] = learner.decide(said.get(i), sample)
         if learner.command(sample):
             assert learner.tracker is not None
             ready.append(learner.tracker)
@@ -53,21 +66,30 @@ def advance(
     return events
 
 
-def _statistics(learners: Sequence[ContactLearner]) -> list[tuple[Array, float]]:
-    """Value (windows,) and distance for each learner; those with as many joints go together."""
+def _verdicts(learners: Sequence[ContactLearner]) -> list[Verdict]:
+    """The statistic of each learner's tick; those with as many joints go together."""
     if not learners:
         return []
     trackers = [learner.tracker for learner in learners]
     assert all(t is not None for t in trackers)
     if len({t.residuals.shape for t in trackers if t is not None}) > 1:
-        return [value for learner in learners for value in _statistics([learner])]
+        return [verdict for learner in learners for verdict in _verdicts([learner])]
     said = statistic(
-        np.stack([t.residuals for t in trackers if t is not None]),
-        np.stack([t.increments for t in trackers if t is not None]),
-        np.stack([learner.whitening for learner in learners]),
+        np.array([t.residuals for t in trackers if t is not None]),
+        np.array([t.increments for t in trackers if t is not None]),
+        np.array([learner.whitening for learner in learners]),
         np.array([t.usable for t in trackers if t is not None]),
     )
-    return list(zip(said.value, said.distance.tolist(), strict=True))
+    scores = said.value / np.array([learner.thresholds for learner in learners])
+    # The window of one tick is always usable; longer ones may be NaN.
+    best = np.nanargmax(scores, axis=1)
+    top = scores[np.arange(len(best)), best]
+    return [
+        Verdict(score, width, distance)
+        for score, width, distance in zip(
+            top.tolist(), (best + 1).tolist(), said.distance.tolist(), strict=True
+        )
+    ]
 
 
 def _predict(trackers: Sequence[Tracker]) -> None:
@@ -80,11 +102,11 @@ def _predict(trackers: Sequence[Tracker]) -> None:
             _predict([tracker])
         return
     theta = first.evaluate(
-        np.stack([t.measured for t in trackers]),
-        np.stack([t.desired for t in trackers]),
-        np.stack([t.preview for t in trackers]),
+        np.array([t.measured for t in trackers]),
+        np.array([t.desired for t in trackers]),
+        np.array([t.preview for t in trackers]),
     )
-    coefficients = np.stack([t.model.coefficients for t in trackers])
+    coefficients = np.array([t.model.coefficients for t in trackers])
     increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
     for tracker, row, increment in zip(trackers, theta, increments, strict=True):
         tracker.foresee(row, increment)

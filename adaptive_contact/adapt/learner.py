@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Verdict, advance
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline, thresholds_of, unlike
 from adaptive_contact.adapt.coldstart import ColdResult, ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
@@ -293,8 +293,7 @@ class ContactLearner:
         self._where = context_of(
             self._command, self._command_before, self._direction, self._quantum
         )
-        valid = None if sample.valid is None else np.array(sample.valid)
-        judged = tracker.observe(np.array(sample.measured), valid)
+        judged = tracker.observe(sample.measured, sample.valid)
         if self.leg.lengths_m is not None:
             now = height(sample.measured, self.leg.lengths_m, self._axes)
             self._rising_foot = now > self._measured_height
@@ -306,35 +305,31 @@ class ContactLearner:
             self._unit = self._follower.variance(tracker.theta)
         return judged
 
-    def decide(
-        self, value: Array | None, distance: float, sample: ServoSample
-    ) -> ContactEvent | None:
+    def decide(self, verdict: Verdict | None, sample: ServoSample) -> ContactEvent | None:
         """Turn the statistic of this tick into an event, or into none.
 
         Args:
-            value: (windows,) of the statistic; None when this tick is not judged.
-            distance: of the last residual from zero, whitened and squared.
+            verdict: of this tick; None when it is not judged.
             sample: the tick's.
         """
         tracker = self.tracker
-        if tracker is None or value is None:
+        if tracker is None or verdict is None:
             return None
         assert self.thresholds is not None
-        scores = value / self.thresholds
-        best = int(np.nanargmax(scores))
         loaded = self._state.loaded
+        onset_ns = self._onset(sample, verdict.width) if verdict.score > 1.0 else sample.t_ns
         decision = self._state.swing_tick(
-            float(scores[best]),
-            distance / float(self.thresholds[0]),
+            verdict.score,
+            verdict.distance / float(self.thresholds[0]),
             sample.t_ns,
-            self._onset(sample, best + 1),
+            onset_ns,
             descending=self._descending,
         )
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
         elif not (loaded or self._state.contact):
             self._recent.append(tracker.residuals[0].copy())
-        self._enter(distance, sample, calm=not loaded)
+        self._enter(verdict.distance, sample, calm=not loaded)
         if decision is None:
             return None
         if decision.contact:

@@ -20,7 +20,7 @@ __all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refi
 Array = NDArray[np.float64]
 
 # λ, in units of the noise; the grid of a baseline's fit without its extremes.
-SWEEP = (0.05, 0.1, 0.15, 0.2, 0.3)
+SWEEP = (0.05, 0.15, 0.3)
 TOLERANCE = 1.005
 
 

@@ -7,6 +7,7 @@ made until the substitute has left the freshest part of the window.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,6 @@ from adaptive_contact.identify import LegModel
 __all__ = ["LIFT_OFF_TICKS", "MAX_STEP_RAD_S", "Tracker"]
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 DEPTH: Final = max(WINDOWS)
 # Ticks after the command lifts off in which the foot may still be loaded: the servo follows its
@@ -57,6 +57,7 @@ class Tracker:
         self._max_step = MAX_STEP_RAD_S * library.period_s
         self._stale_step = STALE_QUANTA * quantum_rad
         self._stale = False
+        self._last: Sequence[float] | None = None
         self._impossible = 0
         self._unsure = 0
 
@@ -77,7 +78,7 @@ class Tracker:
         """Residuals of the stance before say nothing about this swing."""
         self.usable = 0
 
-    def observe(self, measured: Array, valid: Mask | None) -> bool:
+    def observe(self, measured: Sequence[float], valid: Sequence[bool] | None) -> bool:
         """Take in a reading.
 
         Args:
@@ -136,7 +137,7 @@ class Tracker:
             if not self.predicted:
                 self.restart()
                 return
-            self.observe(self.measured[0] + self.increment, None)
+            self.observe((self.measured[0] + self.increment).tolist(), None)
             self.usable = 0
             share = lost / (missed + 1)
             if self.command(last + share * (desired - last), None):
@@ -157,28 +158,37 @@ class Tracker:
         if self.predicted:
             self.theta, self.increment = theta, increment
 
-    def _repair(self, measured: Array, valid: Mask | None) -> tuple[Array, bool]:
-        if self.filled == 0:
-            return measured, True
-        bad = np.abs(measured - self.measured[0]) > self._max_step
-        if bad.any():
+    def _repair(
+        self, measured: Sequence[float], valid: Sequence[bool] | None
+    ) -> tuple[Array, bool]:
+        """The reading as it enters the window, and whether it is the sensor's own.
+
+        Plain floats decide, as nearly every reading is good.
+        """
+        reading = np.array(measured)
+        last, self._last = self._last, measured
+        if self.filled == 0 or last is None:
+            return reading, True
+        steps = [abs(new - old) for new, old in zip(measured, last, strict=True)]
+        bad = None
+        if max(steps) > self._max_step:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
-                return measured, True
+                return reading, True
+            bad = np.array(steps) > self._max_step
         else:
             self._impossible = 0
-        if valid is not None:
-            bad |= ~valid
-        self._stale = (
-            not self._stale
-            and self.predicted
-            and bool(np.abs(self.increment).max() > self._stale_step)
-            and bool((measured == self.measured[0]).all())
-        )
+        stale = not self._stale and self.predicted and not any(steps)
+        self._stale = stale and float(np.abs(self.increment).max()) > self._stale_step
         if self._stale:
-            bad[:] = True
-        if not bad.any():
-            return measured, True
+            bad = np.ones(len(measured), dtype=bool)
+        if valid is not None and not all(valid):
+            missing = ~np.array(valid, dtype=bool)
+            bad = missing if bad is None else bad | missing
+        if bad is None:
+            return reading, True
         substitute = self.measured[0] + self.increment if self.predicted else self.measured[0]
-        return np.where(bad, substitute, measured), False
+        reading = np.where(bad, substitute, reading)
+        self._last = reading.tolist()
+        return reading, False

@@ -32,6 +32,8 @@ T = TypeVar("T")
 
 _TIMEOUT: Final = -3001
 _ALERT: Final = 0x80
+# The same in every control table.
+_MODEL_NUMBER: Final = Block(0, 2)
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
 _ID2, _ERROR2, _DATA2 = 4, 8, 9
 
@@ -59,9 +61,12 @@ class Reading(NamedTuple):
 
 
 class Pong(NamedTuple):
-    """A servo that answered a ping: its model number; ``doubled`` if several seem to answer."""
+    """A servo that answered a ping: its model number; ``doubled`` if several seem to answer.
 
-    model_number: int
+    The model number is None where the servo answers to pings, but not to reads.
+    """
+
+    model_number: int | None
     doubled: bool = False
 
 
@@ -219,16 +224,28 @@ class Bus:
             raise self._port.lost(error) from error
 
     def _ping(self, servo: int) -> Pong | None:
-        number, result, _ = self._packets.ping(self._port, servo)
+        result = self._ping_alone(servo)
         if result not in (COMM_SUCCESS, _TIMEOUT, COMM_TX_FAIL):
             # Two servos that talk at once garble each other; once may be noise.
-            number, again, _ = self._packets.ping(self._port, servo)
-            if again not in (COMM_SUCCESS, _TIMEOUT):
-                return Pong(0, doubled=True)
-            result = again
+            result = self._ping_alone(servo)
+            if result not in (COMM_SUCCESS, _TIMEOUT):
+                return Pong(None, doubled=True)
         if result != COMM_SUCCESS:
             return None
-        return Pong(int(number), doubled=self._second_answer())
+        doubled = self._second_answer()
+        for _ in range(2):
+            data = self._read_one(servo, _MODEL_NUMBER).data
+            if data is not None:
+                return Pong(int.from_bytes(data, "little"), doubled)
+        return Pong(None, doubled)
+
+    def _ping_alone(self, servo: int) -> int:
+        """Ping and nothing else: the SDK's own reads the model too, and hides what failed."""
+        if self.protocol == 1:
+            packet = [0, 0, servo, 2, Instruction.PING, 0]
+        else:
+            packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
+        return int(self._packets.txRxPacket(self._port, packet)[1])
 
     def _second_answer(self) -> bool:
         """Whether bytes follow an answer: another servo of the same id, a little slower."""

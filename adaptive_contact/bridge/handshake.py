@@ -23,8 +23,6 @@ __all__ = ["Findings", "check_ports", "scan"]
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
 _US_PER_DELAY: Final = 2
-# Reading is all that is needed; level 0 answers pings only.
-_READABLE: Final = 1
 
 
 @dataclasses.dataclass
@@ -141,8 +139,9 @@ def _compare(
         )
     for servo, pong in found.items():
         joint = expected.get(servo)
-        model = model_of_number(pong.model_number)
-        name = model.name if model else f"model number {pong.model_number}"
+        number = pong.model_number
+        model = None if number is None else model_of_number(number)
+        name = model.name if model else f"model number {number}"
         if pong.doubled:
             findings.errors.append(
                 f"{where}: several servos answer to id {servo}; connect them one by one and give "
@@ -152,7 +151,12 @@ def _compare(
             findings.errors.append(
                 f"{where}: unexpected servo {servo} ({name}); add it to a leg, or disconnect it"
             )
-        elif pong.model_number not in [m.number for m in joint.models]:
+        elif number is None:
+            findings.errors.append(
+                f"{where}: servo {servo} answers to pings but not to reads; set its status return "
+                "level to 2 with DYNAMIXEL Wizard"
+            )
+        elif number not in [m.number for m in joint.models]:
             wanted = " or ".join(m.name for m in joint.models)
             findings.errors.append(
                 f"{where}: servo {servo} ({legs[servo]} {joint.name}) is {name}, expected "
@@ -177,11 +181,6 @@ def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) ->
                 f"{where} is in wheel mode (both angle limits are 0); set limits, such as "
                 f"{model.lowest} and {model.highest}, with DYNAMIXEL Wizard"
             )
-    level = bus.get(servo, model.registers["status_return"])
-    if level is not None and level < _READABLE:
-        findings.errors.append(
-            f"{where} has status return level {level}, so reads are not answered; set it to 2"
-        )
 
 
 def _delays(

@@ -68,6 +68,7 @@ def serve(
     from adaptive_contact.adapt import LearnerBank
     from adaptive_contact.service.link import Link, router_settings
     from adaptive_contact.service.logs import configure_logs
+    from adaptive_contact.service.refits import ProcessRefitter
     from adaptive_contact.service.server import Service
 
     configure_logs(log_level, json=log_json)
@@ -83,7 +84,8 @@ def serve(
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
     sys.setswitchinterval(_SWITCH_S)
     robot, learned, origin = _load(config, baseline)
-    bank = LearnerBank(robot, learned)
+    refitter = ProcessRefitter()
+    bank = LearnerBank(robot, learned, refitter=refitter)
     try:
         link = Link.open(settings, on_wait=_say, stop=stop)
     except LinkError:
@@ -99,6 +101,7 @@ def serve(
         service.run(stop)
         service.log_figures()
     finally:
+        refitter.close()
         closed = link.close()
     if not closed:
         # A subscriber hangs on to the session, and the interpreter's own exit would wait for it.

@@ -126,7 +126,7 @@ class RecursiveLeastSquares:
             (..., J), 0 for a model known exactly.
         """
         phi = theta[..., self._terms] / self._scale
-        v = np.einsum("jqr,...q->...jr", self._s, phi)
+        v = np.matmul(phi[..., None, None, :], self._s)[..., 0, :]
         return np.asarray(np.square(v).sum(axis=-1) / np.square(self.noise))
 
     def update(self, theta: Array, target: Array) -> None:
@@ -141,12 +141,12 @@ class RecursiveLeastSquares:
         innovation = (target - self._xi @ phi) / self.noise
         if not (np.isfinite(innovation).all() and np.isfinite(phi).all()):
             return
-        v = np.einsum("jqr,q->jr", self._s, phi) / self.noise[:, None]
+        v = np.matmul(phi, self._s) / self.noise[:, None]
         m = np.square(v).sum(axis=1)
         # Huber's weight on the innovation, in units of its own standard deviation.
         size = np.abs(innovation) / np.sqrt(1.0 + m)
         weight = np.minimum(1.0, self.settings.huber / np.maximum(size, 1e-12))
-        sv = np.einsum("jqr,jr->jq", self._s, v)
+        sv = np.matmul(self._s, v[:, :, None])[:, :, 0]
         gain = weight / (1.0 + weight * m)
         self._xi += sv * (gain * innovation)[:, None]
         # Without excitation (m = 0) there is nothing to learn and nothing to forget.

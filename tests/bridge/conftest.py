@@ -94,7 +94,9 @@ def robot_text(
 ) -> str:
     lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
     for p in range(ports):
-        lines.append(f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\n{extra}\n')
+        lines.append(
+            f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\ntimeout_ms = 10\n{extra}\n'
+        )
     for i in range(legs):
         ids = [i * joints + j + 1 for j in range(joints)]
         names = [f"j{j}" for j in range(joints)]
@@ -155,3 +157,8 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
         thread.join(5.0)
     for server in servers:
         server.__exit__()
+
+
+@pytest.fixture
+def catcher() -> type[Catcher]:
+    return Catcher

@@ -122,7 +122,9 @@ class Running:
 
 def _bare_variables() -> dict[str, str]:
     hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-    return {k: v for k, v in os.environ.items() if k not in hidden} | {"COLUMNS": "200"}
+    kept = {k: v for k, v in os.environ.items() if k not in hidden}
+    # Several processes share two cores: BLAS threads that spin would only be in the way.
+    return kept | {"COLUMNS": "200", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _install(wheel: Path, folder: Path, *, without: tuple[str, ...] = ()) -> Environment:

@@ -15,9 +15,9 @@ SIX = ("lf", "lm", "lr", "rf", "rm", "rr")
 
 @pytest.fixture
 def pose(command: Callable[..., str], tmp_path: Path) -> Path:
-    """The paper's set-up for three minutes, half of the descents onto obstacles."""
+    """The paper's set-up for two minutes, half of the descents onto obstacles."""
     obstacles = ["--leg", "rf", "--obstacles", "0.5", "--workspace", "whole"]
-    run = ["--seconds", "180", "--seed", "11", "--offline", "--record", "pose.mcap"]
+    run = ["--seconds", "120", "--seed", "11", "--offline", "--record", "pose.mcap"]
     command("sim", "pose", *obstacles, *run)
     return tmp_path / "pose.mcap"
 
@@ -43,13 +43,16 @@ def test_the_simulator_is_deterministic(command: Callable[..., str], tmp_path: P
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
 
 
-def test_fit_a_baseline_and_use_it(command: Callable[..., str], pose: Path, tmp_path: Path) -> None:
-    free = ["sim", "pose", "--leg", "rf", "--workspace", "whole", "--seconds", "600"]
-    command(*free, "--seed", "12", "--offline", "--record", "free.mcap")
-    told = command("fit", "free.mcap", "-o", "legs.json")
-    assert "rf" in told
-    assert "thresholds" in told
-    command("replay", pose, "--events", "own.jsonl", "--baseline", "legs.json")
-    score = json.loads(command("score", pose, "--events", "own.jsonl", "--json"))
-    assert score["counted"]["recall"] >= 0.9
-    assert score["false_alarms"] <= 2
+def test_fit_a_baseline_and_use_it(command: Callable[..., str], tmp_path: Path) -> None:
+    walk = ["sim", "walk", "--offline"]
+    command(*walk, "--seconds", "240", "--seed", "21", "--record", "learn.mcap")
+    told = json.loads(command("fit", "learn.mcap", "-o", "legs.json", "--json"))
+    assert set(told["equations"]) == set(SIX)
+    assert (tmp_path / "legs.json").stat().st_size > 10_000
+
+    command(*walk, "--seconds", "30", "--seed", "22", "--record", "walk.mcap")
+    command("replay", "walk.mcap", "--events", "own.jsonl", "--baseline", "legs.json")
+    score = json.loads(command("score", "walk.mcap", "--events", "own.jsonl", "--json"))
+    # Four minutes make a cautious threshold: its tail is fitted to few ticks.
+    assert score["counted"]["recall"] >= 0.7
+    assert score["false_alarms"] <= 1

@@ -118,7 +118,7 @@ class FakeLearner:
 
 
 class FakeBank:
-    def __init__(self, robot: Robot, baseline: object = None) -> None:
+    def __init__(self, robot: Robot, baseline: object = None, *, refitter: object = None) -> None:
         self._joints = {leg.id: len(leg.joints) for leg in robot.legs}
         self._learners: dict[str, FakeLearner] = {}
 
@@ -138,10 +138,18 @@ class FakeBank:
         return [event for event in events if event is not None]
 
 
+class FakeRefitter:
+    def close(self) -> None:
+        """There is nothing to end."""
+
+
 def main() -> None:
     module = types.ModuleType("adaptive_contact.adapt")
     module.LearnerBank = FakeBank  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.adapt"] = module
+    refits = types.ModuleType("adaptive_contact.service.refits")
+    refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
+    sys.modules["adaptive_contact.service.refits"] = refits
     import typer
 
     from adaptive_contact.cli.serve import serve

@@ -7,6 +7,7 @@ touch for ten ticks and are free for ten, so that what every event must say is k
 from __future__ import annotations
 
 import contextlib
+import itertools
 import socket
 import threading
 import time
@@ -153,7 +154,7 @@ class Listener:
         self.wait(lambda me: len(me.of(leg, begin)) >= count)
         seqs = [event.seq for event in self.of(leg, begin)]
         assert all(event.contact == touches(event.seq) for event in self.of(leg, begin))
-        assert [b - a for a, b in zip(seqs, seqs[1:], strict=False)] == [HALF] * (len(seqs) - 1)
+        assert [b - a for a, b in itertools.pairwise(seqs)] == [HALF] * (len(seqs) - 1)
 
     def of(self, leg: str, begin: int = 0) -> list[ContactEvent]:
         return [event for _, event in self.events[begin:] if event.leg == leg]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import itertools
 import os
 import signal
 import socket
@@ -228,7 +229,7 @@ def test_a_flood_is_bounded_and_counted(serve: Any, rig: ModuleType) -> None:
         after = resident_mb(served.process.pid)
         assert after - before < 30.0
         seqs = [event.seq for event in listener.of("rf")[1:]]
-        assert [b - a for a, b in zip(seqs, seqs[1:], strict=False)] == [rig.HALF] * (len(seqs) - 1)
+        assert [b - a for a, b in itertools.pairwise(seqs)] == [rig.HALF] * (len(seqs) - 1)
         # The flooded leg has its own robot back within two seconds.
         listener.wait(lambda me: me.events[-1][1].leg == "lf" and me.events[-1][0] > ended)
         assert listener.events[-1][0] - ended < RECOVERY_S

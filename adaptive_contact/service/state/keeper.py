@@ -33,10 +33,10 @@ _LINE: Final = 160
 class Keepable(Protocol):
     """A learner whose state can be kept, as ``ContactLearner`` is."""
 
-    def snapshot(self) -> dict[str, object]:
-        """What was learned: numbers, strings, bytes, lists and maps; the learner goes on."""
+    def snapshot(self) -> dict[str, Any] | None:
+        """What was learned: numbers, strings, bytes, lists and maps; None for nothing yet."""
 
-    def restore(self, snapshot: dict[str, Any]) -> str | None:
+    def restore(self, saved: dict[str, Any], /) -> str | None:
         """Go on from a snapshot; None when it is used, otherwise why it is refused.
 
         A learner that refuses stays as it was.
@@ -199,6 +199,9 @@ class StateKeeper:
         )
         if not isinstance(desk.learner, Keepable):
             return
+        body = desk.learner.snapshot()
+        if body is None:
+            return
         position = desk.position
         record = Record(
             identity=self._identities[desk.leg],
@@ -207,7 +210,7 @@ class StateKeeper:
             model_version=desk.model_version,
             run=None if position is None else position.run,
             seq=None if position is None else position.seq,
-            body=desk.learner.snapshot(),
+            body=body,
         )
         with self._changed:
             self._waiting[desk.leg] = record  # replaces one that still waits

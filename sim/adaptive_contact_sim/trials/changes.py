@@ -179,5 +179,6 @@ def compound(sizes: Sizes) -> list[Scenario]:
         marks=(Mark("step", at_s),),
         twin=without_drift,
         mixed=False,
+        poisonous=True,
     )
     return [both, in_contacts]

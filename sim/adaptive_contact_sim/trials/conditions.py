@@ -65,6 +65,7 @@ def contacts(sizes: Sizes) -> list[Scenario]:
             judged=("contacts", "after"),
             marks=(Mark("contacts", at_s),),
             mixed=False,
+            poisonous=True,
         )
         for name, (about, level_m, soft) in entries.items()
     ]
@@ -89,6 +90,7 @@ def walking_contacts(sizes: Sizes) -> list[Scenario]:
             phases=(Phase("early", 0.0, seconds / 2), Phase("late", seconds / 2, seconds)),
             judged=("early", "late"),
             mixed=False,
+            poisonous=True,
         )
         for name, (about, ground) in entries.items()
     ]
@@ -126,6 +128,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         judged=("after",),
         marks=(Mark("free again", free_s + 1.0),),
         twin=without_staging,
+        poisonous=True,
     )
     faults = EncoderSettings(dropped=0.03, repeated=0.03)
     readings = Scenario(

@@ -18,8 +18,8 @@ import adaptive_contact
 import msgspec
 import numpy as np
 from adaptive_contact.adapt import ContactLearner
-from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status

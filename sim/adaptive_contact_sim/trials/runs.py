@@ -74,7 +74,7 @@ class Sizes:
 
     leg_runs: int = 20
     before_s: float = 40.0
-    after_s: float = 110.0
+    after_s: float = 100.0
     walk_before_s: float = 60.0
     walk_after_s: float = 180.0
     slow_s: float = 600.0
@@ -83,7 +83,7 @@ class Sizes:
     contact_swings: int = 500
     turn_trials: int = 262
     caught_s: float = 30.0
-    steady_walks: float = 2.9
+    steady_walks: float = 2.6
     first_seed: int = 7000
 
 

@@ -153,6 +153,7 @@ class Scenario:
         baseline: what the learners start from.
         variants: that are replayed.
         mixed: swings with and without contact come mixed, so that recovery needs some of each.
+        poisonous: there is much contact to be learned by mistake; what is, is held to a limit.
     """
 
     name: str
@@ -167,6 +168,7 @@ class Scenario:
     baseline: BaselineChoice = "shipped"
     variants: tuple[Variant, ...] = ALL_VARIANTS
     mixed: bool = True
+    poisonous: bool = False
 
     @property
     def replays(self) -> tuple[ReplaySpec, ...]:

@@ -53,6 +53,9 @@ class VirtualServo:
         rng: of the reading noise.
         noise_steps: standard deviation of a reading, in steps.
         return_delay: register, 2 us each; 250 when new.
+
+    Attributes:
+        writes: instructions to write, carried out or refused.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class VirtualServo:
         self._memory = bytearray(_SIZES[model.protocol])
         self.registered: tuple[int, bytes] | None = None
         self.stale_data: bytes | None = None
+        self.writes = 0
         self._power_on(return_delay)
 
     @property
@@ -112,6 +116,7 @@ class VirtualServo:
     def write(self, address: int, data: bytes) -> Refusal | None:
         """Write into the control table, whole registers; None when done."""
         one = self.model.protocol == 1
+        self.writes += 1
         if not data or address + len(data) > len(self._memory):
             return Refusal(RANGE1 if one else LENGTH2)
         touched = [

@@ -1,0 +1,162 @@
+"""Refits in another process, so that no tick waits for one.
+
+A fit in a thread of the service raises a callback's latency from 0.4 to 12 ms (measured); in a
+process of its own, with one BLAS thread, it costs the service nothing but the pipe.  The process
+is started with the first job, and anew when it dies; a job that kills it twice, or takes longer
+than a minute, is given up and answered as failed, so that its leg goes on asking.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import select
+import subprocess
+import sys
+import threading
+from collections import OrderedDict
+from typing import Final
+
+import numpy as np
+import structlog
+
+from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
+from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
+from adaptive_contact.identify import FitStatus
+from adaptive_contact.service.refit_worker import read_frame, write_frame
+
+__all__ = ["ProcessRefitter"]
+
+_log = structlog.get_logger()
+
+JOB_TIMEOUT_S: Final = 60.0
+_TRIES: Final = 2
+_LOOK_S: Final = 0.2
+_MODULE: Final = "adaptive_contact.service.refit_worker"
+# Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
+_ONE_THREAD: Final = {
+    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
+}
+
+
+class ProcessRefitter:
+    """Does jobs one at a time in a process; at most one of each leg waits.
+
+    Args:
+        timeout_s: longest time for a job.
+
+    Attributes:
+        failures: jobs that were given up.
+    """
+
+    def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
+        self.failures = 0
+        self._timeout_s = timeout_s
+        self._waiting: OrderedDict[str, Job] = OrderedDict()
+        self._results: dict[str, tuple[int, object]] = {}
+        self._changed = threading.Condition()
+        self._ending = False
+        self._thread: threading.Thread | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def submit(self, job: Job) -> None:
+        """Take a job; one of the same leg that still waits is void."""
+        with self._changed:
+            self._results.pop(job.leg, None)
+            self._waiting[job.leg] = job
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="refits", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def collect(self, leg: str, number: int) -> object | None:
+        """The result of a job, or None while there is none."""
+        with self._changed:
+            found = self._results.get(leg)
+            if found is None or found[0] != number:
+                return None
+            del self._results[leg]
+            return found[1]
+
+    def close(self) -> None:
+        """End the process; what is under way is lost."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        if self._process is not None:
+            self._process.kill()  # the thread notices, and reaps it
+        if self._thread is not None:
+            self._thread.join(1.0)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
+                if self._ending:
+                    break
+                leg, job = self._waiting.popitem(last=False)
+            result = self._do(job)
+            with self._changed:
+                if leg not in self._waiting:  # else it has been superseded
+                    self._results[leg] = (job.number, result)
+        self._end_process()
+
+    def _do(self, job: Job) -> object:
+        frame = pickle.dumps(job)
+        for _ in range(_TRIES):
+            if self._ending:
+                break
+            answer = self._exchange(frame)
+            if answer is not None:
+                return pickle.loads(answer)
+            self._end_process()
+        self.failures += 1
+        if not self._ending:
+            _log.warning("refit given up", leg=job.leg, job=job.number)
+        return _failed(job)
+
+    def _exchange(self, frame: bytes) -> bytes | None:
+        """Send a job and read its result; None where the process died or took too long."""
+        process = self._process
+        if process is None:
+            process = self._process = subprocess.Popen(
+                [sys.executable, "-m", _MODULE],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, **_ONE_THREAD},
+                start_new_session=True,  # a Ctrl-C is the service's to handle
+            )
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            write_frame(process.stdin, frame)
+        except OSError:  # it died before it was asked
+            return None
+        left_s = self._timeout_s
+        while left_s > 0.0 and not self._ending:
+            if select.select([process.stdout], [], [], _LOOK_S)[0]:
+                return read_frame(process.stdout)
+            left_s -= _LOOK_S
+        return None
+
+    def _end_process(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):  # what was never flushed has no reader
+                    stream.close()
+
+
+def _failed(job: Job) -> object:
+    """What a learner gets for a job that cannot be done."""
+    if isinstance(job, RefitJob):
+        empty = np.zeros((job.fit.terms, job.fit.outputs))
+        return RefitResult(job.number, FitStatus.NOT_FINITE, empty, 0.0, float("nan"))
+    if isinstance(job, ColdJob):
+        return ColdResult(job.number, None, "the process that fits died of it")
+    return None

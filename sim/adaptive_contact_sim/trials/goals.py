@@ -1,0 +1,120 @@
+"""What the full learner is held to (design, sections 8 and 9; issue 4), and whether it is met."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from adaptive_contact_sim.trials.figures import LOCK_OUT_SWINGS
+from adaptive_contact_sim.trials.spec import Expect, Scenario, Variant
+
+__all__ = ["Goal", "goals"]
+
+Tree = dict[str, Any]
+
+RECOVERY_MEDIAN: Final = 10.0
+RECOVERY_P95: Final = 20.0
+ALARMS_ON_THE_WAY: Final = 2.0
+RECALL_POINTS: Final = 1.0
+TOUCHING_SHARE: Final = 0.001
+VALID_SWINGS: Final = 60.0
+ALARMS_PER_HOUR: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A figure, and what it should be at most.
+
+    Attributes:
+        what: of the full learner, with its unit.
+        limit: that it should not exceed.
+        measured: None for one that is not finite: a leg that never recovered, for instance.
+    """
+
+    what: str
+    limit: float
+    measured: float | None
+
+    @property
+    def met(self) -> bool:
+        """Whether it is."""
+        return self.measured is not None and self.measured <= self.limit
+
+
+def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
+    """The goals of a scenario, from its figures.
+
+    Args:
+        scenario: which.
+        tree: of :func:`~adaptive_contact_sim.trials.figures.figures`.
+    """
+    full = tree["variants"][Variant.FULL.value]
+    made = {
+        Expect.RECOVER: _recover,
+        Expect.FOLLOW: _follow,
+        Expect.UNPOISONED: _unpoisoned,
+        Expect.UNHARMED: _unharmed,
+        Expect.START: _start,
+        Expect.QUIET: _quiet,
+    }[scenario.expect](tree, full)
+    if scenario.poisonous:
+        made.append(_touching(full))
+    return made
+
+
+def _recover(tree: Tree, full: Tree) -> list[Goal]:
+    if not tree["counts_as_one_to_recover_from"]:
+        return _unharmed(tree, full)
+    made = []
+    several = len(full["recovery"]) > 1
+    for mark, recovery in full["recovery"].items():
+        of = f" ({mark})" if several else ""
+        made += [
+            Goal(f"swings to recovery, median{of}", RECOVERY_MEDIAN, recovery["swings_median"]),
+            Goal(f"swings to recovery, p95{of}", RECOVERY_P95, recovery["swings_p95"]),
+            Goal(
+                f"false alarms on the way, median{of}",
+                ALARMS_ON_THE_WAY,
+                recovery["alarms_median"],
+            ),
+        ]
+    return made
+
+
+def _follow(_: Tree, full: Tree) -> list[Goal]:
+    return [
+        _recall(full),
+        Goal("longest lock-out, swings", LOCK_OUT_SWINGS, float(full["longest_lock_out"])),
+    ]
+
+
+def _unpoisoned(_: Tree, full: Tree) -> list[Goal]:
+    return [_recall(full)]
+
+
+def _unharmed(_: Tree, full: Tree) -> list[Goal]:
+    return [_recall(full), Goal("harm (design, section 8)", 0.0, float(full["harmful"]))]
+
+
+def _start(_: Tree, full: Tree) -> list[Goal]:
+    start = full["start"]
+    own, reference = start["when_valid"]["recall"], start["reference"]["recall"]
+    lost = None if own is None or reference is None else 100.0 * (reference - own)
+    return [
+        Goal("swings until valid, p95", VALID_SWINGS, start["swings_p95"]),
+        Goal("recall lost once valid, points", RECALL_POINTS, lost),
+        Goal("harm once valid (design, section 8)", 0.0, float(start["harmful"])),
+    ]
+
+
+def _quiet(_: Tree, full: Tree) -> list[Goal]:
+    rate = full["judged"]["per_robot_hour"]
+    return [Goal("false alarms per robot-hour", ALARMS_PER_HOUR, rate), _recall(full)]
+
+
+def _recall(full: Tree) -> Goal:
+    return Goal("recall lost, points", RECALL_POINTS, full["recall_lost_points"])
+
+
+def _touching(full: Tree) -> Goal:
+    return Goal("contact ticks learned, share", TOUCHING_SHARE, full["touching_share"])

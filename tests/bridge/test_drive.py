@@ -1,0 +1,227 @@
+"""Safety of commanded movements, and the rules of the cycle that need no bus."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact.bridge.bus import Fault, Reading
+from adaptive_contact.bridge.drive import EASY_SHARE, HOLD_AFTER_NS, Driver, Mode, complaint
+from adaptive_contact.bridge.health import ASK_EVERY, SILENT_AFTER, ServoHealth, due, is_stale
+from adaptive_contact.bridge.outlet import Mailbox
+from adaptive_contact.bridge.phaselock import PhaseLock
+from adaptive_contact.bridge.plan import LegPlan, plan_ports
+from adaptive_contact.bridge.status import BridgeStatus, Pulse, Quantiles, ServoCounts
+from adaptive_contact.robot import parse_robot
+from adaptive_contact.wire import MSGPACK, Command, encode
+
+TICK_NS = 20_000_000
+
+
+def leg() -> LegPlan:
+    text = """
+    [robot]
+    name = "r"
+    period_s = 0.02
+    quantum_rad = 0.005
+    [port.a]
+    device = "x"
+    [[leg]]
+    id = "l"
+    joints = ["x", "y"]
+    servos = { ids = [1, 2], max_step_rad = 0.1 }
+    limits = { lower_rad = [-0.5, -1.0], upper_rad = [0.5, 1.0] }
+    """
+    return plan_ports(parse_robot(text, source="r"))[0].legs[0]
+
+
+angle = st.floats(-3.0, 3.0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    start=st.tuples(st.floats(-0.5, 0.5), st.floats(-1.0, 1.0)),
+    commands=st.lists(st.none() | st.tuples(angle, angle), max_size=60),
+    lost=st.sets(st.integers(0, 60)),
+)
+def test_goals_stay_within_limits_and_steps_whatever_is_commanded(
+    start: tuple[float, float], commands: list[tuple[float, float] | None], lost: set[int]
+) -> None:
+    plan = leg()
+    driver = Driver(plan)
+    measured = list(start)
+    last, heard = None, False
+    for k, command in enumerate(commands):
+        if command is not None:
+            driver.hear(Command(desired=list(command)), k * TICK_NS)
+            heard = True
+        here = [None, None] if k in lost else measured
+        goal = driver.step(here, k * TICK_NS)
+        if not heard:
+            assert goal is None
+        if goal is None:
+            continue
+        before = measured if last is None else last
+        for now, then, joint in zip(goal, before, plan.joints, strict=True):
+            assert abs(now - then) <= plan.max_step_rad + 1e-12
+            assert joint.lower_rad - 1e-9 <= now <= joint.upper_rad + 1e-9
+        last = goal
+
+
+def test_nothing_is_written_without_a_command() -> None:
+    driver = Driver(leg())
+    assert all(driver.step([0.1, 0.2], k * TICK_NS) is None for k in range(100))
+    assert driver.mode is Mode.IDLE
+
+
+def test_nothing_is_written_while_it_is_not_known_where_the_leg_is() -> None:
+    driver = Driver(leg())
+    driver.hear(Command(desired=[0.3, 0.3]), 0)
+    assert driver.step([None, 0.2], 0) is None
+    assert driver.step([0.1, 0.2], 1) is not None
+
+
+def test_the_first_command_is_approached_at_an_easy_pace() -> None:
+    driver = Driver(leg())
+    for k in range(40):
+        driver.hear(Command(desired=[0.4, 0.0]), k * TICK_NS)
+        goal = driver.step([0.0, 0.0], k * TICK_NS)
+        assert goal is not None
+        if k == 0:
+            assert goal == pytest.approx([0.1 * EASY_SHARE, 0.0])
+    assert goal == pytest.approx([0.4, 0.0])
+    assert driver.mode is Mode.FOLLOWING
+
+
+def test_a_stream_that_stops_is_held_and_resumed_gently() -> None:
+    driver = Driver(leg())
+    driver.hear(Command(desired=[0.0, 0.0]), 0)
+    driver.step([0.0, 0.0], 0)
+    assert driver.mode is Mode.FOLLOWING
+    assert driver.step([0.0, 0.0], HOLD_AFTER_NS) is not None
+    assert driver.step([0.0, 0.0], HOLD_AFTER_NS + 1) is None
+    assert driver.mode is Mode.HOLDING
+    later = 10 * HOLD_AFTER_NS
+    driver.hear(Command(desired=[0.4, 0.0]), later)
+    assert driver.step([0.0, 0.0], later) == pytest.approx([0.02, 0.0])
+
+
+def test_a_joint_outside_its_limits_comes_back_and_goes_no_further() -> None:
+    driver = Driver(leg())
+    driver.hear(Command(desired=[0.9, 0.0]), 0)
+    assert driver.step([0.7, 0.0], 0) == pytest.approx([0.7, 0.0])
+    driver.hear(Command(desired=[0.0, 0.0]), 1)
+    assert driver.step([0.7, 0.0], 1)[0] < 0.7
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (Command(desired=[0.0]), "1 values for 2"),
+        (Command(desired=[0.0, float("nan")]), "not finite"),
+        (Command(desired=[0.0, 0.0], preview=[[0.0]]), "preview"),
+    ],
+)
+def test_commands_that_cannot_be_used(command: Command, words: str) -> None:
+    assert words in complaint(command, 2)
+
+
+def test_the_mailbox_keeps_the_newest_and_counts_the_bad() -> None:
+    box = Mailbox()
+    for x in (0.1, 0.2):
+        box.put("l", encode(Command(desired=[x])), MSGPACK, 5)
+    command, arrival = box.take("l")
+    assert (command.desired, arrival) == ([0.2], 5)
+    assert box.take("l") is None
+    box.put("l", b"\x00rubbish", MSGPACK, 6)
+    assert box.take("l") is None
+    assert box.rejected == 1
+
+
+def test_silent_servos_are_asked_in_turn_and_come_back() -> None:
+    health = {i: ServoHealth() for i in range(4)}
+    for _ in range(SILENT_AFTER):
+        for i in (1, 2):
+            health[i].note(Reading(None, (), Fault.NO_ANSWER))
+    asked = [due(health, k) for k in range(4 * ASK_EVERY)]
+    assert all({0, 3} <= set(a) for a in asked)
+    extra = [set(a) - {0, 3} for a in asked]
+    assert [e for e in extra if e] == [{1}, {2}, {1}, {2}]
+    assert len([1 for k in range(4) if len(due(health, k, hurry=True)) == 3]) == 4
+    health[1].note(Reading(b"\0"))
+    assert not health[1].silent
+
+
+def test_alarms_are_shown_and_fade() -> None:
+    record = ServoHealth()
+    record.note(Reading(b"\0", ("overload",)))
+    assert record.counts.alarms == ["overload"]
+    for _ in range(100):
+        record.note(Reading(b"\0"))
+    assert record.counts.alarms == []
+    assert record.counts.faults == {"overload": 1}
+
+
+@pytest.mark.parametrize(
+    ("steps", "before", "speed", "stale"),
+    [(500, 500, 2.0, True), (500, 500, 0.1, False), (501, 500, 2.0, False)],
+)
+def test_stale_is_a_position_that_stays_while_the_servo_says_it_moves(
+    steps: int, before: int, speed: float, stale: bool
+) -> None:
+    assert is_stale(steps, before, speed, speed, 0.005 / 0.02) is stale
+
+
+@pytest.mark.parametrize("write_at_s", np.linspace(0.0, 0.019, 8).tolist())
+def test_the_phase_lock_comes_to_the_writes_from_anywhere(write_at_s: float) -> None:
+    """Goals change once a period, at a phase of their own that drifts; the reading has to end
+    up within one lead behind the writes."""
+    period, drift = 0.02, 3e-6  # 150 ppm
+    lock = PhaseLock(period)
+
+    def goal(t: float) -> int:
+        return int(np.floor((t - write_at_s) / (period + drift)))
+
+    t, last = 1.0, None
+    gaps = []
+    for _ in range(1500):
+        before, now = goal(t - lock.lead_s), goal(t)
+        gaps.append((t - write_at_s) % (period + drift))
+        shift = lock.update(before=before, now=now, last=last)
+        last = now
+        t += period + shift
+    assert lock.locked
+    assert np.mean(np.array(gaps[-1000:]) <= lock.lead_s) > 0.98
+
+
+def test_jitter_is_measured_against_an_even_grid() -> None:
+    pulse = Pulse(0.02)
+    rng = np.random.default_rng(1)
+    off = rng.uniform(-500_000, 500_000, 400)
+    for k in range(400):
+        tick = k if k < 200 else k + 3  # three missed
+        pulse.beat(0, 10**9 + tick * TICK_NS + int(off[k]))
+    assert pulse.jitter_ms.p99 == pytest.approx(0.5, abs=0.05)
+    assert pulse.jitter_ms.max < 0.6
+
+
+def test_a_status_of_18_servos_in_trouble_fits_the_smallest_client() -> None:
+    faults = {"no_answer": 10**6, "corrupt": 10**6, "stale": 10**6, "overload": 10**6}
+    status = BridgeStatus(
+        port="left",
+        t_ns=2**62,
+        mode="observe",
+        state="running",
+        rate_hz=50.0,
+        wanted_hz=50.0,
+        cycle_ms=Quantiles(p50=1.234, p90=1.234, p99=1.234, max=1.234),
+        jitter_ms=Quantiles(),
+        cycles=10**9,
+        missed=0,
+        servos={
+            str(i): ServoCounts(silent=True, alarms=["overload"], faults=faults) for i in range(18)
+        },
+    )
+    assert len(encode(status)) < 4000

@@ -1,0 +1,197 @@
+"""A worker that stands still, and a put that blocks, seen from outside."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from adaptive_contact.errors import LinkError
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.outbox import Outbox
+from adaptive_contact.service.server import Service
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.service.watchdog import Watchdog
+from adaptive_contact.wire import ContactTruth, Message, ServoSample, servo_key
+
+S = 1_000_000_000
+
+
+def message(n: int) -> Message:
+    return ContactTruth(t_ns=n, contact=True, force=1.0)
+
+
+class Gate:
+    """A publisher that blocks until it is opened."""
+
+    def __init__(self) -> None:
+        self.open = threading.Event()
+        self.entered = threading.Event()
+        self.got: list[int] = []
+
+    def put(self, message: Message) -> None:
+        self.entered.set()
+        assert self.open.wait(5)
+        assert isinstance(message, ContactTruth)
+        self.got.append(message.t_ns)
+
+
+class Bench:
+    """A watchdog on values of our choosing."""
+
+    def __init__(self) -> None:
+        self.beat = 0
+        self.blocked_ns = 0
+        self.stalls: list[float] = []
+        self.ended = 0
+        self.dog = Watchdog(
+            lambda: self.beat,
+            lambda _: self.blocked_ns,
+            on_stall=self.stalls.append,
+            on_end=self._end,
+        )
+
+    def _end(self) -> None:
+        self.ended += 1
+
+    def look(self, times: int, *, beat: bool) -> None:
+        for _ in range(times):
+            self.beat += beat
+            self.dog.look(0)
+
+
+def test_a_worker_that_gets_round_is_left_alone() -> None:
+    bench = Bench()
+    with capture_logs() as logs:
+        bench.look(1000, beat=True)
+    assert (bench.dog.stalls, bench.stalls, logs) == (0, [], [])
+
+
+def test_a_stall_is_told_once_and_its_end_too() -> None:
+    bench = Bench()
+    with capture_logs() as logs:
+        bench.look(1, beat=True)
+        bench.look(8, beat=False)
+        bench.look(3, beat=True)
+    assert bench.dog.stalls == 1
+    assert bench.stalls == [1.0, 1.25, 1.5, 1.75, 2.0]
+    assert [line["event"] for line in logs] == ["worker stands still", "worker goes on"]
+    assert bench.ended == 0
+
+
+def test_half_a_minute_is_the_end() -> None:
+    bench = Bench()
+    bench.look(1, beat=True)
+    bench.look(119, beat=False)
+    assert bench.ended == 0
+    bench.look(200, beat=False)
+    assert bench.ended == 1
+
+
+def test_a_put_that_blocks_is_told_once() -> None:
+    bench = Bench()
+    with capture_logs() as logs:
+        for blocked_s in (0.1, 0.6, 0.9, 0.0, 0.7):
+            bench.blocked_ns = int(blocked_s * S)
+            bench.look(1, beat=True)
+    assert bench.dog.blocks == 2
+    assert {line["event"] for line in logs} == {"a subscriber that hangs holds up contact events"}
+
+
+def test_without_a_thread_messages_go_at_once() -> None:
+    box, gate = Outbox(), Gate()
+    gate.open.set()
+    box.post(gate, message(1), time.monotonic_ns())
+    assert gate.got == [1]
+    assert len(box.latencies()) == 1
+    assert box.latencies() == []
+
+
+def test_a_blocked_put_holds_only_the_outbox_up_and_the_oldest_are_counted_as_lost() -> None:
+    box, gate = Outbox(size=4), Gate()
+    box.start()
+    box.post(gate, message(0), 0)
+    assert gate.entered.wait(5)
+    for n in range(1, 11):
+        box.post(gate, message(n), 0)  # returns at once
+    assert box.busy_ns(time.monotonic_ns() + S) >= S
+    assert box.lost == 6
+    gate.open.set()
+    box.close(5.0)
+    assert gate.got == [0, 7, 8, 9, 10]
+    assert box.busy_ns(time.monotonic_ns()) == 0
+
+
+def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Slow:
+        def put(self, message: Message) -> None:
+            now[0] += S
+
+    class Closed:
+        def put(self, message: Message) -> None:
+            raise LinkError("closed")
+
+    now = [0]
+    monkeypatch.setattr("adaptive_contact.service.outbox.time.monotonic_ns", lambda: now[0])
+    box = Outbox()
+    box.post(Slow(), message(1), 0)
+    box.post(Closed(), message(2), 0)
+    assert (box.slow, box.lost, box.latencies()) == (1, 1, [S])
+
+
+def test_a_learner_that_hangs_is_seen_by_everyone(
+    router: Link,
+    join: Callable[..., Link],
+    inbox: Any,
+    fake: ModuleType,
+    robot: Robot,
+    sample: Callable[..., ServoSample],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bank = fake.FakeBank(robot)
+    hang = threading.Event()
+
+    def update(samples: Any) -> list[Any]:
+        hang.wait(20)
+        return []
+
+    monkeypatch.setattr(bank, "update", update)
+    service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
+    client = join(router.endpoints[0])
+    got = inbox(ServiceStatus)
+    client.subscribe(SERVICE_STATUS, got, history=True)
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=[stop])
+    worker.start()
+    try:
+        got.wait(1)
+        client.publisher(servo_key("lf")).put(sample(1))
+        told = got.wait(lambda items: items[-1].note is not None)[-1]
+        assert told.note.startswith("the worker has stood still for 1.")
+        assert told.stalls == 1
+        hang.set()
+        assert got.wait(lambda items: items[-1].note is None)[-1].stalls == 1
+    finally:
+        hang.set()
+        stop.set()
+        worker.join(5)
+    assert not worker.is_alive()
+
+
+def test_giving_up_leaves_every_stack_and_an_exit_code(command: Any, tmp_path: Any) -> None:
+    log = tmp_path / "log"
+    with log.open("w") as stderr:
+        process = command(
+            "-c",
+            "from adaptive_contact.service.watchdog import give_up\n"
+            "def stuck(): give_up()\nstuck()",
+            stderr=stderr,
+        )
+        assert process.wait(10) == 70
+    assert "in stuck" in log.read_text()
