@@ -9,7 +9,7 @@ SEED   ?= 1
 MINUTES ?= 30
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test check bench baseline lock wheel clean
+.PHONY: help env demo test check bench scenarios baseline lock wheel clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -43,6 +43,10 @@ check: env  ## ruff, types, import contracts
 bench: env  ## the design's figures and speeds, in out/bench (about ten minutes)
 	$(BIN)/python -m adaptive_contact bench --out out/bench
 	$(BIN)/python tests/service/bench_echo.py
+
+scenarios: env  ## every drift through every learner; docs/adaptation.md (two hours, resumable)
+	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios
+	$(BIN)/python -m adaptive_contact scenarios report --out out/scenarios --docs docs
 
 baseline: env  ## learn the shipped baseline anew
 	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json

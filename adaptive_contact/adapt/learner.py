@@ -122,8 +122,7 @@ class ContactLearner:
         self._rising_foot = False
         self._measured_height = 0.0
         self._swing_open = False
-        self._lowest = self._commanded_low = 0.0
-        self._commanded_rise = self._measured_rise = 0.0
+        self._lowest = self._commanded_top = self._measured_rise = 0.0
         self._cold: ColdStart | None = None
         self._cold_job: int | None = None
         if self._known is not None:
@@ -299,10 +298,10 @@ class ContactLearner:
             self._rising_foot = now > self._measured_height
             self._measured_height = now
             self._measured_rise = max(self._measured_rise, now - self._lowest)
-            self._commanded_rise = max(self._commanded_rise, self._height - self._commanded_low)
+            self._commanded_top = max(self._commanded_top, self._height)
         judged = judged and self._swing_ticks > 1
         if judged and self._follower is not None and tracker.theta is not None:
-            self._unit = self._follower.variance(tracker.theta)
+            self._unit = self._follower.variance(tracker.theta) * tracker.inflation
         return judged
 
     def decide(self, verdict: Verdict | None, sample: ServoSample) -> ContactEvent | None:
@@ -439,8 +438,10 @@ class ContactLearner:
             return
         self._swing_open = False
         self._confirm(self._book.resolve())
-        if self._commanded_rise > LEAST_RISE_M:
-            self._follower.foot_held(self._measured_rise < HELD_SHARE * self._commanded_rise)
+        # From where the foot was: after a touch it starts higher than its command.
+        wanted = self._commanded_top - self._lowest
+        if wanted > LEAST_RISE_M:
+            self._follower.foot_held(self._measured_rise < HELD_SHARE * wanted)
         self._follower.swing_done()
 
     def _connect(self, result: Accepted, sample: ServoSample) -> None:
@@ -483,8 +484,8 @@ class ContactLearner:
             self._resolve()
             self._swing_open = True
             self._lowest = self._measured_height
-            self._commanded_low = self._height
-            self._commanded_rise = self._measured_rise = 0.0
+            self._commanded_top = self._height
+            self._measured_rise = 0.0
             self._book.begin(sample.t_ns)
             if self._follower is not None:
                 self._follower.begin_swing()

@@ -1,8 +1,8 @@
 """One leg's recent past: the window, the prediction, the residuals of this swing.
 
 A reading that is missing, or that no leg could have made, is replaced by its prediction, and the
-window is carried through; what is then predicted from it is less certain, so that no decision is
-made until the substitute has left the freshest part of the window.
+window is carried through; what is then predicted from it is less certain, and judged so until the
+substitute has left the freshest part of the window.
 """
 
 from __future__ import annotations
@@ -32,8 +32,11 @@ MAX_STEP_RAD_S: Final = 25.0
 STALE_QUANTA: Final = 3.0
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
-# Ticks after a substitute in which the prediction leans on it most (velocity terms).
+# Ticks after a substitute in which the prediction leans on it most (velocity terms), and the
+# factor on the residual's variance there: a substitute errs by a whole residual, a reading by two
+# thirds of one.
 UNSURE_TICKS: Final = 2
+UNSURE_VARIANCE: Final = 2.5
 
 
 class Tracker:
@@ -53,6 +56,7 @@ class Tracker:
         self.increments = np.zeros((DEPTH, joints))  # that were predicted for those residuals
         self.filled = 0  # samples in the window
         self.predicted = False  # whether `increment` holds
+        self.inflation = 1.0  # of the variance of the last residual
         self.usable = 0  # sound residuals of this swing, newest first
         self._max_step = MAX_STEP_RAD_S * library.period_s
         self._stale_step = STALE_QUANTA * quantum_rad
@@ -96,11 +100,12 @@ class Tracker:
             self.last_theta = self.theta
             np.subtract(reading, self.measured[0], out=self.residuals[0])
             self.residuals[0] -= self.increment
+        self.inflation = 1.0
         if not sound:
             self._unsure = UNSURE_TICKS
         elif self._unsure:
             self._unsure -= 1
-            sound = False
+            self.inflation = UNSURE_VARIANCE
         judged = self.predicted and sound
         self.usable = min(self.usable + 1, DEPTH) if judged else 0
         self.measured[1:] = self.measured[:-1]

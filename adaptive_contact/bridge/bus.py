@@ -34,6 +34,8 @@ _TIMEOUT: Final = -3001
 _ALERT: Final = 0x80
 # The same in every control table.
 _MODEL_NUMBER: Final = Block(0, 2)
+# For what has to succeed, outside the cycle.
+_TRIES: Final = 4
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
 _ID2, _ERROR2, _DATA2 = 4, 8, 9
 
@@ -95,6 +97,15 @@ class Bus:
         """Whether the port is open."""
         return bool(self._port.is_open)
 
+    @property
+    def timeout_ms(self) -> float:
+        """How long an answer may take beyond its bytes."""
+        return self._port.timeout_ms
+
+    @timeout_ms.setter
+    def timeout_ms(self, value: float) -> None:
+        self._port.timeout_ms = value
+
     def open(self) -> None:
         """Open the port.
 
@@ -151,9 +162,9 @@ class Bus:
         return self._guarded(work)
 
     def get(self, servo: int, register: Register) -> int | None:
-        """One register's value, None if the servo does not tell it within three tries."""
+        """One register's value, None if the servo does not tell it within some tries."""
         block = Block(register.address, register.size)
-        for _ in range(3):
+        for _ in range(_TRIES):
             data = self._guarded(lambda: self._read_one(servo, block)).data
             if data is not None:
                 return block.part(data, register)
@@ -162,7 +173,7 @@ class Bus:
     def put(self, servo: int, register: Register, value: int) -> bool:
         """Write one register; True when the servo has confirmed it."""
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
-        for _ in range(3):
+        for _ in range(_TRIES):
             result, error = self._guarded(
                 lambda: self._packets.writeTxRx(
                     self._port, servo, register.address, register.size, data
@@ -233,7 +244,7 @@ class Bus:
         if result != COMM_SUCCESS:
             return None
         doubled = self._second_answer()
-        for _ in range(2):
+        for _ in range(_TRIES):
             data = self._read_one(servo, _MODEL_NUMBER).data
             if data is not None:
                 return Pong(int.from_bytes(data, "little"), doubled)

@@ -23,6 +23,8 @@ __all__ = ["Findings", "check_ports", "scan"]
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
 _US_PER_DELAY: Final = 2
+_MORE_TRIES: Final = 2
+_PATIENT_MS: Final = 25.0
 
 
 @dataclasses.dataclass
@@ -101,7 +103,14 @@ def _check(plan: PortPlan, configure: bool, full: bool) -> Findings:
     try:
         expected = {joint.servo: joint for joint in plan.joints}
         ids = range(MAX_ID + 1) if full else expected
-        _compare(plan, bus, expected, scan(bus, ids), findings)
+        found = scan(bus, ids)
+        # Nothing is in a hurry from here on, and no servo is to be missed for a busy moment.
+        bus.timeout_ms = max(bus.timeout_ms, _PATIENT_MS)
+        for _ in range(_MORE_TRIES):
+            # One lost packet is no missing servo; a bus where nobody answers is asked once.
+            known = [s for s, pong in found.items() if pong.model_number is not None]
+            found |= scan(bus, [servo for servo in expected if found and servo not in known])
+        _compare(plan, bus, expected, found, findings)
         present = [] if findings.errors else list(plan.joints)
         for joint in present:
             _settings(plan, bus, joint, findings)

@@ -57,6 +57,15 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         self._deadline = 0.0
         self._fd = -1
 
+    @property
+    def timeout_ms(self) -> float:
+        """How long an answer may take beyond its bytes."""
+        return self._timeout_s * 1000.0
+
+    @timeout_ms.setter
+    def timeout_ms(self, value: float) -> None:
+        self._timeout_s = value / 1000.0
+
     def open(self) -> None:
         """Open the port and lock it.
 

@@ -28,19 +28,23 @@ app = typer.Typer(
 )
 
 # Command -> module with a function of the same name; order is the help's.
-_COMMANDS: Final = ("serve", "watch", "doctor", "record", "replay", "score", "fit", "bench")
+_COMMANDS: Final = ("serve", "watch", "doctor", "record", "replay", "score", "fit", "bench", "paper")
 
 
 def _register() -> None:
     for name in _COMMANDS:
         module = importlib.import_module(f"adaptive_contact.cli.{name}")
         app.command(name)(getattr(module, name))
-    from adaptive_contact.cli import sim, state
+    from adaptive_contact.cli import bridge, experiment, robot, scenarios, sim, state
     from adaptive_contact.cli.baseline import baseline
 
     sim.app.command("baseline")(baseline)
     app.add_typer(sim.app, name="sim")
+    app.add_typer(bridge.app, name="bridge")
+    app.add_typer(robot.app, name="robot")
     app.add_typer(state.app, name="state")
+    app.add_typer(scenarios.app, name="scenarios")
+    app.add_typer(experiment.app, name="experiment")
 
 
 def main() -> None:

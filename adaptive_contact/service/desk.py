@@ -66,7 +66,8 @@ class Desk:
         self.model_version = 0
         self.heard_samples = 0
         self.position = resumes
-        self._missed_before = 0  # samples of this run that passed while the service was down
+        # Samples that passed while the service was down.
+        self._missed_down = 0 if resumes is None else resumes.missed_down
         self._link = link
         self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
@@ -84,9 +85,9 @@ class Desk:
         if self.heard_samples == 0 and self.position is not None:
             gap = sample.seq - self.position.seq - 1
             if sample.run == self.position.run and 0 < gap < _LONGEST_GAP:
-                self._missed_before = gap
+                self._missed_down += gap
         self.heard_samples += 1
-        self.position = Position(sample.run, sample.seq)
+        self.position = Position(sample.run, sample.seq, self._missed_down)
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
 
@@ -131,8 +132,8 @@ class Desk:
     def status(self, now_ns: int) -> LearnerStatus:
         """The learner's status, with what only the service can know put in."""
         status = self.learner.status
-        if self._missed_before:
-            status = msgspec.structs.replace(status, missed=status.missed + self._missed_before)
+        if self._missed_down:
+            status = msgspec.structs.replace(status, missed=status.missed + self._missed_down)
         notes = [] if status.note is None else [status.note]
         if self._refused is not None and now_ns - self._refused_ns < _REFUSAL_SHOWN_NS:
             why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))

@@ -64,7 +64,9 @@ DEFAULTS: Final[Mapping[str, object]] = {
 _SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 # Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
 _QUOTED_LINE: Final = re.compile(r"(?m)^\s*\d*\s*\|.*$")
-_QUOTED_VALUE: Final = re.compile(r"(invalid (?:type|value): \w+) (?:\"(?:[^\"\\]|\\.)*\"|`[^`]*`)")
+_QUOTED_VALUE: Final = re.compile(
+    r"(?s)(invalid (?:type|value): \w+|unknown variant) (?:\\?\".*?\\?\"|`[^`]*`)"
+)
 
 
 class Facts(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adaptive_contact.detect.tail import fit_tail
+from adaptive_contact.detect.tail import PRIOR_EXCEEDANCES, PRIOR_SHAPE, fit_tail
 from adaptive_contact.errors import IdentificationError
 
 
@@ -17,7 +17,9 @@ def test_the_shape_of_a_pareto_tail_is_found(shape: float) -> None:
     # Asymptotic standard deviation of the estimator (Hosking and Wallis 1987, with k = -shape).
     k, n = -shape, 4000
     variance = (1 + k) * (2 + k) ** 2 * (1 + k + 2 * k**2) / ((1 + 2 * k) * (3 + 2 * k)) / n
-    assert tail.shape == pytest.approx(shape, abs=3.5 * variance**0.5)
+    # The prior pulls by its share of the exceedances.
+    expected = (n * shape + PRIOR_EXCEEDANCES * PRIOR_SHAPE) / (n + PRIOR_EXCEEDANCES)
+    assert tail.shape == pytest.approx(expected, abs=3.5 * variance**0.5)
     assert tail.rate == pytest.approx(0.01, rel=1e-3)
 
 

@@ -60,6 +60,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
         model_version: in force.
         run, seq: of the last sample the learner was given; the run is None where samples
             carry none, the number where none came yet.
+        missed_down: samples that passed while the service was down, all times together.
         body: the learner's own snapshot: numbers, strings, bytes, lists and maps.
     """
 
@@ -69,6 +70,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
     model_version: int
     run: int | None
     seq: int | None
+    missed_down: int = 0
     body: dict[str, Any]
 
 

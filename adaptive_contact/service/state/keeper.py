@@ -64,10 +64,16 @@ class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Position(NamedTuple):
-    """Where a source was when its leg was saved."""
+    """Where a source was when its leg was saved.
+
+    Attributes:
+        run, seq: of its last sample.
+        missed_down: samples that passed while the service was down until then.
+    """
 
     run: int | None
     seq: int
+    missed_down: int = 0
 
 
 class Kept(Protocol):
@@ -174,7 +180,9 @@ class StateKeeper:
                     age_s=round(age_s, 1),
                 )
                 self._restored.append(leg)
-                return None if found.seq is None else Position(found.run, found.seq)
+                if found.seq is None:
+                    return None
+                return Position(found.run, found.seq, found.missed_down)
             line = f"{path.name}: {' '.join(str(why).split())[:_LINE]}"
             _log.warning("state refused", leg=leg, file=path.name, why=why)
             self._refused.append(line)
@@ -210,6 +218,7 @@ class StateKeeper:
             model_version=desk.model_version,
             run=None if position is None else position.run,
             seq=None if position is None else position.seq,
+            missed_down=0 if position is None else position.missed_down,
             body=body,
         )
         with self._changed:

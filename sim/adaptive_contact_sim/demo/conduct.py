@@ -129,7 +129,11 @@ def _conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threadin
         )
 
 
-_SERVE: Final = ("serve", "--listen", "tcp/127.0.0.1:0", "--log-level", "warning")
+# Without state: a demo begins with the shipped models, and leaves none of its own behind.
+_SERVE: Final = (
+    *("serve", "--no-state", "--listen", "tcp/127.0.0.1:0"),
+    *("--log-level", "warning"),
+)
 
 
 def _walk(settings: DemoSettings, endpoint: str) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from adaptive_contact.score import (
     LegOutcome,
     LegStream,
     Row,
+    RowFigures,
     Summary,
     clopper_pearson,
     find_swings,
@@ -25,7 +26,6 @@ from adaptive_contact.score import (
     poisson_mean,
     summarise,
 )
-from adaptive_contact.score.tables import as_json_summary
 from adaptive_contact_sim.evaluate import leg_stream
 from adaptive_contact_sim.experiments.data import load
 from adaptive_contact_sim.experiments.detectors import DETECTORS
@@ -164,8 +164,12 @@ def _figures(
     summary = summarise(outcomes)
     kinds = list(dict.fromkeys(t.piece.kind for t in touched))
     by_kind = {
-        kind: _row(summarise([o for o, t in zip(outcomes, touched, strict=True)
-                              if t.piece.kind == kind]), kind)
+        kind: _row(
+            summarise(
+                [o for o, t in zip(outcomes, touched, strict=True) if t.piece.kind == kind]
+            ),
+            kind,
+        )
         for kind in kinds
     }
     alarms = {}
@@ -177,7 +181,7 @@ def _figures(
     )
     alarms["touch"] = _rate(summary.false_alarms, summary.judged_ticks)
     figures: dict[str, Any] = {
-        "summary": as_json_summary(summary),
+        "summary": _summary(summary),
         "kinds": by_kind,
         "false_alarms": alarms,
         "by_speed": _binned(outcomes, "speed_m_s", _SPEED_EDGES_M_S, (Row.SOFT, Row.GRAZING)),
@@ -194,18 +198,37 @@ def _figures(
     return figures
 
 
-def _row(summary: Summary, kind: str) -> dict[str, Any]:
-    """Recall of one kind of streams: all its touches that are counted, or the grazing ones."""
-    figures = summary.rows.get(Row.GRAZING) if kind == "graze" else None
-    figures = figures or summary.counted
+def _summary(summary: Summary) -> dict[str, Any]:
+    """What tables show of a summary."""
+    return {
+        "rows": {row.value: _row_figures(figures) for row, figures in summary.rows.items()},
+        "counted": _row_figures(summary.counted),
+        "precision": summary.precision,
+        "precision_interval": list(summary.precision_interval),
+        "neutral": summary.neutral,
+        "outside": summary.outside,
+        "swings": summary.swings,
+    }
+
+
+def _row_figures(figures: RowFigures) -> dict[str, Any]:
+    latency = figures.latency
     return {
         "touches": figures.touches,
         "found": figures.found,
         "recall": figures.recall,
         "interval": list(figures.interval),
-        "median_ms": figures.latency.median_ms if figures.latency else None,
-        "p95_ms": figures.latency.p95_ms if figures.latency else None,
+        "median_ms": latency.median_ms if latency else None,
+        "p95_ms": latency.p95_ms if latency else None,
+        "p99_ms": latency.p99_ms if latency else None,
+        "onset_error_ms": figures.onset_error_ms,
     }
+
+
+def _row(summary: Summary, kind: str) -> dict[str, Any]:
+    """Recall of one kind of streams: all its touches that are counted, or the grazing ones."""
+    figures = summary.rows.get(Row.GRAZING) if kind == "graze" else None
+    return _row_figures(figures or summary.counted)
 
 
 def _rate(count: int, ticks: int) -> dict[str, Any]:

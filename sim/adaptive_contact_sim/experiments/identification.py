@@ -53,8 +53,13 @@ TOLERANCE: Final = 1.005
 FOLDS: Final = 5
 # Our own sweep, in units of the residual.
 OUR_LAMBDAS: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
-# Conventions in which a λ can be meant: unit of angles, whether columns are normalised.
-CONVENTIONS: Final = (("rad", False), ("deg", False), ("rad", True))
+# Conventions in which a λ can be meant: unit of angles, whether columns are normalised, N, N', M.
+CONVENTIONS: Final = (
+    ("rad", False, PAPER_WINDOW),
+    ("deg", False, PAPER_WINDOW),
+    ("rad", True, PAPER_WINDOW),
+    ("rad", True, Window(past_measured=1, past_desired=1, preview=1)),
+)
 _STEP_RAD: Final = 1e-3
 _WINDOWS: Final = (
     ("linear", (1, 1, 0)),
@@ -87,15 +92,18 @@ def identification(robot: Robot, train: Stream, test: Stream) -> dict[str, Any]:
     library = leg_library(robot, leg, "paper", PAPER_WINDOW)
     rows, held = free_rows(train, library), free_rows(test, library)
     floor = noise_floor()
+    sweeps = []
+    for unit, normalised, window in CONVENTIONS:
+        swept = leg_library(robot, leg, "paper", window)
+        fitted, tried = free_rows(train, swept), free_rows(test, swept)
+        sweeps.append(_sweep(swept, fitted, tried, unit, normalised))
     return {
         "window": dataclasses.asdict(PAPER_WINDOW),
         "rows": {"train": len(rows.swing), "test": len(held.swing)},
         "floor_deg": float(np.degrees(floor)),
         "reading_noise_deg": rms_deg(test.measured - test.arrays.angle),
         "naive": _scores(held.windows, held.windows.measured[:, 0], states=None),
-        "sweeps": [
-            _sweep(library, rows, held, unit, normalised) for unit, normalised in CONVENTIONS
-        ],
+        "sweeps": sweeps,
         "selection": [_selection(robot, leg, name, train, test) for name in ("paper", "servo")],
         "windows": [_window_row(robot, leg, n, Window(*w), train, test) for n, w in _WINDOWS],
     }
@@ -134,18 +142,28 @@ def _sweep(
         if fit.status is FitStatus.EMPTIED and threshold >= PAPER_LAMBDA:
             break
     usable = [p for p in points if p["status"] == "ok" and p["held_out_rms"] is not None]
-    best = min(float(np.mean(p["held_out_rms"])) for p in usable)
-    near = [p for p in usable if float(np.mean(p["held_out_rms"])) <= TOLERANCE * best]
+    picked = _sparsest(usable)
     emptied = [p["lambda"] for p in points if p["status"] == "emptied"]
     return {
         "unit": unit,
         "normalised": normalised,
+        "window": dataclasses.asdict(library.window),
+        "size": library.size,
         "ridge": RIDGE,
         "condition": float(np.linalg.cond(r)),
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
-        "picked": max(p["lambda"] for p in near),
+        "picked": picked,
     }
+
+
+def _sparsest(points: Sequence[dict[str, Any]]) -> float | None:
+    """The largest λ whose held-out error is near the best; None where no fit keeps all joints."""
+    if not points:
+        return None
+    errors = [float(np.mean(p["held_out_rms"])) for p in points]
+    near = [p for p, e in zip(points, errors, strict=True) if e <= TOLERANCE * min(errors)]
+    return float(max(p["lambda"] for p in near))
 
 
 def _in_unit(windows: Rows, factor: float) -> Rows:
@@ -283,15 +301,13 @@ def _selection(
                 "sensitivity": _sensitivity(library, held.windows, fit.coefficients),
             }
         )
-    usable = [p for p in points if p["status"] == "ok"]
-    best = min(float(np.mean(p["held_out_rms"])) for p in usable)
-    near = [p for p in usable if float(np.mean(p["held_out_rms"])) <= TOLERANCE * best]
+    picked = _sparsest([p for p in points if p["status"] == "ok"])
     return {
         "library": name,
         "window": dataclasses.asdict(window),
         "size": library.size,
         "points": points,
-        "picked": max(p["lambda"] for p in near),
+        "picked": picked,
     }
 
 

@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
-
 from adaptive_contact_sim.trials.spec import Variant
 
 __all__ = ["COLOURS", "INK", "OUTCOMES", "figure", "save"]
@@ -30,7 +29,7 @@ OUTCOMES: Final = {
     "false alarm": "#c1121f",
 }
 # Plots have few colours: a palette makes a page half as large.
-_PALETTE: Final = 96
+_PALETTE: Final = 160
 _DPI: Final = 84
 
 

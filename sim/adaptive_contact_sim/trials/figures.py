@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from adaptive_contact.score import LegOutcome, Summary, is_harmful, match, summarise
 from numpy.typing import NDArray
 
+from adaptive_contact.score import LegOutcome, Summary, is_harmful, match, summarise
 from adaptive_contact_sim.trials.judge import Judged, judge, within
 from adaptive_contact_sim.trials.learners import robot
 from adaptive_contact_sim.trials.recording import Recording, file_of, load

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from adaptive_contact.score import LegOutcome, LegStream, SwingTable, match, swings_to_recovery
 from numpy.typing import NDArray
 
+from adaptive_contact.score import LegOutcome, LegStream, SwingTable, match, swings_to_recovery
 from adaptive_contact_sim.trials.replay import STATUSES, LegReplay, SwingLog
 from adaptive_contact_sim.trials.spec import Mark, Scenario
 

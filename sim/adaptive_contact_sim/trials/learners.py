@@ -9,7 +9,6 @@ from typing import Final
 from adaptive_contact.adapt import Baseline, ContactLearner, LearnerMode, shipped_baseline
 from adaptive_contact.errors import BaselineError
 from adaptive_contact.robot import Robot, shipped_robot
-
 from adaptive_contact_sim.trials.spec import BaselineChoice, Variant
 
 __all__ = ["OPPOSITE", "baseline_for", "learner", "reference_baseline", "robot"]

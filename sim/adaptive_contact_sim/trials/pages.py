@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from adaptive_contact.score import LegOutcome
 from numpy.typing import NDArray
 
+from adaptive_contact.score import LegOutcome
 from adaptive_contact_sim.trials.canvas import COLOURS, INK, OUTCOMES, figure, save
 from adaptive_contact_sim.trials.figures import Judgement
 from adaptive_contact_sim.trials.learners import reference_baseline
@@ -38,6 +38,10 @@ _TERMS_SHOWN: Final = 5
 _AROUND: Final = (-20, 60)
 _SMOOTH: Final = 3
 _BLOCKS: Final = 60
+# Ticks after a contact whose residuals, and windows of residuals, still know of it.
+_AFTERMATH: Final = 6
+# Swings further apart than this are not joined by a line.
+_GAP_S: Final = 3.0
 
 
 def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
@@ -93,7 +97,8 @@ def _free_by_swing(
     recording: Recording, leg: str, outcome: LegOutcome, values: Array, *, largest: bool
 ) -> tuple[Array, Array]:
     """Times of swings (s,), and their largest or root mean square value on truly free ticks."""
-    free = recording.legs[leg].swing & ~recording.touching(leg) & np.isfinite(values)
+    touched = np.convolve(recording.touching(leg), np.ones(_AFTERMATH))[: len(values)] > 0
+    free = recording.legs[leg].swing & ~touched & np.isfinite(values)
     swing = np.searchsorted(outcome.swings.start_ns, recording.t_ns[free], side="right") - 1
     picked, swing = values[free][swing >= 0], swing[swing >= 0]
     count = len(outcome.swings.start_ns)
@@ -117,9 +122,9 @@ def _scores(
         t, score = _free_by_swing(recording, leg, outcome, trace.score, largest=True)
         ax.plot(t, np.maximum(score, 0.02), ".", ms=4, color=COLOURS[variant], label=variant.value)
     ax.axhline(1.0, color=INK, lw=0.8)
-    ax.set_yscale("log")
+    _log(ax)
     ax.set_ylabel("score")
-    ax.legend(loc="upper left", ncols=2)
+    _legend(ax)
 
 
 def _residuals(
@@ -131,11 +136,13 @@ def _residuals(
         norm = np.degrees(np.sqrt(np.square(replayed.trace.residual_rad).mean(axis=1)))
         t, rms = _free_by_swing(recording, leg, outcome, norm, largest=False)
         wide = 1.6 if variant is Variant.FULL else 0.9
+        holes = np.flatnonzero(np.diff(t) > _GAP_S) + 1
+        t, rms = np.insert(t, holes, np.nan), np.insert(rms, holes, np.nan)
         ax.plot(t, rms, color=COLOURS[variant], lw=wide, label=variant.value)
-    ax.set_yscale("log")
+    _log(ax)
     ax.set_ylabel("degrees")
     ax.set_title("Residual on truly free ticks, root mean square per swing")
-    ax.legend(loc="upper left", ncols=5)
+    _legend(ax)
 
 
 def _outcomes(ax: Any, judgement: Judgement) -> None:
@@ -147,17 +154,18 @@ def _outcomes(ax: Any, judgement: Judgement) -> None:
             ax.vlines(swings.start_ns[which] / 1e9, row - 0.4, row + 0.4, color=colour, lw=1.4)
     ax.set_yticks(range(len(names)), [variant.value for variant in names])
     ax.set_ylim(len(names) - 0.5, -0.5)
-    ax.set_title("Every swing: ", pad=4)
-    x = 0.075
+    ax.set_title("What became of every swing")
+    x = 0.72
     for name, colour in OUTCOMES.items():
-        shown = "#9aa5ad" if name == "clean" else colour
-        ax.text(x, 1.03, f"■ {name}", color=shown, transform=ax.transAxes, fontsize=8.5)
-        x += 0.03 + 0.0085 * len(name)
+        box = {"facecolor": colour, "edgecolor": "none", "pad": 1.5}
+        ink = "white" if name == "false alarm" else INK
+        ax.text(x, 1.05, name, color=ink, transform=ax.transAxes, fontsize=8, bbox=box)
+        x += 0.025 + 0.008 * len(name)
 
 
 def _terms(ax: Any, leg: str, full: LegReplay) -> None:
     ax.set_ylabel("degrees per tick")
-    ax.set_title("Terms of the full learner's model that moved most, times their usual size")
+    ax.set_title("Terms of the full model that moved most, × usual size")
     trace, known = full.trace, reference_baseline().legs[leg]
     names = known.model.library.names
     if trace is None or not len(trace.names) or tuple(trace.names) != names:
@@ -176,7 +184,7 @@ def _terms(ax: Any, leg: str, full: LegReplay) -> None:
         name = f"{known.model.library.joints[joint]}: {names[term]}"
         ax.plot(full.log.t_ns / 1e9, change[:, term, joint], lw=1.2, label=name)
     if ax.lines:
-        ax.legend(loc="upper left", ncols=_TERMS_SHOWN, fontsize=7)
+        _legend(ax)
 
 
 def _status(ax: Any, full: LegReplay) -> None:
@@ -192,7 +200,7 @@ def _status(ax: Any, full: LegReplay) -> None:
         for name, marker in marks.items():
             at = t[np.diff(getattr(log, name), prepend=0) > 0]
             ax.plot(at, np.full(len(at), 0.45), marker, ms=5, color=INK, ls="none")
-    ax.set_yscale("log")
+    _log(ax)
     ax.set_ylim(bottom=0.3)
     ax.set_ylabel("drift level")
     ax.set_title(
@@ -203,6 +211,18 @@ def _status(ax: Any, full: LegReplay) -> None:
         box = {"facecolor": _STATUS_COLOURS[name], "edgecolor": "none", "pad": 1.5}
         ax.text(x, 1.05, name, transform=ax.transAxes, fontsize=8, bbox=box)
         x += 0.072
+
+
+def _legend(ax: Any) -> None:
+    """Above the plot, at the right: nothing of it is hidden."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=len(ax.lines), borderpad=0.1)
+
+
+def _log(ax: Any) -> None:
+    ax.set_yscale("log", subs=[3])
+    ax.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter("")
 
 
 def _moments(ax: Any, scenario: Scenario) -> None:
@@ -217,6 +237,7 @@ def _moments(ax: Any, scenario: Scenario) -> None:
 def _all_leg_runs(ax: Any, judgement: Judgement) -> None:
     scenario = judgement.scenario
     count = len(judgement.leg_runs)
+    ax.set_title(f"All {count} leg-runs: swings with a missed touch or a false alarm")
     for variant, judged in judgement.variants.items():
         outcomes = [one.outcome for one in judged]
         wide = 2.0 if variant is Variant.FULL else 1.1
@@ -225,6 +246,7 @@ def _all_leg_runs(ax: Any, judgement: Judgement) -> None:
         else:
             x, share = _over_time(outcomes)
         ax.plot(x, 100.0 * share, color=COLOURS[variant], lw=wide, label=variant.value)
+    _legend(ax)
     if scenario.marks and scenario.marks[0].at_s > 0:
         ax.axvline(0.0, color=INK, lw=0.8, ls=(0, (4, 3)))
         ax.set_xlabel(f"swings of the leg since '{scenario.marks[0].name}'")
@@ -232,8 +254,6 @@ def _all_leg_runs(ax: Any, judgement: Judgement) -> None:
         ax.set_xlabel("s")
     ax.set_ylabel("% of swings lost")
     ax.set_ylim(-2.0, 102.0)
-    ax.set_title(f"All {count} leg-runs: swings with a missed touch or a false alarm")
-    ax.legend(loc="upper left", ncols=5)
 
 
 def _around_mark(outcomes: list[LegOutcome], at_s: float) -> tuple[Array, Array]:
@@ -251,6 +271,7 @@ def _around_mark(outcomes: list[LegOutcome], at_s: float) -> tuple[Array, Array]
     raw = lost / np.maximum(there, 1.0)
     edge = slice(-first - _SMOOTH // 2, -first + _SMOOTH // 2 + 1)
     share[edge] = raw[edge]
+    share[there == 0] = np.nan
     return np.arange(first, last, dtype=np.float64), share
 
 

@@ -16,6 +16,8 @@ from typing import Any, Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
+
 from adaptive_contact.robot import Robot, foot
 from adaptive_contact.score import (
     LegStream,
@@ -25,8 +27,6 @@ from adaptive_contact.score import (
     lift_by_height,
 )
 from adaptive_contact.wire import ServoSample
-from numpy.typing import NDArray
-
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.experiments.store import read_arrays, write_arrays

@@ -6,7 +6,6 @@ import difflib
 from collections.abc import Iterable
 
 from adaptive_contact.errors import ConfigurationError
-
 from adaptive_contact_sim.trials.changes import compound, slow_changes, steps
 from adaptive_contact_sim.trials.conditions import (
     contacts,

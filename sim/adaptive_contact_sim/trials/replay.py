@@ -14,17 +14,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args
 
-import adaptive_contact
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
+
+import adaptive_contact
 from adaptive_contact.adapt import ContactLearner
 from adaptive_contact.adapt.advance import advance
 from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
-from numpy.typing import NDArray
-
 from adaptive_contact_sim.experiments.store import read_arrays, write_arrays
 from adaptive_contact_sim.trials.learners import learner, reference_baseline
 from adaptive_contact_sim.trials.recording import Recording, key_of

@@ -12,11 +12,11 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError, SimulationDiverged
-
 from adaptive_contact_sim.trials.recording import key_of, made
 from adaptive_contact_sim.trials.replay import (
     load_replay,
@@ -146,6 +146,11 @@ def run(
         futures = [pool.submit(_do, job, folders) for job in work]
         for future in as_completed(futures):
             note(future.result())
+    except BrokenProcessPool as error:
+        raise ConfigurationError(
+            "a process ended that was at work (out of memory?); run the same command again to go "
+            "on, with fewer --processes"
+        ) from error
     except BaseException:
         # Interrupted, or a job failed: those under way end, the others are not begun.
         pool.shutdown(cancel_futures=True)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
-
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import JOINTS, LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings

@@ -18,9 +18,9 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from adaptive_contact.errors import ConfigurationError
 from numpy.typing import NDArray
 
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.simulation import Simulation

@@ -1,0 +1,94 @@
+"""One port's process: the bridge's loop on one side, Zenoh on the other."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from adaptive_contact.bridge.loop import PortLoop, take_priority
+from adaptive_contact.bridge.outlet import Mailbox
+from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.status import BridgeStatus
+from adaptive_contact.errors import AdaptiveContactError, LinkError
+from adaptive_contact.service.link import Link, LinkSettings
+from adaptive_contact.wire import ServoSample, bridge_status_key, command_key, servo_key
+
+__all__ = ["ZenohOutlet", "listen", "work"]
+
+
+class ZenohOutlet:
+    """Publishes a port's samples and status.
+
+    Args:
+        link: stays open.
+        plan: what is on the port.
+    """
+
+    def __init__(self, link: Link, plan: PortPlan) -> None:
+        self._servo = {leg.id: link.publisher(servo_key(leg.id)) for leg in plan.legs}
+        self._status = link.publisher(bridge_status_key(plan.name))
+
+    def samples(self, samples: Mapping[str, ServoSample]) -> None:
+        """Publish one control tick's samples."""
+        for leg, sample in samples.items():
+            self._servo[leg].put(sample)
+
+    def status(self, status: BridgeStatus) -> None:
+        """Publish how the port is."""
+        self._status.put(status)
+
+    def say(self, line: str) -> None:
+        """Tell the person at the terminal."""
+        print(f"adaptive-contact bridge: {line}", file=sys.stderr, flush=True)
+
+
+def listen(link: Link, plan: PortPlan, mailbox: Mailbox) -> None:
+    """Let the commands of a port's legs go into a mailbox."""
+    for leg in plan.legs:
+
+        def sink(received: Any, leg: str = leg.id) -> None:
+            mailbox.put(leg, received.payload, received.encoding, received.arrival_ns)
+
+        link.subscribe(command_key(leg.id), sink)
+
+
+def work(
+    plan: PortPlan,
+    mode: Literal["observe", "drive"],
+    settings: LinkSettings,
+    run: int,
+    realtime: bool = False,
+) -> None:
+    """Run a port until SIGTERM or SIGINT; the target of a spawned process.
+
+    Args:
+        plan: what is on the port.
+        mode: of the bridge.
+        settings: how to join the network.
+        run: the ``run`` of the samples.
+        realtime: run before all ordinary processes.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        with Link.open(settings, stop=stop) as link:
+            outlet, mailbox = ZenohOutlet(link, plan), Mailbox()
+            if mode == "drive":
+                listen(link, plan, mailbox)
+            loop = PortLoop(plan, mode, outlet, mailbox, run)
+            # Only now, so that Zenoh's threads, made before, stay ordinary ones.
+            refused = take_priority() if realtime else None
+            if refused is not None:
+                outlet.say(f"port {plan.name}: {refused}")
+            loop.run(stop)
+    except LinkError as error:
+        if not stop.is_set():
+            print(f"adaptive-contact bridge: {error}", file=sys.stderr, flush=True)
+            sys.exit(2)
+    except AdaptiveContactError as error:
+        print(f"adaptive-contact bridge: {error}", file=sys.stderr, flush=True)
+        sys.exit(2)

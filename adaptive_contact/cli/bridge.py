@@ -1,0 +1,312 @@
+"""``adaptive-contact bridge``: real servos on Zenoh, and a virtual bus to try it without any."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from adaptive_contact.cli._options import (
+    ConfigOption,
+    ConnectOption,
+    JsonPayloadOption,
+    NamespaceOption,
+    ZenohConfigOption,
+    client,
+)
+from adaptive_contact.cli._sim_options import needs_simulator, stoppable
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+
+if TYPE_CHECKING:
+    from adaptive_contact.bridge.plan import PortPlan
+    from adaptive_contact.robot import Robot
+    from adaptive_contact.service.link import LinkSettings
+
+__all__ = ["DeviceOption", "app", "devices_of", "needs_sdk", "robot_of"]
+
+app = typer.Typer(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
+
+_RESTART_S: Final = 1.0
+_END_S: Final = 3.0
+
+DeviceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--device",
+        metavar="[PORT=]PATH",
+        help="Serial port instead of robot.toml's, such as /dev/ttyUSB0 or left=/dev/ttyUSB1; "
+        "repeatable.",
+        show_default=False,
+    ),
+]
+
+
+RealtimeOption = Annotated[
+    bool,
+    typer.Option("--realtime", help="Run before all ordinary processes (needs the right to)."),
+]
+
+
+@contextlib.contextmanager
+def needs_sdk() -> Iterator[None]:
+    """Around imports of the bridge: a missing DynamixelSDK is told in one line."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] not in ("dynamixel_sdk", "serial"):
+            raise
+        raise MissingExtraError("the Dynamixel bridge", "dynamixel") from error
+
+
+def robot_of(config: Path | None) -> Robot:
+    """The robot described, or the shipped hexapod."""
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    return shipped_robot() if config is None else load_robot(config)
+
+
+def devices_of(given: list[str] | None) -> dict[str, str]:
+    """Devices of ``--device``, by port.
+
+    Raises:
+        ConfigurationError: a port is given twice.
+    """
+    from adaptive_contact.bridge.plan import DEFAULT_PORT
+
+    devices: dict[str, str] = {}
+    for text in given or ():
+        name, equals, path = text.partition("=")
+        if not equals:
+            name, path = DEFAULT_PORT, text
+        if name in devices:
+            raise ConfigurationError(f"--device gives port '{name}' twice; give each once")
+        devices[name] = path
+    return devices
+
+
+@app.command()
+def dynamixel(
+    config: ConfigOption = None,
+    drive: Annotated[
+        bool,
+        typer.Option(
+            "--drive",
+            help="Write the goals that arrive on robot/leg/*/command.  Without it the bridge only "
+            "reads, and another controller moves the robot.",
+        ),
+    ] = False,
+    configure: Annotated[
+        bool,
+        typer.Option("--configure", help="Set return delays to 0 (in the servos' EEPROM)."),
+    ] = False,
+    realtime: RealtimeOption = False,
+    device: DeviceOption = None,
+    baud: Annotated[
+        int | None, typer.Option("--baud", help="Instead of robot.toml's.", show_default=False)
+    ] = None,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: JsonPayloadOption = False,
+) -> None:
+    """Publish the servos' positions and goals at the control rate, a process per port."""
+    stop = stoppable()
+    with needs_sdk():
+        from adaptive_contact.bridge.handshake import check_ports
+        from adaptive_contact.bridge.plan import plan_ports
+
+    plans = plan_ports(robot_of(config), devices_of(device), baud=baud)
+    settings = client(connect, namespace, zenoh_config, json=json)
+    findings = check_ports(plans, configure=configure)
+    for line in findings.done + findings.advice:
+        typer.echo(f"adaptive-contact bridge: {line}", err=True)
+    findings.raise_errors()
+    _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)
+
+
+class _Crew:
+    """A process per port; one that dies is started again."""
+
+    def __init__(
+        self, plans: tuple[PortPlan, ...], mode: Any, settings: LinkSettings, *, realtime: bool
+    ) -> None:
+        self._plans, self._mode, self._settings = plans, mode, settings
+        self._realtime = realtime
+        self._run = time.time_ns() // 1_000_000
+        self._context = multiprocessing.get_context("spawn")
+        self._workers: dict[str, SpawnProcess] = {}
+
+    def run(self, stop: threading.Event) -> None:
+        """Keep all ports running until stopped."""
+        for plan in self._plans:
+            self._start(plan)
+        servos = sum(len(plan.joints) for plan in self._plans)
+        legs = " ".join(leg.id for plan in self._plans for leg in plan.legs)
+        what = "driving" if self._mode == "drive" else "observing"
+        typer.echo(
+            f"adaptive-contact bridge: {what} {servos} servos on {len(self._plans)} ports, legs "
+            f"{legs}; publishing robot/leg/*/servo; stop with Ctrl-C"
+        )
+        sys.stdout.flush()
+        try:
+            while not stop.wait(0.2):
+                for plan in self._plans:
+                    worker = self._workers[plan.name]
+                    if not worker.is_alive():
+                        typer.echo(
+                            f"adaptive-contact bridge: port {plan.name}: its process ended "
+                            f"({worker.exitcode}); starting it again",
+                            err=True,
+                        )
+                        if not stop.wait(_RESTART_S):
+                            self._start(plan)
+        finally:
+            self._end()
+
+    def _start(self, plan: PortPlan) -> None:
+        from adaptive_contact.cli._bridge_worker import work
+
+        worker = self._context.Process(
+            target=work,
+            args=(plan, self._mode, self._settings, self._run, self._realtime),
+            name=f"bridge-{plan.name}",
+        )
+        worker.start()
+        self._workers[plan.name] = worker
+
+    def _end(self) -> None:
+        for worker in self._workers.values():
+            if worker.is_alive() and worker.pid is not None:
+                os.kill(worker.pid, signal.SIGTERM)
+        for worker in self._workers.values():
+            worker.join(_END_S)
+            if worker.is_alive():
+                worker.kill()
+                worker.join()
+
+
+@app.command()
+def virtual(
+    directory: Annotated[
+        Path,
+        typer.Option("--dir", metavar="DIR", help="Where the ports appear, as links."),
+    ] = Path("bus"),
+    config: ConfigOption = None,
+    robot: Annotated[
+        str, typer.Option("--robot", metavar="NAME", help="Which shipped robot is simulated.")
+    ] = "hexapod",
+    ports: Annotated[
+        int, typer.Option("--ports", min=1, help="For a robot without ports of its own.")
+    ] = 1,
+    write_config: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-config",
+            metavar="FILE",
+            help="Write the robot.toml of this bus.",
+            show_default=False,
+        ),
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario",
+            metavar="NAME",
+            help="The robot moves by itself, as in `sim`; without it, it hangs on a stand and "
+            "does what the bus says.",
+            show_default=False,
+        ),
+    ] = None,
+    height: Annotated[
+        float, typer.Option("--height", help="Of the stand: body over the floor, m.")
+    ] = 1.0,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="SPEC",
+            help="What goes wrong: silent, late, flip, stale, error, hangup, such as "
+            "silent:id=3@5+2 (servo 3, from 5 s, for 2 s); repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    return_delay: Annotated[
+        int, typer.Option("--return-delay", min=0, max=254, help="Register, 2 us each.")
+    ] = 0,
+    wire_time: Annotated[
+        bool, typer.Option("--wire-time/--no-wire-time", help="Packets take their time.")
+    ] = True,
+    realtime: RealtimeOption = False,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    robot_seed: Annotated[int, typer.Option("--robot-seed", min=0)] = 0,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="Otherwise until Ctrl-C.", show_default=False)
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FILE.mcap",
+            help="Of a scenario: the simulator's own samples and truth.",
+            show_default=False,
+        ),
+    ] = None,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Publish robot/leg/*/truth over Zenoh.")
+    ] = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: JsonPayloadOption = False,
+) -> None:
+    """A bus on pseudo-terminals whose servos are the simulated robot."""
+    stop = stoppable()
+    with needs_simulator():
+        from adaptive_contact_sim.virtual import parse_fault
+        from adaptive_contact_sim.virtual.assembly import VirtualSettings
+        from adaptive_contact_sim.virtual.session import VirtualPlan, run
+
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    plan = VirtualPlan(
+        robot=shipped_robot(robot) if config is None else load_robot(config),
+        simulated=robot,
+        directory=directory,
+        ports=ports,
+        bus=VirtualSettings(
+            faults=tuple(parse_fault(text) for text in fault or ()),
+            seed=seed,
+            return_delay=return_delay,
+            wire_time=wire_time,
+        ),
+        scenario=scenario,
+        height_m=height,
+        seed=seed,
+        robot_seed=robot_seed,
+        seconds=seconds,
+        record=record,
+        write_config=write_config,
+        link=client(connect, namespace, zenoh_config, json=json) if truth else None,
+    )
+    if realtime:
+        with needs_sdk():
+            from adaptive_contact.bridge.loop import take_priority
+        refused = take_priority()
+        if refused is not None:
+            typer.echo(f"adaptive-contact bridge virtual: {refused}", err=True)
+    run(plan, stop, on_start=_say)
+
+
+def _say(line: str) -> None:
+    typer.echo(f"adaptive-contact bridge virtual: {line}")
+    sys.stdout.flush()

@@ -1,0 +1,56 @@
+"""``adaptive-contact experiment``: single experiments on data of one's own."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._sim_options import needs_simulator
+
+__all__ = ["app"]
+
+app = typer.Typer(help="Single experiments on data of one's own.", no_args_is_help=True)
+
+
+@app.callback()
+def _experiments() -> None:
+    """Keep ``logs`` a command of its own while it is the only one."""
+
+
+@app.command()
+def logs(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH", help="Recording (.npz or .json), or a folder of them.", show_default=False
+        ),
+    ],
+    json: JsonOption = False,
+) -> None:
+    """Fit and test the libraries on recordings of real servos."""
+    with needs_simulator():
+        from adaptive_contact_sim.experiments.logs import run_logs
+    from adaptive_contact_sim.experiments.store import plain
+    from adaptive_contact_sim.experiments.tables import sections
+
+    tree = plain(run_logs(path))
+    if json:
+        typer.echo(jsonlib.dumps(tree, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    for section in sections({"logs": tree}):
+        console.print(section.text, markup=False)
+        for table in section.tables:
+            shown = Table(*table.header, title=table.title, title_justify="left")
+            for row in table.rows:
+                shown.add_row(*row)
+            console.print(shown)

@@ -1,0 +1,213 @@
+"""``adaptive-contact scenarios``: what the learner does when a leg changes, measured."""
+
+from __future__ import annotations
+
+import dataclasses
+import json as jsonlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from adaptive_contact_sim.trials.figures import Judgement
+    from adaptive_contact_sim.trials.runner import Done, Folders, Job
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="Drifts, contacts and trouble, replayed through the learner and lesser ones.",
+    no_args_is_help=True,
+)
+
+OutOption = Annotated[
+    Path,
+    typer.Option("--out", metavar="FOLDER", help="Recordings, replays, figures and pages."),
+]
+DEFAULT_OUT = Path("out/scenarios")
+# How a command ends that Ctrl-C stopped, as shells have it.
+INTERRUPTED = 130
+
+
+@app.command("list")
+def list_(json: JsonOption = False) -> None:
+    """Show all scenarios: their names, what happens, how much is simulated."""
+    with needs_simulator():
+        from adaptive_contact_sim.trials.registry import scenarios
+
+    known = scenarios().values()
+    if json:
+        rows = [
+            {
+                "name": s.name,
+                "about": s.about,
+                "motion": s.motion,
+                "expect": s.expect.value,
+                "leg_runs": len(s.leg_runs),
+                "simulated_s": s.seconds,
+                "variants": [v.value for v in s.variants],
+            }
+            for s in known
+        ]
+        typer.echo(jsonlib.dumps(rows, indent=2))
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(
+        *("scenario", "what happens", "motion", "leg-runs", "minutes"),
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for s in known:
+        minutes = f"{s.seconds / 60:.0f}"
+        table.add_row(s.name, s.about, s.motion, str(len(s.leg_runs)), minutes)
+    console.print(table)
+    console.print(
+        "`scenarios run NAME…` measures some, `scenarios run --all` all of them (two hours on two "
+        "cores), `--quick` looks whether everything runs.",
+        highlight=False,
+    )
+
+
+@app.command()
+def run(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Which (`scenarios list`).")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="All of them.")] = False,
+    seeds: Annotated[
+        int | None,
+        typer.Option("--seeds", metavar="N", min=1, max=200, help="Leg-runs of each. [20]"),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Short recordings, two leg-runs: does it all run?")
+    ] = False,
+    processes: Annotated[
+        int, typer.Option("--processes", min=1, max=64, help="Recordings worked on at a time.")
+    ] = 2,
+    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Draw plots.")] = True,
+    out: OutOption = DEFAULT_OUT,
+    json: JsonOption = False,
+) -> None:
+    """Record what is missing, replay it through every learner, judge, and draw.
+
+    What was made is kept and never made again: after Ctrl-C, the same command goes on where it
+    stopped, and ends with the same numbers.
+    """
+    with needs_simulator():
+        from adaptive_contact_sim.trials.figures import judge_scenario
+        from adaptive_contact_sim.trials.registry import named, scenarios
+        from adaptive_contact_sim.trials.results import merge, results, write_results
+        from adaptive_contact_sim.trials.runner import Folders, jobs
+        from adaptive_contact_sim.trials.runs import FULL_SIZES, QUICK_SIZES
+        from adaptive_contact_sim.trials.words import results_table
+    from rich.console import Console
+
+    if not names and not everything:
+        raise ConfigurationError(
+            "no scenario given; name some (`adaptive-contact scenarios list`), or give --all"
+        )
+    sizes = QUICK_SIZES if quick else FULL_SIZES
+    if seeds is not None:
+        sizes = dataclasses.replace(sizes, leg_runs=seeds)
+    chosen = list(scenarios(sizes).values()) if everything else named(names or (), sizes)
+    console = Console(stderr=True)
+    folders = Folders.of(out)
+    try:
+        problems = _work(jobs(chosen, folders), folders, processes, console)
+        judgements = [judge_scenario(scenario, folders) for scenario in chosen]
+        empty = [j.scenario.name for j in judgements if not j.leg_runs]
+        if empty:
+            raise ConfigurationError(f"no leg-run of {', '.join(empty)} came about: {problems[0]}")
+        tree = results(judgements, sizes, quick=quick, problems=problems)
+        whole = merge(tree, folders.results)
+        write_results(whole, folders.results)
+        if pages:
+            _draw(judgements, whole, folders, console)
+    except KeyboardInterrupt:
+        console.print("interrupted; the same command goes on from here", highlight=False)
+        raise typer.Exit(INTERRUPTED) from None
+    for problem in problems:
+        console.print(f"[yellow]{problem}[/]", highlight=False)
+    if json:
+        typer.echo(jsonlib.dumps(tree, indent=2))
+    else:
+        Console(width=None if Console().is_terminal else 160).print(results_table(tree))
+    console.print(f"figures in {folders.results}, pages in {folders.pages}", highlight=False)
+
+
+@app.command()
+def report(
+    out: OutOption = DEFAULT_OUT,
+    docs: Annotated[
+        Path, typer.Option("--docs", metavar="FOLDER", help="Where adaptation.md goes.")
+    ] = Path("docs"),
+) -> None:
+    """Write docs/adaptation.md, with its pictures, from the figures of the last runs."""
+    with needs_simulator():
+        from adaptive_contact_sim.trials.report import write_report
+        from adaptive_contact_sim.trials.results import read_results
+        from adaptive_contact_sim.trials.runner import Folders
+
+    folders = Folders.of(out)
+    typer.echo(str(write_report(read_results(folders.results), folders, docs)))
+
+
+def _work(work: list[Job], folders: Folders, processes: int, console: Console) -> list[str]:
+    """Make what is missing, with a bar."""
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from adaptive_contact_sim.trials.runner import run as run_jobs
+
+    if not work:
+        return []
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[minutes]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        total = sum(job.work for job in work)
+        simulated = 0.0
+        task = bar.add_task("recording and replaying", total=total, minutes="0 min simulated")
+
+        def step(done: Done) -> None:
+            nonlocal simulated
+            simulated += done.job.seconds
+            bar.update(task, advance=done.job.work, minutes=f"{simulated / 60:.0f} min simulated")
+
+        return run_jobs(work, folders, processes=processes, progress=step)
+
+
+def _draw(
+    judgements: list[Judgement], tree: dict[str, Any], folders: Folders, console: Console
+) -> None:
+    """Draw the pages, or say why there are none."""
+    from adaptive_contact_sim.trials.pages import draw_page
+    from adaptive_contact_sim.trials.report import SUMMARY
+    from adaptive_contact_sim.trials.summary_page import draw_summary
+
+    try:
+        with console.status("drawing"):
+            for judgement in judgements:
+                draw_page(judgement, folders, folders.pages / f"{judgement.scenario.name}.png")
+            draw_summary(tree, folders.pages / f"{SUMMARY}.png")
+    except MissingExtraError as error:
+        console.print(f"[yellow]{error}[/]", highlight=False)

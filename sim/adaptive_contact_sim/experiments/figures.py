@@ -1,0 +1,345 @@
+"""The paper's figures redrawn from our runs, and those of what it leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from adaptive_contact.errors import MissingExtraError
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.pose import WORKSPACES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_all"]
+
+_DPI: Final = 100
+_JOINTS: Final = ("coxa", "femur", "tibia")
+# Okabe and Ito's colours, told apart by everybody; the paper's own where it names one.
+_BLUE, _ORANGE, _GREEN, _RED, _SKY, _PURPLE, _GREY = (
+    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#666666",
+)  # fmt: skip
+_JOINT_COLOURS: Final = (_BLUE, _ORANGE, _GREEN)
+_STYLES: Final = {
+    "default": (_BLUE, "-", 2.2),
+    "servo ratio": (_BLUE, "-", 1.8),
+    "servo rule": (_SKY, "--", 1.4),
+    "paper ratio": (_ORANGE, "-", 1.4),
+    "paper rule": (_RED, "-", 1.8),
+    "analytical ratio": (_GREEN, "-", 1.4),
+    "analytical rule": (_GREEN, "--", 1.4),
+    "tracking": (_PURPLE, "-", 1.4),
+    "naive": (_GREY, "-", 1.4),
+}
+
+
+def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
+    """Draw every figure whose results are there.
+
+    Args:
+        results: the tree of a run.
+        folder: where pictures go.
+
+    Returns:
+        Their files, by name.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("the report", "plot") from error
+    mpl.use("Agg")
+    drawings: dict[str, tuple[Callable[[Any], Figure], Any]] = {
+        "paper-workspace": (_workspace, results.get("dataset")),
+        "paper-responses": (_responses, results.get("responses")),
+        "paper-sweep": (_sweep, results.get("identification")),
+        "paper-collision": (_collision, results.get("collisions")),
+        "paper-roc": (_roc, results.get("detection")),
+        "paper-limits": (_limits, results.get("detection")),
+        "paper-residual-map": (_maps, results.get("workspace")),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {}
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.25}):
+        for name, (draw, data) in drawings.items():
+            if data is None:
+                continue
+            figure = draw(data)
+            files[name] = folder / f"{name}.png"
+            figure.savefig(files[name], dpi=_DPI, metadata={"Software": None})
+    return files
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _workspace(data: Any) -> Figure:
+    """Figure 3: the grid of 1 cm that the leg reaches, both subspaces, the feet's places."""
+    del data
+    figure = _figure(8.0, 3.9)
+    top, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
+    geometry = LegGeometry.of()
+    grid = np.arange(-0.26, 0.261, 0.01)
+    x, z = np.meshgrid(np.arange(0.0, 0.261, 0.01), grid)
+    points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    inside = geometry.reachable(points)
+    side.plot(points[inside, 0], points[inside, 2], ".", color="black", ms=1.5)
+    lower, upper = WORKSPACES["paper"]
+    for space, colour, label in ((lower, _SKY, "lower subspace"), (upper, "#F0E442", "upper")):
+        low, high = space.reach_m
+        side.fill(
+            [low, high, high, low],
+            np.repeat(space.height_m, 2),
+            color=colour,
+            alpha=0.55,
+            label=label,
+        )
+    mounted = geometry.to_body(np.tile(np.array([0.115, 0.0, -0.165]), (len(LEGS), 1)))
+    side.plot([0.115], [-0.165], "o", color=_GREEN, label="stance (others)")
+    side.set(
+        xlabel="from the coxa axis (m)", ylabel="height over it (m)", title="side", aspect="equal"
+    )
+    side.legend(loc="lower left", fontsize=7)
+    index = LEGS.index("rf")
+    level = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    points = np.concatenate([level, np.full((len(level), 1), -0.05)], axis=1)
+    points = points[geometry.reachable(points)]
+    turned = points @ geometry.rotations[index].T + geometry.mounts_m[index]
+    top.plot(turned[:, 0], turned[:, 1], ".", color="black", ms=1.5)
+    yaw = np.linspace(*upper.yaw_rad, 30)
+    ring = np.concatenate(
+        [
+            np.stack([r * np.cos(a), r * np.sin(a), 0 * a], axis=1)
+            for r, a in zip(upper.reach_m, (yaw, yaw[::-1]), strict=True)
+        ]
+    )
+    ring = ring @ geometry.rotations[index].T + geometry.mounts_m[index]
+    top.fill(ring[:, 0], ring[:, 1], color=_SKY, alpha=0.55)
+    others = [i for i in range(len(LEGS)) if i != index]
+    top.plot(mounted[others, 0], mounted[others, 1], "o", color=_GREEN)
+    top.plot(geometry.mounts_m[:, 0], geometry.mounts_m[:, 1], "s", color=_GREY, ms=4)
+    top.set(xlabel="forward (m)", ylabel="left (m)", title="from above, leg rf", aspect="equal")
+    return figure
+
+
+def _responses(data: Any) -> Figure:
+    """Figure 2: femur response, command and prediction."""
+    figure = _figure(8.0, 4.2)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
+    t = np.array(data["t_s"])
+    t = t - t[0]
+    upper.step(t, data["desired"], where="post", color="black", lw=1, label="command")
+    upper.plot(t, data["measured"], "-", color="#C8A400", lw=2.5, label="measured")
+    upper.plot(t, data["paper"], ".", color=_BLUE, ms=5, label="predicted, paper's library")
+    upper.plot(t, data["servo"], "x", color=_RED, ms=4, label="predicted, servo law")
+    upper.set(ylabel="femur (deg)")
+    upper.legend(fontsize=7, ncols=2)
+    measured = np.array(data["measured"], dtype=float)
+    for name, colour in (("paper", _BLUE), ("servo", _RED)):
+        lower.plot(t, measured - np.array(data[name], dtype=float), ".-", color=colour, lw=0.7)
+    lower.set(xlabel="time (s)", ylabel="residual (deg)")
+    for axes in (upper, lower):
+        for k in np.flatnonzero(~np.array(data["swing"])):
+            axes.axvspan(t[k], t[k] + 0.02, color="black", alpha=0.06, lw=0)
+    return figure
+
+
+def _sweep(data: Any) -> Figure:
+    """Figure 4, and under it what R² does not show."""
+    sweeps = data["sweeps"]
+    figure = _figure(3.3 * len(sweeps), 6.6)
+    grid = figure.subplots(3, len(sweeps), sharex="col", squeeze=False)
+    curves = (("all", "black"), ("position", _BLUE), ("velocity", _ORANGE), ("acceleration", _GREEN))
+    for column, sweep in enumerate(sweeps):
+        points = [p for p in sweep["points"] if p["lambda"] > 0 and p["status"] == "ok"]
+        lam = [p["lambda"] for p in points]
+        above: Axes = grid[0][column]
+        for name, colour in curves:
+            above.semilogx(lam, [p["train"].get(name) for p in points], color=colour, label=name)
+            naive = data["naive"].get(name)
+            if naive is not None and naive > -0.2:
+                above.axhline(naive, color=_RED, lw=1, ls="-" if name == "position" else ":")
+        w = sweep["window"]
+        norm = ", normalised" if sweep["normalised"] else ""
+        above.set(
+            ylim=(-0.15, 1.05),
+            title=f"{sweep['unit']}{norm}\nN={w['past_measured']} N'={w['past_desired']} "
+            f"M={w['preview']}, α={sweep['ridge']}",
+        )
+        middle: Axes = grid[1][column]
+        for joint, colour in enumerate(_JOINT_COLOURS):
+            values = [p["test"]["over_floor"][joint] for p in points]
+            middle.loglog(lam, values, color=colour, label=_JOINTS[joint])
+        middle.axhline(1.5, color="black", lw=0.8, ls=":")
+        middle.set_ylim(1, 90)
+        below: Axes = grid[2][column]
+        for joint, colour in enumerate(_JOINT_COLOURS):
+            below.loglog(lam, [p["terms"][joint] for p in points], color=colour)
+        below.set(xlabel="λ")
+        for axes in (above, middle, below):
+            axes.axvline(sweep["picked"], color=_PURPLE, lw=1)
+            if sweep["emptied_at"] is not None:
+                axes.axvspan(sweep["emptied_at"], 20.0, color="black", alpha=0.12, lw=0)
+            axes.axvline(5.0, color="black", lw=0.8, ls="--")
+            axes.set_xlim(1e-4, 20)
+    grid[0][0].set_ylabel("R², training (red: naive)")
+    grid[1][0].set_ylabel("RMS over floor, test")
+    grid[2][0].set_ylabel("terms")
+    grid[0][0].legend(fontsize=7, loc="lower left")
+    grid[1][0].legend(fontsize=7, loc="upper left")
+    return figure
+
+
+def _collision(data: Any) -> Figure:
+    """Figure 5: one collision, from the body's attitude to the detection."""
+    trace = data["trace"]
+    figure = _figure(8.0, 8.2)
+    axes = figure.subplots(5, 1, sharex=True)
+    fine, ticks = np.array(trace["fine_ms"]), np.array(trace["tick_ms"])
+    tilt, torque = np.array(trace["tilt_deg"]), np.array(trace["torque_nm"])
+    for j, colour in enumerate(_JOINT_COLOURS):
+        axes[0].plot(fine, tilt[:, j], color=colour, label=("x", "y", "z")[j])
+        axes[1].plot(fine, torque[:, j], color=colour, label=_JOINTS[j])
+        axes[2].plot(ticks, np.array(trace["tracking_deg"], dtype=float)[:, j], color=colour)
+        axes[3].plot(ticks, np.array(trace["residual_deg"], dtype=float)[:, j], color=colour)
+        axes[4].plot(
+            ticks, np.array(trace["difference_deg"], dtype=float)[:, j], ".-", color=colour, lw=1
+        )
+        axes[4].axhline(data["limit_deg"][j], color=colour, lw=0.8, ls=":")
+    labels = (
+        "body attitude\n(deg)",
+        "joint torque\n(N m)",
+        "position error\n(deg)",
+        "predicted error\n(deg)",
+        "difference\n(deg)",
+    )
+    for one, label in zip(axes, labels, strict=True):
+        one.set_ylabel(label)
+        one.axvline(trace["moves_ms"], color="black", lw=0.8, ls=":")
+        one.axvline(trace["onset_ms"], color="black", lw=1.2)
+        for when in trace["paper_ms"]:
+            one.axvline(when, color=_RED, lw=1.2)
+        for when in trace["default_ms"]:
+            one.axvline(when, color=_BLUE, lw=1.2, ls="--")
+    axes[0].legend(fontsize=7, loc="upper left", ncols=3)
+    axes[1].legend(fontsize=7, loc="upper left", ncols=3)
+    axes[4].set_xlabel(
+        "time (ms); black: leg moves (dotted), touch; red: the paper's rule; "
+        "blue dashed: the default detector"
+    )
+    return figure
+
+
+def _roc(data: Any) -> Figure:
+    """Headline recall against false alarms, thresholds swept."""
+    figure = _figure(7.4, 4.4)
+    axes = figure.subplots()
+    hours = data["figures"]["default"]["false_alarms"]["all"]["hours"]
+    # What was never seen is drawn where half an alarm would be.
+    least = 0.5 / max(hours, 1e-9)
+    for name, title in data["detectors"].items():
+        colour, style, width = _STYLES[name]
+        figures = data["figures"][name]
+        if "roc" not in figures:
+            rate = max(figures["false_alarms"]["all"]["per_hour"] or 0.0, least)
+            recall = figures["summary"]["rows"]["headline"]["recall"]
+            axes.plot(
+                [rate], [100 * (recall or 0)], "*", color="black", ms=13, label=title, zorder=5
+            )
+            continue
+        points = [p for p in figures["roc"] if p["per_hour"] is not None]
+        axes.plot(
+            [max(p["per_hour"], least) for p in points],
+            [100 * (p["recall"] or 0) for p in points],
+            style, color=colour, lw=width, label=title,
+        )  # fmt: skip
+        aim = [p for p in points if abs(p["factor"] - 1.0) < 1e-6]
+        for p in aim:
+            axes.plot([max(p["per_hour"], least)], [100 * (p["recall"] or 0)], "o", color=colour)
+    axes.axvline(5.0, color="black", lw=0.8, ls=":")
+    axes.axhline(99.0, color="black", lw=0.8, ls=":")
+    axes.set(
+        xscale="log",
+        ylim=(-2, 102),
+        xlabel=f"false alarms per robot-hour ({hours:.1f} h; left edge: none seen)",
+        ylabel="recall, hard ground, ≥ 0.2 m/s (%)",
+    )
+    axes.legend(fontsize=7, loc="lower right")
+    return figure
+
+
+def _limits(data: Any) -> Figure:
+    """Recall against approach speed and contact force, with 95 % intervals."""
+    figure = _figure(8.0, 3.7)
+    left, right = figure.subplots(1, 2, sharey=True)
+    shown = ("default", "servo ratio", "paper rule", "analytical ratio", "tracking")
+    for axes, field, label in (
+        (left, "by_speed", "speed at touch (m/s), hard ground"),
+        (right, "by_force", "force, mean over 20 ms (N)"),
+    ):
+        for offset, name in enumerate(shown):
+            bins = [b for b in data["figures"][name][field] if b["touches"]]
+            centre = np.array([np.sqrt(max(b["low"], 0.01) * b["high"]) for b in bins])
+            recall = 100 * np.array([b["recall"] for b in bins])
+            spread = 100 * np.array([b["interval"] for b in bins])
+            colour, style, _ = _STYLES[name]
+            if name == "default":
+                colour = "black"
+            axes.errorbar(
+                centre * (1 + 0.03 * (offset - 2)),
+                recall,
+                yerr=np.abs(spread.T - recall),
+                color=colour, ls=style, marker="o", ms=3, lw=1.2, elinewidth=0.7,
+                label=data["detectors"][name],
+            )  # fmt: skip
+        axes.set(xscale="log", xlabel=label, ylim=(-2, 102))
+    left.set_ylabel("recall (%)")
+    right.legend(fontsize=6.5, loc="lower right")
+    return figure
+
+
+def _maps(data: Any) -> Figure:
+    """Residual over the workspace, before and after."""
+    import matplotlib as mpl
+
+    names = list(data["libraries"])
+    figure = _figure(8.0, 3.3 * len(names))
+    grid = figure.subplots(len(names), 2, sharex=True, sharey=True, squeeze=False)
+    extent = (*data["reach_m"], *data["height_m"])
+    norm = mpl.colors.LogNorm(1.0, 10.0)
+    image = None
+    for line, name in enumerate(names):
+        library = data["libraries"][name]
+        for column, which in enumerate(("map_before", "map_after")):
+            axes: Axes = grid[line][column]
+            values = np.array(library[which], dtype=float)
+            image = axes.imshow(
+                values, origin="lower", extent=extent, norm=norm, cmap="viridis", aspect="equal"
+            )
+            axes.grid(visible=False)
+            made = "model of the paper's subspaces" if column == 0 else "one model of the whole"
+            axes.set_title(f"{name} library, {made}", fontsize=8)
+            for space in WORKSPACES["paper"]:
+                low, high = space.reach_m
+                axes.plot(
+                    [low, high, high, low, low],
+                    [*np.repeat(space.height_m, 2), space.height_m[0]],
+                    color="white", lw=1,
+                )  # fmt: skip
+        grid[line][0].set_ylabel("height (m)")
+    for axes in grid[-1]:
+        axes.set_xlabel("reach (m)")
+    assert image is not None
+    figure.colorbar(image, ax=grid, label="RMS residual over the noise floor", shrink=0.8)
+    return figure

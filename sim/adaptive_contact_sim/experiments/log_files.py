@@ -1,0 +1,189 @@
+"""Recordings of real servos in the two formats that are read.
+
+``.npz``: keys ``MOTION/t`` (s), ``MOTION/goal`` and ``MOTION/pos`` (n, J) rad, any number of motions
+(github.com/isaac-sim2real/sage).  ``.json``: one run of one servo, ``entries[]`` with ``timestamp`` s,
+``goal_position`` and ``position`` rad, ``torque_enable``; ``kp`` and ``trajectory`` beside them
+(github.com/Rhoban/bam).
+
+Angles are unwrapped, rows without torque left out, and a file or motion that cannot be used is told
+with its reason instead of being dropped in silence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import RecordingError
+
+__all__ = ["LogSet", "Recording", "load_logs"]
+
+Array = NDArray[np.float64]
+
+PERIOD_S: Final = 0.02
+# A recorded rate this far off 50 Hz is resampled.
+_RATE_TOLERANCE: Final = 0.05
+# Shorter than this says nothing.
+_MIN_ROWS: Final = 50
+# A hole in the time stamps ends a stretch.
+_GAP_S: Final = 0.1
+# Buses that return -π for "no answer", and readings no servo could have made in a tick.
+_MAX_STEP_RAD: Final = 0.6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    """One motion without a gap, 50 Hz.
+
+    Attributes:
+        name: of the motion or the run.
+        kind: ``arm`` or ``pendulum``.
+        measured, desired: (n, J) rad; desired is the command written at the tick.
+        gain: proportional gain, where it is told.
+        repaired: readings that were no angle of the servo, replaced by a straight line.
+    """
+
+    name: str
+    kind: Literal["arm", "pendulum"]
+    measured: Array
+    desired: Array
+    gain: float | None = None
+    repaired: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class LogSet:
+    """What a path held.
+
+    Attributes:
+        recordings: that can be used.
+        skipped: file or motion, and why not.
+    """
+
+    recordings: list[Recording]
+    skipped: list[tuple[str, str]]
+
+
+def load_logs(path: Path) -> LogSet:
+    """Read a file, or all files of both formats below a folder.
+
+    Raises:
+        RecordingError: there is no such path, or no file of either format.
+    """
+    if path.is_dir():
+        files = sorted(p for p in path.rglob("*") if p.suffix in (".npz", ".json") and p.is_file())
+    elif path.exists():
+        files = [path]
+    else:
+        raise RecordingError(f"{path}: no such file or folder; give recordings of real servos")
+    if not files:
+        raise RecordingError(f"{path}: holds no .npz or .json file; see docs/paper.md for formats")
+    found = LogSet([], [])
+    for file in files:
+        name = str(file.relative_to(path)) if path.is_dir() else file.name
+        try:
+            parts = list(_arm(file) if file.suffix == ".npz" else _pendulum(file))
+        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+            reason = f"not a recording in this format ({type(error).__name__}: {error})"
+            found.skipped.append((name, reason))
+            continue
+        for part in parts:
+            if isinstance(part, str):
+                found.skipped.append((name, part))
+            else:
+                found.recordings.append(part)
+    return found
+
+
+def _arm(file: Path) -> Iterator[Recording | str]:
+    with np.load(file, allow_pickle=False) as data:
+        motions = sorted({key.rsplit("/", 1)[0] for key in data.files if "/" in key})
+        if not motions:
+            raise ValueError("no MOTION/t, MOTION/goal, MOTION/pos keys")
+        for motion in motions:
+            keys = [f"{motion}/{part}" for part in ("t", "goal", "pos")]
+            missing = [key for key in keys if key not in data.files]
+            if missing:
+                yield f"motion '{motion}' lacks {', '.join(missing)}"
+                continue
+            t, goal, pos = (np.asarray(data[key], dtype=np.float64) for key in keys)
+            if goal.shape != pos.shape or goal.ndim != 2 or len(t) != len(goal):
+                yield f"motion '{motion}': shapes {t.shape}, {goal.shape}, {pos.shape} differ"
+                continue
+            yield from _stretches(motion, "arm", t, pos, goal, None)
+
+
+def _pendulum(file: Path) -> Iterator[Recording | str]:
+    table: Any = json.loads(file.read_text(encoding="utf-8"))
+    if not isinstance(table, dict) or not isinstance(table.get("entries"), list):
+        raise ValueError("no list 'entries'")
+    entries = [e for e in table["entries"] if e.get("torque_enable", True)]
+    left_out = len(table["entries"]) - len(entries)
+    t = np.array([e["timestamp"] for e in entries], dtype=np.float64)
+    pos = np.array([[e["position"]] for e in entries], dtype=np.float64)
+    goal = np.array([[e["goal_position"]] for e in entries], dtype=np.float64)
+    gain = table.get("kp")
+    name = f"{table.get('trajectory', file.stem)}, kp {gain}"
+    if left_out:
+        yield f"{left_out} of {len(table['entries'])} rows without torque left out"
+    yield from _stretches(name, "pendulum", t, pos, goal, None if gain is None else float(gain))
+
+
+def _stretches(
+    name: str,
+    kind: Literal["arm", "pendulum"],
+    t: Array,
+    pos: Array,
+    goal: Array,
+    gain: float | None,
+) -> Iterator[Recording | str]:
+    """Sound, gapless, 50 Hz parts of one motion."""
+    if len(t) < 2:
+        yield f"'{name}': {len(t)} rows"
+        return
+    sound = np.isfinite(t) & np.isfinite(pos).all(axis=1) & np.isfinite(goal).all(axis=1)
+    if not sound.all():
+        yield f"'{name}': {np.count_nonzero(~sound)} rows with values that are not finite left out"
+        t, pos, goal = t[sound], pos[sound], goal[sound]
+    forward = np.concatenate(([True], np.diff(t) > 0))
+    if not forward.all():
+        yield f"'{name}': {np.count_nonzero(~forward)} rows whose time does not advance left out"
+        t, pos, goal = t[forward], pos[forward], goal[forward]
+    begins = np.concatenate(([0], np.flatnonzero(np.diff(t) > _GAP_S) + 1, [len(t)]))
+    for first, last in zip(begins[:-1], begins[1:], strict=True):
+        part = slice(int(first), int(last))
+        pos_part, repaired = _repair(np.unwrap(pos[part], axis=0))
+        measured, desired = _resample(t[part], pos_part, np.unwrap(goal[part], axis=0))
+        if len(measured) < _MIN_ROWS:
+            yield f"'{name}': a stretch of {len(measured)} ticks is too short"
+            continue
+        yield Recording(name, kind, measured, desired, gain, repaired)
+
+
+def _repair(pos: Array) -> tuple[Array, int]:
+    """Readings that leap away and come back within a reading, replaced by a straight line."""
+    out, count = pos.copy(), 0
+    for column in out.T:
+        leap = np.abs(np.diff(column)) > _MAX_STEP_RAD
+        for k in np.flatnonzero(leap[:-1] & leap[1:]) + 1:
+            if abs(column[k + 1] - column[k - 1]) < _MAX_STEP_RAD:
+                column[k] = 0.5 * (column[k - 1] + column[k + 1])
+                count += 1
+    return out, count
+
+
+def _resample(t: Array, pos: Array, goal: Array) -> tuple[Array, Array]:
+    """To 50 Hz: readings by interpolation, commands by holding the last one written."""
+    if abs(np.median(np.diff(t)) / PERIOD_S - 1.0) < _RATE_TOLERANCE:
+        return pos, goal
+    grid = np.arange(t[0], t[-1], PERIOD_S)
+    measured = np.stack([np.interp(grid, t, column) for column in pos.T], axis=1)
+    held = np.searchsorted(t, grid, side="right") - 1
+    return measured, goal[held]

@@ -1,0 +1,305 @@
+"""All experiments in one run: stage by stage, resumable, with progress.
+
+Every stage is kept under a key of what decides it (:mod:`~adaptive_contact_sim.experiments.store`).
+Interrupted, the same command goes on from there and ends with the same numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from adaptive_contact.identify import leg_library
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact_sim.experiments.collisions import ten_collisions
+from adaptive_contact_sim.experiments.compression import compare
+from adaptive_contact_sim.experiments.data import load, parallel, record_all
+from adaptive_contact_sim.experiments.detection import detection
+from adaptive_contact_sim.experiments.detectors import DETECTORS
+from adaptive_contact_sim.experiments.evaluation import evaluate, jobs_of
+from adaptive_contact_sim.experiments.identification import PAPER_WINDOW, identification
+from adaptive_contact_sim.experiments.logs import run_logs
+from adaptive_contact_sim.experiments.models import learn_robot, learned
+from adaptive_contact_sim.experiments.plan import LegRun, Piece, Plan, Role
+from adaptive_contact_sim.experiments.report import write_report
+from adaptive_contact_sim.experiments.responses import responses
+from adaptive_contact_sim.experiments.store import (
+    Store,
+    physics_fingerprint,
+    plain,
+    source_fingerprint,
+)
+from adaptive_contact_sim.experiments.workspace import workspace
+
+__all__ = ["STAGES", "run_paper"]
+
+STAGES: Final = (
+    "dataset",
+    "identification",
+    "compression",
+    "collisions",
+    "detection",
+    "workspace",
+    "logs",
+)
+_ROLES: Final[tuple[Role, ...]] = ("train", "tune", "touch", "stand", "free")
+# λ at which fits are timed, in units of the residual.
+_TIMED_THRESHOLD: Final = 0.1
+# Console lines without a terminal, at most one per stage and so many seconds.
+_LINE_S: Final = 20.0
+_PIPE_WIDTH: Final = 100
+
+
+def run_paper(
+    out: Path,
+    plan: Plan,
+    *,
+    workers: int = 0,
+    stages: Sequence[str] = STAGES,
+    logs: Path | None = None,
+    console: Console | None = None,
+) -> dict[str, Any]:
+    """Run the experiments and write results, figures and report.
+
+    Args:
+        out: folder; ``cache`` in it holds what later runs reuse.
+        plan: how much of everything.
+        workers: processes, 0 for one per core.
+        stages: which, of :data:`STAGES`.
+        logs: recordings of real servos; the stage is skipped with a reason where absent.
+        console: where progress goes.
+
+    Returns:
+        The tree written to ``results.json``.
+
+    Raises:
+        ConfigurationError: the folder cannot be written.
+        SimulationDiverged: the physics blew up.
+    """
+    console = console or Console()
+    runner = _Runner(out, plan, workers or os.cpu_count() or 1, logs, console)
+    results: dict[str, Any] = {
+        "v": 1,
+        "plan": plain(plan),
+        "command": f"adaptive-contact paper{' --quick' if plan.name == 'quick' else ''}",
+        "machine": {
+            "processor": platform.processor() or platform.machine(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+        },
+        "physics": physics_fingerprint(),
+        "source": source_fingerprint(),
+    }
+    for stage in stages:
+        results[stage] = getattr(runner, stage)()
+        if stage == "identification":
+            results["responses"] = runner.responses(results[stage])
+    tree = json.loads(json.dumps(plain(results), allow_nan=False))
+    write_report(tree, out)
+    return dict(tree)
+
+
+class _Runner:
+    """The stages of one run."""
+
+    def __init__(
+        self, out: Path, plan: Plan, workers: int, logs: Path | None, console: Console
+    ) -> None:
+        self.root = out / "cache"
+        self.store = Store(self.root)
+        self.plan = plan
+        self.workers = workers
+        self.logs_path = logs
+        self.console = console
+        self.robot = shipped_robot()
+
+    def dataset(self) -> dict[str, Any]:
+        """The paper's two datasets (4.1)."""
+        pieces = [self.plan.paper_piece(role) for role in ("train", "tune")]
+        self._record("the paper's dataset", pieces)
+        train, test = (load(self.store, piece) for piece in pieces)
+        return {
+            "leg": train.leg,
+            "segments": [self.plan.train_segments, self.plan.test_segments],
+            "ticks": [len(train.swing), len(test.swing)],
+            "touches": len(train.arrays.onsets) + len(test.arrays.onsets),
+        }
+
+    def identification(self) -> Any:
+        """Section 4.2."""
+        train, test = self._paper_streams()
+        key = [self._paper_key(), source_fingerprint()]
+        with self._told("identification: sweeps of λ, windows, libraries"):
+            return self.store.tree(
+                "identification", key, lambda: identification(self.robot, train, test)
+            )
+
+    def responses(self, identified: Any) -> Any:
+        """Figure 2, with the λ that the held-out selection picked."""
+        picked = {s["library"]: s["picked"] or 0.0 for s in identified["selection"]}
+        train, test = self._paper_streams()
+        return self.store.tree(
+            "responses",
+            [self._paper_key(), source_fingerprint(), picked],
+            lambda: responses(self.robot, train, test, picked),
+        )
+
+    def compression(self) -> Any:
+        """The compressed fit against PySINDy's own."""
+        train, _ = self._paper_streams()
+        leg = self.robot.leg(train.leg)
+        key = [self._paper_key(), source_fingerprint(), _TIMED_THRESHOLD]
+        with self._told("compressed regression against raw rows"):
+            return self.store.tree(
+                "compression",
+                key,
+                lambda: [
+                    compare(train, leg_library(self.robot, leg, "servo"), _TIMED_THRESHOLD),
+                    compare(
+                        train, leg_library(self.robot, leg, "paper", PAPER_WINDOW), _TIMED_THRESHOLD
+                    ),
+                ],
+            )
+
+    def collisions(self) -> Any:
+        """Section 4.3, the ten collisions."""
+        train, test = self._paper_streams()
+        key = [self._paper_key(), source_fingerprint(), self.plan.collisions]
+        with self._told("ten collisions"):
+            return self.store.tree(
+                "collisions",
+                key,
+                lambda: ten_collisions(self.robot, train, test, self.plan.collisions),
+            )
+
+    def detection(self) -> Any:
+        """What ten trials cannot show."""
+        pieces = [p for role in _ROLES for p in self.plan.pieces(role)]
+        self._record("collisions and free motion", pieces)
+        items = [(self.root, self.plan, robot) for robot in self.plan.robots]
+        with self._bar("learning the legs of each robot", len(items)) as tell:
+            for _ in parallel(learn_robot, items, self.workers):
+                tell(1.0)
+        with self._told("choosing lags, joints, gains and thresholds on tuning streams"):
+            learned(self.store, self.plan)
+        jobs = [
+            job
+            for role in ("touch", "stand", "free")
+            for job in jobs_of(self.root, self.plan, self.plan.pieces(role))
+        ]
+        with self._bar("every detector on every stream", sum(len(j.pieces) for j in jobs)) as tell:
+            for _, done in parallel(evaluate, jobs, self.workers):
+                tell(float(done))
+        key = [job.key for job in jobs]
+        with self._bar("scoring, thresholds swept", len(DETECTORS) + 1) as tell:
+            return self.store.tree("detection", key, lambda: detection(self.root, self.plan, tell))
+
+    def workspace(self) -> Any:
+        """One model or several."""
+        train, _ = self._paper_streams()
+        own = LegRun(0, train.leg)
+        roles: tuple[Role, ...] = ("train", "tune", "stand")
+        pieces = {
+            role: [
+                p
+                for p in self.plan.pieces(role)
+                if p.leg_run == own and p.kind in ("descent", "slow", "forward")
+            ]
+            for role in roles
+        }
+        flat = [p for own_pieces in pieces.values() for p in own_pieces]
+        self._record("the whole workspace", flat)
+        key = [self._paper_key(), source_fingerprint(), [plain(p) for p in flat]]
+        with self._told("one model of the workspace, or several"):
+            return self.store.tree(
+                "workspace",
+                key,
+                lambda: workspace(
+                    self.robot,
+                    train,
+                    [load(self.store, p) for p in pieces["train"] + pieces["tune"]],
+                    [load(self.store, p) for p in pieces["stand"]],
+                ),
+            )
+
+    def logs(self) -> Any:
+        """Real servos, where their recordings are."""
+        if self.logs_path is None or not self.logs_path.exists():
+            reason = (
+                "no recordings of real servos were given (--logs PATH)"
+                if self.logs_path is None
+                else f"{self.logs_path}: no such file or folder"
+            )
+            return {"skipped_stage": reason}
+        path = self.logs_path
+        stamps = [
+            [str(p.relative_to(path)) if path.is_dir() else p.name, p.stat().st_size]
+            for p in sorted(path.rglob("*") if path.is_dir() else [path])
+            if p.is_file()
+        ]
+        with self._told("recordings of real servos"):
+            return self.store.tree(
+                "logs", [source_fingerprint(), stamps], lambda: run_logs(path)
+            )
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _paper_key(self) -> list[Any]:
+        pieces = [plain(self.plan.paper_piece(role)) for role in ("train", "tune")]
+        return [physics_fingerprint(), pieces]
+
+    def _paper_streams(self) -> tuple[Any, Any]:
+        pieces = [self.plan.paper_piece(role) for role in ("train", "tune")]
+        self._record("the paper's dataset", pieces)
+        train, test = (load(self.store, piece) for piece in pieces)
+        return train, test
+
+    def _record(self, what: str, pieces: Sequence[Piece]) -> None:
+        seconds = sum(piece.seconds for piece in pieces)
+        with self._bar(f"simulating {what}", seconds) as tell:
+            record_all(self.store, pieces, self.workers, tell)
+
+    @contextmanager
+    def _told(self, what: str) -> Iterator[None]:
+        start = time.monotonic()
+        yield
+        self.console.print(f"{what}: {time.monotonic() - start:.0f} s")
+
+    @contextmanager
+    def _bar(self, what: str, total: float) -> Iterator[Callable[[float], None]]:
+        """A progress bar on a terminal, now and then a line elsewhere."""
+        start = last = time.monotonic()
+        done = 0.0
+        bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self.console,
+            disable=not self.console.is_terminal,
+            transient=True,
+        )
+        with bar:
+            task = bar.add_task(what, total=total)
+
+            def tell(amount: float) -> None:
+                nonlocal done, last
+                done += amount
+                bar.advance(task, amount)
+                now = time.monotonic()
+                if bar.disable and now - last > _LINE_S:
+                    last = now
+                    self.console.print(f"{what}: {100 * done / max(total, 1e-9):.0f} %")
+
+            yield tell
+        self.console.print(f"{what}: {time.monotonic() - start:.0f} s")

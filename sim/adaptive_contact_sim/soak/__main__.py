@@ -1,0 +1,66 @@
+"""``python -m adaptive_contact_sim.soak [--minutes M] [--out FOLDER] [--seed N]``."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact_sim.soak import SoakPlan, Verdict, conduct, judge
+
+
+def soak(
+    minutes: Annotated[float, typer.Option(help="Of walking, in real time.")] = 30.0,
+    out: Annotated[Path, typer.Option(metavar="FOLDER")] = Path("out/soak"),
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+) -> None:
+    """Walk for a long time, break everything once, and see that nothing was lost."""
+    plan = SoakPlan(out, minutes, seed)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    shutil.rmtree(out / "state", ignore_errors=True)  # a soak begins with the shipped baseline
+    out.mkdir(parents=True, exist_ok=True)
+    take = conduct(plan, lambda line: typer.echo(line), stop)
+    typer.echo(take.simulator)
+    verdict = judge(take, plan, shipped_robot())
+    text = msgspec.json.format(msgspec.json.encode(dataclasses.asdict(verdict)), indent=2)
+    (out / "soak.json").write_bytes(text + b"\n")
+    _print(verdict)
+    if verdict.failures:
+        raise typer.Exit(1)
+
+
+def _print(found: Verdict) -> None:
+    missed = f"{found.missed_touches} of {found.touches} touches missed"
+    lines = [
+        f"{found.samples} samples, {found.missed_samples} lost and counted, "
+        f"{found.uncounted} uncounted; rejects {found.rejects or 'none'}",
+        f"{found.events} events, {found.events_lost} lost, {found.inconsistent} inconsistent; "
+        f"outside the windows: {found.false_alarms} false alarms in {found.judged_ticks} swing "
+        f"ticks, {missed}",
+        f"refits: {found.refits}; state: {found.state}",
+        "recovery " + ", ".join(f"{one:.2f} s" for one in found.recovery_s),
+        "memory "
+        + ", ".join(f"{growth:+.1f} MB to {last:.1f} MB" for growth, last in found.memory_mb),
+        f"in to out p99 {found.p99_ms} ms",
+        *(f"NOT WELL: {line}" for line in found.failures),
+    ]
+    for line in lines:
+        typer.echo(line)
+
+
+if __name__ == "__main__":
+    try:
+        typer.run(soak)
+    except AdaptiveContactError as error:
+        sys.exit(f"soak: {error}")

@@ -1,0 +1,249 @@
+"""The running part: starts the processes, breaks them on schedule, and takes everything down.
+
+This process is a client of the router like any other: what it hears of events and statuses is
+what a gait controller would hear.  Samples and truth come from the simulator's own recording,
+which no fault can touch.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ALL_LEARNER,
+    ContactEvent,
+    LearnerStatus,
+    decode,
+)
+from adaptive_contact_sim.demo.child import Child
+from adaptive_contact_sim.soak.plan import Fault, FaultKind, SoakPlan
+
+__all__ = ["Broken", "Heard", "Resident", "Take", "conduct"]
+
+_CONNECTED: Final = re.compile(r"connected to ")
+_START_S: Final = 60.0
+_LOOK_S: Final = 0.05
+_MEMORY_EVERY_S: Final = 2.0
+_OUTAGE_S: Final = 1.0
+_SETTLE_S: Final = 2.5
+_PAGE: Final = os.sysconf("SC_PAGE_SIZE")
+
+
+@dataclass(frozen=True)
+class Broken:
+    """One fault, wall clock ns: from the kill to the moment its cause was gone."""
+
+    kind: FaultKind
+    from_ns: int
+    to_ns: int
+
+
+@dataclass(frozen=True)
+class Resident:
+    """Resident memory of a service, MB, so many seconds after its start; ``life`` counts them."""
+
+    life: int
+    after_s: float
+    mb: float
+
+
+@dataclass
+class Heard:
+    """What came over the wire, with the wall clock of its arrival, ns."""
+
+    events: list[tuple[int, ContactEvent]] = field(default_factory=list)
+    statuses: list[tuple[int, LearnerStatus]] = field(default_factory=list)
+    services: list[tuple[int, ServiceStatus]] = field(default_factory=list)
+    unreadable: int = 0
+
+
+@dataclass(frozen=True)
+class Take:
+    """What a run left."""
+
+    recording: Path
+    heard: Heard
+    broken: tuple[Broken, ...]
+    resident: tuple[Resident, ...]
+    simulator: str
+
+
+def conduct(plan: SoakPlan, say: Callable[[str], None], stop: threading.Event) -> Take:
+    """Run a soak.
+
+    Args:
+        plan: what happens when; its folder must exist.
+        say: gets a line now and then.
+        stop: ends the run early when set.
+
+    Raises:
+        AdaptiveContactError: a process failed, or ``stop`` was set.
+    """
+    with ExitStack() as stack:
+        run = _Run(plan, stack)
+        say(f"router on {run.endpoint}, service {run.service.pid}, simulator starts")
+        recording = plan.out / "soak.mcap"
+        walk = Child("the simulator", _walk(plan, run.endpoint, recording))
+        stack.enter_context(walk)
+        began_s = time.monotonic()
+        faults, next_word = deque(plan.faults), 0.0
+        while walk.running:
+            if stop.wait(_LOOK_S):
+                raise AdaptiveContactError("stopped")
+            at_s = time.monotonic() - began_s
+            run.look()
+            if faults and at_s >= faults[0].at_s:
+                fault = faults.popleft()
+                run.do(fault)
+                say(f"{at_s:5.0f} s  {fault.kind} killed and started again")
+            if at_s >= next_word:
+                next_word += 60.0
+                say(f"{at_s:5.0f} s  {run.word()}")
+        walk.check()
+        until_s = time.monotonic() + _SETTLE_S  # the last statuses are on their way
+        while time.monotonic() < until_s:
+            time.sleep(_LOOK_S)
+            run.look()
+        return Take(
+            recording,
+            run.heard,
+            tuple(run.broken),
+            tuple(run.resident),
+            walk.lines[-1] if walk.lines else "",
+        )
+
+
+class _Run:
+    """Router and service as they live and die, and what is heard meanwhile."""
+
+    def __init__(self, plan: SoakPlan, stack: ExitStack) -> None:
+        self.heard = Heard()
+        self.broken: list[Broken] = []
+        self.resident: list[Resident] = []
+        self._plan = plan
+        self._waiting: deque[Received] = deque()
+        self._life = 0
+        self._memory_s = 0.0
+        self._router = _start_router("tcp/127.0.0.1:0")
+        stack.callback(lambda: _end(self._router))
+        assert self._router.stdout is not None
+        self.endpoint = self._router.stdout.readline().strip()
+        self.service = self._start_service()
+        stack.callback(lambda: self.service.end())
+        link = stack.enter_context(Link.open(client_settings([self.endpoint], wait=False)))
+        link.subscribe(ALL_CONTACT, self._waiting.append, history=True)
+        link.subscribe(ALL_LEARNER, self._waiting.append)
+        link.subscribe(SERVICE_STATUS, self._waiting.append, history=True)
+
+    def look(self) -> None:
+        """Take in what has come, and see that all is alive."""
+        for _ in range(len(self._waiting)):
+            self._take(self._waiting.popleft())
+        if not self.service.running:
+            raise self.service.failure()
+        if self._router.poll() is not None:
+            raise AdaptiveContactError("the router ended by itself")
+        now_s = time.monotonic()
+        if now_s - self._memory_s >= _MEMORY_EVERY_S:
+            self._memory_s = now_s
+            after_s = now_s - self._service_began_s
+            self.resident.append(Resident(self._life, after_s, _resident_mb(self.service.pid)))
+
+    def do(self, fault: Fault) -> None:
+        """Break something, and start it again."""
+        from_ns = time.time_ns()
+        if fault.kind == "router":
+            _end(self._router)
+            time.sleep(_OUTAGE_S)  # the length of the outage, not a synchronisation
+            self._router = _start_router(self.endpoint)
+            assert self._router.stdout is not None
+            self._router.stdout.readline()
+        else:
+            self.service.end()
+            self._life += 1
+            self.service = self._start_service()
+        self.broken.append(Broken(fault.kind, from_ns, time.time_ns()))
+
+    def word(self) -> str:
+        """How it goes, in a line."""
+        newest = {status.leg: status for _, status in self.heard.statuses[-50:]}
+        missed = sum(status.missed for status in newest.values())
+        promoted = sum(status.refits.promoted for status in newest.values())
+        refused = sum(status.refits.refused for status in newest.values())
+        memory = self.resident[-1].mb if self.resident else 0.0
+        return (
+            f"{len(self.heard.events)} events, {missed} samples missed, refits {promoted} "
+            f"promoted {refused} refused, service {memory:.1f} MB"
+        )
+
+    def _start_service(self) -> Child:
+        self._service_began_s = time.monotonic()
+        state = self._plan.out / "state"
+        arguments = ("serve", "--connect", self.endpoint, "--state", str(state))
+        service = Child("the service", (*arguments, "--log-level", "warning"))
+        service.wait_line(_CONNECTED, _START_S)
+        return service
+
+    def _take(self, received: Received) -> None:
+        now_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
+        kind = received.key.rsplit("/", 1)[-1]
+        if received.key == SERVICE_STATUS:
+            service = decode(received.payload, ServiceStatus, received.encoding)
+            if isinstance(service, ServiceStatus):
+                self.heard.services.append((now_ns, service))
+                return
+        elif kind == "contact":
+            event = decode(received.payload, ContactEvent, received.encoding)
+            if isinstance(event, ContactEvent):
+                self.heard.events.append((now_ns, event))
+                return
+        else:
+            status = decode(received.payload, LearnerStatus, received.encoding)
+            if isinstance(status, LearnerStatus):
+                self.heard.statuses.append((now_ns, status))
+                return
+        self.heard.unreadable += 1
+
+
+def _walk(plan: SoakPlan, endpoint: str, recording: Path) -> tuple[str, ...]:
+    drifts = [text for drift in plan.drifts for text in ("--drift", drift.option)]
+    return (
+        *("sim", "walk", "--gait", "tripod", "--terrain", "rough", "--stop-on", "truth"),
+        *("--seconds", f"{plan.seconds:g}", "--seed", str(plan.seed), *drifts),
+        *("--record", str(recording), "--connect", endpoint),
+    )
+
+
+def _start_router(endpoint: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "adaptive_contact_sim.soak.router", endpoint]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.kill()
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+def _resident_mb(pid: int) -> float:
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE / 1e6
+    except (OSError, IndexError):  # it is just ending
+        return float("nan")

@@ -1,0 +1,261 @@
+"""``docs/adaptation.md``, written from the results: every number in it comes from the JSON."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any, Final
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.trials.runner import Folders
+from adaptive_contact_sim.trials.spec import Variant
+from adaptive_contact_sim.trials.words import percent, phases_around, plain_number, rate, swings
+
+__all__ = ["PICTURE", "SUMMARY", "report_text", "write_report"]
+
+Tree = dict[str, Any]
+
+SUMMARY: Final = "summary"
+# How a page is called among the pictures of the documentation.
+PICTURE: Final = "adaptation-{name}.png"
+
+_INTRODUCTION: Final = """\
+# Following the leg
+
+What the learner does when a leg changes while it works, measured: steps of every kind the
+simulator knows, slow changes, contacts and nothing but contacts, a leg that stands, a foot that is
+caught, bad readings, missing and wrong baselines, and hours in which nothing changes.
+This page is written by `adaptive-contact scenarios report` from the figures of
+`adaptive-contact scenarios run --all` (`make scenarios`); nothing in it is typed by hand.
+"""
+
+_METHOD: Final = """\
+## How it is measured
+
+Every recording is simulated once and replayed through five learners side by side:
+
+| learner | what it does |
+|---|---|
+| `frozen` | the baseline, for ever |
+| `ungated` | recursive least squares over every tick, contacts and all |
+| `refit` | gated; sparse refits only, no recursion |
+| `rls` | gated; recursion only, no refits |
+| `full` | the product |
+
+- Events are judged as in [scoring.md](scoring.md). Recall is that of the counted rows, with its
+  95 % Clopper–Pearson interval; false alarms are per robot-hour (540,000 judged ticks), with
+  their 95 % Poisson interval.
+- *Before* is the first phase of a scenario, *after* the phases it is judged by: for a step, from
+  the 21st swing after it on. For scenarios without a change it is all of the recording.
+- *Recall lost* is against the frozen learner, with the shipped baseline, on the same recording
+  without what the scenario does (same seeds, same motion, same noise); its interval is a bootstrap
+  over leg-runs.
+- A change *counts* if it makes the frozen learner lose 5 points of recall, or raise ten times the
+  false alarms; the others must do no harm. *Harm* is the same rule, applied to the full learner.
+- *Recovery* is the number of swings of that leg after which 20 swings hold at most one error;
+  *on the way* are the false alarms until then. Where every swing ends in contact the 20 swings
+  need no free ones. "never": not before the recording ended.
+- A *lock-out* is the longest run of swings with a missed touch or a false alarm, from the change
+  on; swings that could not have shown a blind leg are passed over.
+- *Contact learned* is the share of the ticks a learner took for free on which the leg touched
+  anything between the sample before and this one, by the simulator's truth. A foot that is caught
+  counts as touching for as long as it is held.
+- In pose one leg moves per run, in turn through the six legs and both workspaces; about half of
+  its swings meet an obstacle. In a walk all six legs count, all change together, and every swing
+  ends on the ground.
+"""
+
+
+def write_report(results: Tree, folders: Folders, docs: Path) -> Path:
+    """Write the page, and put its pictures beside it.
+
+    Args:
+        results: all figures.
+        folders: where the pictures are.
+        docs: folder of the documentation.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        ConfigurationError: it cannot be written.
+    """
+    path, pictures = docs / "adaptation.md", docs / "pictures"
+    shown = set()
+    try:
+        pictures.mkdir(parents=True, exist_ok=True)
+        for name in (SUMMARY, *results["scenarios"]):
+            page = folders.pages / f"{name}.png"
+            if page.is_file():
+                shutil.copyfile(page, pictures / PICTURE.format(name=name))
+                shown.add(name)
+        path.write_text(report_text(results, shown), encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be written ({error.strerror}); give another folder with --docs"
+        ) from error
+    return path
+
+
+def report_text(results: Tree, pictures: set[str]) -> str:
+    """The page's text.
+
+    Args:
+        results: all figures.
+        pictures: scenarios that have a page of plots; with :data:`SUMMARY` for the summary.
+    """
+    table = results["scenarios"]
+    parts = [_INTRODUCTION]
+    if results["quick"]:
+        parts.append(
+            "**These are the figures of a quick look (`--quick`): short recordings, few leg-runs. "
+            "They show that everything runs, and prove nothing.**\n"
+        )
+    parts.append(_verdict(table))
+    parts += [f"- {problem}\n" for problem in results["problems"]]
+    if SUMMARY in pictures:
+        parts.append(f"![Summary](pictures/{PICTURE.format(name=SUMMARY)})\n")
+    parts += ["## The full learner\n", _full_table(table)]
+    parts += ["## All learners\n", _variants_table(table), _METHOD, "## Scenario by scenario\n"]
+    parts += [_scenario(name, tree, name in pictures) for name, tree in table.items()]
+    parts.append(
+        "## Made with\n\n"
+        f"Learner `{results['learner']}`, simulator `{results['simulator']}` (hashes of the "
+        f"learner's source with the shipped baseline, and of the simulator's behaviour); at least "
+        f"{results['leg_runs']} leg-runs behind every figure; seeds from 7000 on, which nothing "
+        "was learned from or tuned on.\n"
+    )
+    return "\n".join(parts)
+
+
+def _verdict(table: Tree) -> str:
+    goals = [(name, goal) for name, tree in table.items() for goal in tree["goals"]]
+    missed = [(name, goal) for name, goal in goals if not goal["met"]]
+    text = f"{len(goals) - len(missed)} of {len(goals)} goals are met.\n"
+    if not missed:
+        return text
+    rows = [
+        f"| [{name}](#{name}) | {goal['what']} | {plain_number(goal['limit'])} | "
+        f"{plain_number(goal['measured'])} |"
+        for name, goal in missed
+    ]
+    head = "| not met | figure of the full learner | at most | measured |\n|---|---|---|---|"
+    return "\n".join([text, head, *rows, ""])
+
+
+def _full_table(table: Tree) -> str:
+    head = (
+        "| scenario | leg-runs | counts | recall before | recall after | false alarms/h before "
+        "| after | recovery, swings: median / p95 (of) | on the way: median / p95 "
+        "| longest lock-out | contact learned | goals |\n"
+        "|---|---|---|---|---|---|---|---|---|---|---|---|"
+    )
+    rows = [head]
+    for name, tree in table.items():
+        full = tree["variants"][Variant.FULL.value]
+        before, after = phases_around(tree, Variant.FULL.value)
+        counts = {True: "yes", False: "no", None: "–"}[tree["counts_as_one_to_recover_from"]]
+        met = [goal["met"] for goal in tree["goals"]]
+        touching = full["touching_share"]
+        rows.append(
+            f"| [{name}](#{name}) | {tree['leg_runs']} | {counts} | {_recall(before)} "
+            f"| {_recall(after)} | {_alarms(before)} | {_alarms(after)} | {_recovery(tree, full)} "
+            f"| {_on_the_way(full)} | {full['longest_lock_out']} "
+            f"| {'–' if touching is None else f'{100 * touching:.2f} %'} "
+            f"| {sum(met)} of {len(met)} |"
+        )
+    return "\n".join([*rows, ""])
+
+
+def _variants_table(table: Tree) -> str:
+    names = [variant.value for variant in Variant]
+    lines = [
+        "Recall in %, after; false alarms per robot-hour, after; swings to recovery, median.\n",
+        "| scenario | " + " | ".join(names) + " |",
+        "|---|" + "---|" * len(names),
+    ]
+    for name, tree in table.items():
+        cells = []
+        for variant in names:
+            own = tree["variants"].get(variant)
+            if own is None:
+                cells.append("–")
+                continue
+            recovery = next(iter(own["recovery"].values()), None)
+            cell = f"{percent(own['judged']['recall'])}; {rate(own['judged'])}"
+            if recovery is not None:
+                cell += f"; {plain_number(recovery['swings_median'])}"
+            cells.append(cell)
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join([*lines, ""])
+
+
+def _scenario(name: str, tree: Tree, picture: bool) -> str:
+    full = tree["variants"][Variant.FULL.value]
+    about = tree["about"]
+    lines = [
+        f"### {name}\n",
+        f"{about[0].upper()}{about[1:]}. {tree['leg_runs']} leg-runs, "
+        f"{tree['simulated_s'] / 60:.0f} simulated minutes.",
+    ]
+    for goal in tree["goals"]:
+        verdict = "met" if goal["met"] else "**not met**"
+        lines.append(
+            f"- {goal['what']}: {plain_number(goal['measured'])} "
+            f"(at most {plain_number(goal['limit'])}): {verdict}"
+        )
+    lost, interval = full["recall_lost_points"], full["recall_lost_interval"]
+    if lost is not None:
+        low, high = interval
+        lines.append(f"- recall lost: {lost:.2f} points (95 %: {low:.2f} to {high:.2f})")
+    for mark, recovery in full["recovery"].items():
+        lines.append(
+            f"- after '{mark}': {recovery['recovered']} of {tree['leg_runs']} leg-runs recovered, "
+            f"after {swings(recovery)} swings (median / p95)"
+        )
+    start = full.get("start")
+    if start is not None:
+        then = start["when_valid"]
+        lines.append(
+            f"- valid: {start['valid']} of {tree['leg_runs']} leg-runs, after "
+            f"{plain_number(start['swings_median'])} swings (median), "
+            f"{plain_number(start['swings_p95'])} (p95); from then on recall {_recall(then)} "
+            f"against {_recall(start['reference'])} with its own baseline, false alarms per "
+            f"robot-hour {_alarms(then)} against {_alarms(start['reference'])}; "
+            f"{full['ever_doubted']} leg-runs called themselves other than valid at least once"
+        )
+    if picture:
+        lines.append(f"\n![{name}](pictures/{PICTURE.format(name=name)})")
+    return "\n".join([*lines, ""])
+
+
+def _recall(summary: Tree) -> str:
+    if summary["recall"] is None:
+        return "–"
+    low, high = summary["recall_interval"]
+    return f"{percent(summary['recall'])} % ({percent(low)}–{percent(high)})"
+
+
+def _alarms(summary: Tree) -> str:
+    low, high = summary["per_robot_hour_interval"]
+    if high is None:
+        return "–"
+    digits = 1 if high < 100 else 0
+    return f"{rate(summary)} ({low:.{digits}f}–{high:.{digits}f})"
+
+
+def _recovery(tree: Tree, full: Tree) -> str:
+    if not full["recovery"]:
+        return "–"
+    return "; ".join(
+        f"{swings(r)} ({r['recovered']} of {tree['leg_runs']})" for r in full["recovery"].values()
+    )
+
+
+def _on_the_way(full: Tree) -> str:
+    if not full["recovery"]:
+        return "–"
+    return "; ".join(
+        f"{plain_number(r['alarms_median'])} / {plain_number(r['alarms_p95'])}"
+        for r in full["recovery"].values()
+    )

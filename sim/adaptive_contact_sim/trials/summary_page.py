@@ -1,0 +1,87 @@
+"""One page over all scenarios: recall, false alarms and recovery of every learner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from adaptive_contact_sim.trials.canvas import COLOURS, INK, figure, save
+from adaptive_contact_sim.trials.spec import Variant
+
+__all__ = ["draw_summary"]
+
+Tree = dict[str, Any]
+
+# Recall lies close to one: drawn as the share missed, on a log scale that ends where a figure of
+# some thousand touches ends, too.
+_LEAST_MISSED: Final = 1e-3
+_LEAST_RATE: Final = 0.5
+_NEVER: Final = 400.0
+_ROW_IN: Final = 0.245
+
+
+def draw_summary(results: Tree, path: Path) -> None:
+    """Draw the summary page.
+
+    Args:
+        results: all figures.
+        path: of the picture.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        ConfigurationError: the picture cannot be written.
+    """
+    table = results["scenarios"]
+    names = list(table)
+    page = figure(11.5, 1.9 + _ROW_IN * len(names))
+    page.suptitle(
+        "Every scenario, every learner: after the change, or over all of it",
+        x=0.01,
+        ha="left",
+        color=INK,
+        fontsize=12,
+    )
+    axes = page.subplots(1, 3, sharey=True)
+    for row, name in enumerate(names):
+        for variant, own in table[name]["variants"].items():
+            kind = Variant(variant)
+            large = kind is Variant.FULL
+            style = {
+                "color": COLOURS[kind],
+                "ms": 7 if large else 4.5,
+                "zorder": 3 if large else 2,
+            }
+            judged = own["judged"]
+            if judged["recall"] is not None:
+                missed = max(1.0 - judged["recall"], _LEAST_MISSED)
+                axes[0].plot(100.0 * missed, row, "o", **style)
+            if judged["per_robot_hour"] is not None:
+                axes[1].plot(max(judged["per_robot_hour"], _LEAST_RATE), row, "o", **style)
+            for recovery in list(own["recovery"].values())[:1]:
+                median, p95 = recovery["swings_median"], recovery["swings_p95"]
+                ends = [_NEVER if n is None else max(n, 0.5) for n in (median, p95)]
+                axes[2].plot(ends, [row, row], "-", color=COLOURS[kind], lw=1.0)
+                axes[2].plot(ends[0], row, "o", **style)
+    titles = (
+        "Touches missed, %",
+        "False alarms per robot-hour",
+        "Swings to recovery, median to p95",
+    )
+    limits = (None, 5.0, 10.0)
+    for ax, title, limit in zip(axes, titles, limits, strict=True):
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.set_title(title)
+        ax.grid(axis="y", color="#eeeeee", lw=0.8, zorder=0)
+        ax.tick_params(axis="y", length=0)
+        if limit is not None:
+            ax.axvline(limit, color=INK, lw=0.8, ls=(0, (4, 3)))
+    axes[2].set_xticks([1, 10, 100, _NEVER], ["1", "10", "100", "never"])
+    axes[0].set_yticks(range(len(names)), names)
+    axes[0].set_ylim(len(names) - 0.5, -0.5)
+    handles = [
+        axes[0].plot([], [], "o", color=COLOURS[variant], label=variant.value)[0]
+        for variant in Variant
+    ]
+    page.legend(handles=handles, loc="outside lower left", ncols=len(handles))
+    save(page, path)

@@ -1,0 +1,136 @@
+"""A virtual robot put together: ports and servos as a description says, over a backend."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+
+from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.tables import models_named
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Port, Robot
+from adaptive_contact_sim.virtual.backend import Backend
+from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec
+from adaptive_contact_sim.virtual.server import VirtualPort, VirtualServer
+from adaptive_contact_sim.virtual.servo import VirtualServo
+
+__all__ = ["VirtualSettings", "assemble", "with_ports"]
+
+# An AX-12A's reading, see docs/simulator.md; an X-series' magnetic encoder jitters by a step.
+NOISE_STEPS: Final = {1: 0.5, 2: 0.5}
+
+
+@dataclasses.dataclass(frozen=True)
+class VirtualSettings:
+    """How a virtual bus behaves.
+
+    Attributes:
+        faults: what goes wrong, and when.
+        seed: of reading noise and faults.
+        noise_steps: of a reading, None for the model's.
+        return_delay: register of all servos, 2 us each.
+        wire_time: let answers take as long as on a real wire.
+    """
+
+    faults: tuple[FaultSpec, ...] = ()
+    seed: int = 0
+    noise_steps: float | None = None
+    return_delay: int = 0
+    wire_time: bool = True
+
+
+def with_ports(robot: Robot, directory: Path, ports: int) -> Robot:
+    """A description whose ports lie in a directory.
+
+    Args:
+        robot: its own ports are kept by name; one without ports gets some, legs dealt evenly.
+        directory: where the links will be.
+        ports: how many to make for a robot without any.
+
+    Raises:
+        ConfigurationError: there are more ports than legs, or a leg has no servos.
+    """
+    if robot.ports:
+        own = {
+            name: msgspec.structs.replace(port, device=str(directory / name))
+            for name, port in robot.ports.items()
+        }
+        return msgspec.structs.replace(robot, ports=own)
+    if not 1 <= ports <= len(robot.legs):
+        raise ConfigurationError(
+            f"{ports} ports for {len(robot.legs)} legs; expected 1 to {len(robot.legs)}"
+        )
+    names = [f"port{i}" for i in range(ports)]
+    per_port = -(-len(robot.legs) // ports)
+    legs = []
+    for i, leg in enumerate(robot.legs):
+        if leg.servos is None:
+            raise ConfigurationError(
+                f"leg '{leg.id}' of '{robot.name}' has no servos; add servos = {{ ids = [...] }}"
+            )
+        servos = msgspec.structs.replace(leg.servos, port=names[i // per_port])
+        legs.append(msgspec.structs.replace(leg, servos=servos))
+    protocol = _protocol(robot)
+    made = {name: Port(device=str(directory / name), protocol=protocol) for name in names}
+    return msgspec.structs.replace(robot, legs=tuple(legs), ports=made)
+
+
+def assemble(
+    plans: Sequence[PortPlan],
+    backend: Backend,
+    order: Sequence[tuple[str, str]],
+    settings: VirtualSettings,
+) -> VirtualServer:
+    """Make the ports of a robot, closed.
+
+    Args:
+        plans: what is on which port.
+        backend: what moves.
+        order: (leg, joint) of the backend's servos.
+        settings: how the bus behaves.
+    """
+    place = {pair: i for i, pair in enumerate(order)}
+    seeds = np.random.SeedSequence(settings.seed).spawn(2)
+    noise_rng, fault_rng = (np.random.default_rng(seed) for seed in seeds)
+    faults = FaultSchedule(settings.faults, fault_rng)
+    ports = []
+    for plan in plans:
+        servos = [
+            VirtualServo(
+                joint.servo,
+                joint.models[-1],  # of a family, the usual one
+                backend,
+                place[leg.id, joint.name],
+                noise_rng,
+                noise_steps=(
+                    NOISE_STEPS[plan.port.protocol]
+                    if settings.noise_steps is None
+                    else settings.noise_steps
+                ),
+                return_delay=settings.return_delay,
+            )
+            for leg in plan.legs
+            for joint in leg.joints
+        ]
+        ports.append(
+            VirtualPort(
+                plan.name,
+                Path(plan.port.device),
+                servos,
+                faults,
+                baud=plan.port.baud,
+                wire_time=settings.wire_time,
+            )
+        )
+    return VirtualServer(ports, backend)
+
+
+def _protocol(robot: Robot) -> Literal[1, 2]:
+    servos = robot.legs[0].servos
+    assert servos is not None
+    return 1 if models_named(servos.model)[0].protocol == 1 else 2

@@ -1,0 +1,138 @@
+"""Servos of a robot that walks by itself: a simulation with a controller of its own.
+
+The simulation is the one of ``adaptive-contact sim``, untouched: same settings, same samples and
+truth.  Each tick's physics is made half a tick ahead, when the bus is quiet, and kept step by
+step, so that a reading at any moment sees the robot as it is then.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact_sim.elements import N_SERVOS
+from adaptive_contact_sim.simulation import Simulation, Tick
+from adaptive_contact_sim.virtual.horns import Horns
+
+__all__ = ["GaitedBackend"]
+
+Array = NDArray[np.float64]
+
+# When, within a tick, the next one is made: after the cycle of a bridge that reads at its start.
+_AHEAD: Final = 0.6
+# Further behind than this, lost time is let go.
+_LET_GO_S: Final = 0.5
+
+
+class GaitedBackend:
+    """A walking simulation as a set of servos; a backend of virtual servos.
+
+    Args:
+        sim: what walks; its time stamps begin now.
+        horns: how the servos are mounted.
+        on_tick: gets every tick, when its moment has come.
+    """
+
+    def __init__(
+        self, sim: Simulation, horns: Horns, on_tick: Callable[[Tick], None] = lambda _: None
+    ) -> None:
+        self.sim = sim
+        self._horns = horns
+        self._on_tick = on_tick
+        self._period_s = sim.settings.period_s
+        self._step_s = sim.plant.step_s
+        n = sim.plant.substeps
+        self._angles = [np.zeros((n, N_SERVOS)) for _ in range(2)]  # of this tick, of the next
+        self._speeds = [np.zeros((n, N_SERVOS)) for _ in range(2)]
+        self._goals = [np.zeros(N_SERVOS) for _ in range(2)]
+        self._ticks: list[Tick | None] = [None, None]
+        self._row = 0
+        self._at = 0
+        self._start_s: float | None = None
+        self._tick = 0
+        self._watch()
+
+    def advance(self, now_s: float) -> float:
+        """Bring the robot up to a moment."""
+        if self._start_s is None:
+            self._begin(now_s, 0)
+            self._make(0)
+            self._publish()
+        assert self._start_s is not None
+        start = self._start_s + self._tick * self._period_s
+        if now_s - start > _LET_GO_S:
+            self._begin(now_s, self._tick)
+            start = now_s
+        while now_s >= start + self._period_s:
+            self._next()
+            start += self._period_s
+        if self._ticks[1] is None and now_s >= start + _AHEAD * self._period_s:
+            self._make(1)
+        self._at = min(int((now_s - start) / self._step_s), len(self._angles[0]) - 1)
+        ahead = self._ticks[1] is not None
+        return start + (1.0 if ahead else _AHEAD) * self._period_s
+
+    def angle(self, index: int) -> float:
+        """Angle of a servo's horn, rad."""
+        offset = self.sim.plant.servos.offset_rad[index]
+        return self._horns.horn(index, float(self._angles[0][self._at, index] + offset))
+
+    def speed(self, index: int) -> float:
+        """Speed of a servo's horn, rad/s."""
+        return float(self._horns.direction[index] * self._speeds[0][self._at, index])
+
+    def set_goal(self, index: int, angle_rad: float) -> None:
+        """The robot's own controller writes goals, twice as often as anybody else could."""
+
+    def goal(self, index: int) -> float | None:
+        """The goal in force, of the robot's own controller."""
+        return self._horns.horn(index, float(self._goals[0][index]))
+
+    def set_torque(self, index: int, on: bool) -> None:
+        """The robot's own controller keeps the torque on."""
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _begin(self, now_s: float, tick: int) -> None:
+        """Let a tick be now, by the monotonic clock and in the time stamps."""
+        self._start_s = now_s - tick * self._period_s
+        epoch_ns = time.time_ns() - round(tick * self._period_s * 1e9)
+        self.sim.settings = dataclasses.replace(self.sim.settings, epoch_ns=epoch_ns)
+
+    def _watch(self) -> None:
+        """Keep the joints' state after every physics step."""
+        plant = self.sim.plant
+        rub = plant.servos.rub
+
+        def after_step() -> None:
+            rub()
+            self._angles[self._making][self._row] = plant.joint_angles
+            self._speeds[self._making][self._row] = plant.joint_speeds
+            self._row += 1
+
+        self._making = 0
+        plant.servos.rub = after_step  # type: ignore[method-assign]
+
+    def _make(self, slot: int) -> None:
+        self._making, self._row = slot, 0
+        self._ticks[slot] = self.sim.tick()
+        self._goals[slot][:] = self.sim.desired
+
+    def _next(self) -> None:
+        if self._ticks[1] is None:
+            self._make(1)
+        for pair in (self._angles, self._speeds, self._goals):
+            pair.reverse()
+        self._ticks = [self._ticks[1], None]
+        self._tick += 1
+        self._publish()
+
+    def _publish(self) -> None:
+        tick = self._ticks[0]
+        assert tick is not None
+        self._on_tick(tick)

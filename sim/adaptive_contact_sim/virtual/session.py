@@ -1,0 +1,183 @@
+"""One run of a virtual robot: its physics, its ports, its truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from adaptive_contact.bridge.plan import PortPlan, plan_ports
+from adaptive_contact.bridge.survey import write_robot
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Robot
+from adaptive_contact.wire import ContactTruth, truth_key
+from adaptive_contact_sim.scenario import load_scenario
+from adaptive_contact_sim.simulation import Simulation, Tick
+from adaptive_contact_sim.virtual.assembly import VirtualSettings, assemble, with_ports
+from adaptive_contact_sim.virtual.backend import Backend
+from adaptive_contact_sim.virtual.gaited import GaitedBackend
+from adaptive_contact_sim.virtual.horns import Horns
+from adaptive_contact_sim.virtual.passive import PassiveBackend, order
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.link import LinkSettings
+
+__all__ = ["VirtualPlan", "run"]
+
+
+@dataclasses.dataclass(frozen=True)
+class VirtualPlan:
+    """What to run.
+
+    Attributes:
+        robot: its description: ids, models, mounting of the servos.
+        simulated: name of the shipped robot that moves.
+        directory: where the ports' links go.
+        ports: how many, for a description without any.
+        bus: how the bus behaves.
+        scenario: the robot moves by itself; None for one on a stand that the bus moves.
+        height_m: of the stand.
+        seed: of the scenario; 0 for the scenario's own.
+        robot_seed: which robot of its kind.
+        seconds: how long, None for until stopped.
+        record: MCAP file of a scenario's own samples and truth.
+        write_config: where to write the robot.toml of the bus.
+        link: where truth is published, None for nowhere.
+    """
+
+    robot: Robot
+    simulated: str
+    directory: Path
+    ports: int
+    bus: VirtualSettings
+    scenario: str | None = None
+    height_m: float = 1.0
+    seed: int = 0
+    robot_seed: int = 0
+    seconds: float | None = None
+    record: Path | None = None
+    write_config: Path | None = None
+    link: LinkSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.record is not None and self.scenario is None:
+            raise ConfigurationError(
+                "--record needs --scenario: a robot on a stand has no samples of its own; record "
+                "the bridge's with `adaptive-contact record`"
+            )
+        if not 0.05 <= self.height_m <= 10.0:
+            raise ConfigurationError(f"a stand of {self.height_m} m; expected 0.05 to 10 m")
+
+
+def run(
+    plan: VirtualPlan,
+    stop: threading.Event,
+    *,
+    on_start: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Serve a virtual robot until the end.
+
+    Args:
+        plan: what.
+        stop: ends the run when set.
+        on_start: called with one line when the ports can be opened.
+
+    Raises:
+        AdaptiveContactError: in one line, what is wrong.
+    """
+    try:
+        plan.directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{plan.directory}: cannot be made ({error.strerror}); give another --dir"
+        ) from error
+    robot = with_ports(plan.robot, plan.directory.resolve(), plan.ports)
+    plans = plan_ports(robot)
+    if plan.write_config is not None:
+        plan.write_config.write_text(write_robot(robot), encoding="utf-8")
+    with ExitStack() as stack:
+        publish = _truth(plan, stack, stop)
+        backend, pairs = _backend(plan, plans, publish, stack)
+        server = stack.enter_context(assemble(plans, backend, pairs, plan.bus))
+        servos = sum(len(p.joints) for p in plans)
+        models = ", ".join(sorted({p.joints[0].models[-1].name for p in plans}))
+        where = " ".join(str(port.path) for port in server.ports)
+        on_start(f"{servos} {models} on {where}; stop with Ctrl-C")
+        timer = None
+        if plan.seconds is not None:
+            timer = threading.Timer(plan.seconds, stop.set)
+            timer.daemon = True
+            timer.start()
+        server.run(stop)
+        if timer is not None:
+            timer.cancel()
+
+
+def _truth(
+    plan: VirtualPlan, stack: ExitStack, stop: threading.Event
+) -> Callable[[str, ContactTruth], None]:
+    """Where changes of contact go."""
+    if plan.link is None:
+        return lambda *_: None
+    from adaptive_contact.service.link import Link
+
+    link = stack.enter_context(Link.open(plan.link, stop=stop))
+    publishers = {
+        leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in plan.robot.leg_ids
+    }
+    return lambda leg, message: publishers[leg].put(message)
+
+
+def _backend(
+    plan: VirtualPlan,
+    plans: Sequence[PortPlan],
+    publish: Callable[[str, ContactTruth], None],
+    stack: ExitStack,
+) -> tuple[Backend, list[tuple[str, str]]]:
+    """The physics, and the order of its servos."""
+    if plan.simulated != "hexapod":
+        from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, quadruped_order
+
+        if plan.simulated != "quadruped" or plan.scenario is not None:
+            raise ConfigurationError(
+                f"no virtual robot '{plan.simulated}' with that scenario; there are hexapod, and "
+                "quadruped on a stand"
+            )
+        pairs = quadruped_order()
+        return QuadrupedBackend(Horns.of(plans, pairs), robot_seed=plan.robot_seed), pairs
+    pairs = order()
+    horns = Horns.of(plans, pairs)
+    if plan.scenario is None:
+        passive = PassiveBackend(
+            horns,
+            height_m=plan.height_m,
+            robot_seed=plan.robot_seed,
+            epoch_ns=time.time_ns(),
+            on_truth=publish,
+        )
+        return passive, pairs
+    settings = load_scenario(plan.scenario).settings
+    if plan.seed:
+        settings = dataclasses.replace(settings, seed=plan.seed)
+    if plan.robot_seed:
+        settings = dataclasses.replace(settings, robot_seed=plan.robot_seed)
+    settings = dataclasses.replace(settings, run=time.time_ns() // 1_000_000)
+    sim = Simulation(settings)
+    looks: list[Callable[[Tick], None]] = []
+    if plan.record is not None:
+        from adaptive_contact_sim.recorder import TickRecorder
+
+        recorder = stack.enter_context(TickRecorder(plan.record, sim))
+        looks.append(recorder.write)
+
+    def on_tick(tick: Tick) -> None:
+        for change in tick.truth:
+            publish(change.leg, change.message)
+        for look in looks:
+            look(tick)
+
+    return GaitedBackend(sim, horns, on_tick), pairs

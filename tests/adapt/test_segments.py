@@ -1,0 +1,144 @@
+"""What a swing confirms, and what it keeps back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.segments import (
+    FREE_LIFT_TICKS,
+    GUARD_TICKS,
+    LAST_TICKS,
+    Row,
+    SwingBook,
+)
+
+PERIOD = 20_000_000
+
+
+def row(tick: int, *, lift: bool, level: float = 1.0, calm: bool = False) -> Row:
+    return Row(np.full(2, float(tick)), np.zeros(1), level, tick * PERIOD, lift, calm)
+
+
+def ticks(rows: list[Row] | None) -> list[int]:
+    return [] if rows is None else [r.t_ns // PERIOD for r in rows]
+
+
+def swing(book: SwingBook, *, up: int, down: int, **fields: object) -> list[int]:
+    """Enter a swing; the ticks of the lift it released."""
+    book.begin(0)
+    released: list[int] = []
+    for tick in range(1, up + down + 1):
+        lift = tick <= up
+        book.add(row(tick, lift=lift, **fields), tick, descending=not lift)  # type: ignore[arg-type]
+        rows = book.take_lift()
+        if rows is not None:
+            released = ticks(rows)
+    return released
+
+
+def test_the_first_ticks_of_a_lift_are_kept_back() -> None:
+    assert swing(SwingBook(), up=12, down=2) == list(range(FREE_LIFT_TICKS, 13))
+
+
+def test_a_calm_leg_confirms_its_whole_lift() -> None:
+    assert swing(SwingBook(), up=12, down=2, calm=True) == list(range(1, 13))
+
+
+def test_a_foot_that_lets_go_late_is_seen() -> None:
+    book = SwingBook()
+    book.begin(0)
+    for tick in range(1, 15):
+        level = 200.0 if tick < 11 else 1.0
+        book.add(row(tick, lift=True, level=level), tick, descending=False)
+    book.add(row(15, lift=False), 15, descending=True)
+    assert ticks(book.take_lift()) == [11, 12, 13, 14]
+
+
+def test_a_changed_leg_is_not_taken_for_a_late_one() -> None:
+    released = swing(SwingBook(), up=14, down=1, level=30.0)
+    assert released == list(range(FREE_LIFT_TICKS, 15))
+
+
+def test_a_free_descent_is_confirmed_but_for_its_end() -> None:
+    book = SwingBook()
+    swing(book, up=10, down=12)
+    assert ticks(book.resolve()) == list(range(11, 23 - LAST_TICKS))
+    assert book.resolve() == []
+
+
+def test_an_alarm_confirms_what_came_well_before_its_onset() -> None:
+    book = SwingBook()
+    swing(book, up=10, down=12)
+    assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 19 - GUARD_TICKS + 1))
+    assert book.resolve() == []
+
+
+def test_an_alarm_in_the_lift_does_not_keep_the_lift_back() -> None:
+    book = SwingBook()
+    book.begin(0)
+    for tick in range(1, 13):
+        book.add(row(tick, lift=True), tick, descending=False)
+        if tick == 6:
+            assert book.alarm(6 * PERIOD, PERIOD) == []
+    book.add(row(13, lift=False), 13, descending=True)
+    assert ticks(book.take_lift()) == list(range(FREE_LIFT_TICKS, 13))
+    assert book.resolve() == []
+
+
+def test_a_foot_that_is_held_confirms_nothing() -> None:
+    book = SwingBook()
+    book.begin(0)
+    for tick in range(1, 12):  # commanded up, not moving up
+        book.add(row(tick, lift=False), tick, descending=False)
+    assert book.take_lift() is None
+    assert book.resolve() == []
+
+
+def test_a_broken_stream_confirms_nothing() -> None:
+    book = SwingBook()
+    swing(book, up=10, down=12)
+    book.discard()
+    assert book.resolve() == []
+
+
+def rows(n: int, *, lift: bool = True) -> list[Row]:
+    return [row(tick, lift=lift) for tick in range(n)]
+
+
+def test_the_buffer_is_bounded_and_counts() -> None:
+    buffer = SlidingBuffer(limit=10)
+    for n in range(50):
+        buffer.add(rows(4, lift=n % 2 == 0), region=0, era=0)
+    assert len(buffer.segments) == 10
+    assert buffer.counts.lift_ticks + buffer.counts.descent_ticks == 40
+    assert buffer.counts.swings == 5
+
+
+def test_a_monotonous_gait_does_not_push_out_the_rest() -> None:
+    buffer = SlidingBuffer(limit=20)
+    for region in range(4):
+        buffer.add(rows(4), region=region, era=0)
+    for _ in range(200):
+        buffer.add(rows(4), region=0, era=0)
+    kept = {segment.cell[1] for segment in buffer.segments}
+    assert kept == {0, 1, 2, 3}
+
+
+def test_what_belongs_to_the_leg_before_its_change_goes_first() -> None:
+    buffer = SlidingBuffer(limit=10)
+    for _ in range(10):
+        buffer.add(rows(4), region=0, era=0)
+    for _ in range(6):
+        buffer.add(rows(4), region=1, era=1)
+    assert [s.era for s in buffer.segments].count(1) == 6
+    fit, held_out = buffer.factors(2, 1, era=1)
+    assert fit.rows + held_out.rows == 24
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_an_empty_segment_is_none(n: int) -> None:
+    buffer = SlidingBuffer()
+    buffer.add(rows(n), region=0, era=0)
+    assert len(buffer.segments) == n

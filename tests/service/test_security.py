@@ -1,0 +1,249 @@
+"""docs/security.md, tried out: who gets in, who may say what, and that nothing secret is told."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.link import Link, NoRouterError, client_settings, router_settings
+from adaptive_contact.service.settings import SERVICE_TOKEN, leg_token, shown
+from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ALL_LEARNER,
+    ContactEvent,
+    LearnerStatus,
+    ServoSample,
+    contact_key,
+    learner_key,
+    model_key,
+    servo_key,
+)
+
+TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
+SERVICE, ROBOT, TLS_SERVICE, TLS_CLIENT = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)
+(USERS,) = re.findall(r"```text\n(.*?)```", TEXT, re.DOTALL)
+SECRETS = ("CHANGE-ME-1", "CHANGE-ME-2", "CHANGE-ME-3")
+
+Sample = Callable[..., ServoSample]
+
+
+class Folder(NamedTuple):
+    """The files of the documented set."""
+
+    service: Path
+    robot: Path
+    viewer: Path
+    stranger: Path
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Folder:
+    users = tmp_path / "users"
+    users.write_text(USERS)
+    texts = {
+        "service": SERVICE.replace("/etc/adaptive-contact/users", str(users)),
+        "robot": ROBOT,
+        "viewer": ROBOT.replace('"robot"', '"viewer"').replace("CHANGE-ME-2", "CHANGE-ME-3"),
+        "stranger": ROBOT.replace("CHANGE-ME-2", "guessed"),
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.json5").write_text(text)
+    return Folder(*(tmp_path / f"{name}.json5" for name in Folder._fields))
+
+
+def matched(link: Link, key: str) -> Any:
+    publisher = link.publisher(key)
+    until = time.monotonic() + 5
+    while not publisher.matched:
+        assert time.monotonic() < until, f"nobody subscribes to {key}"
+        time.sleep(0.005)
+    return publisher
+
+
+@pytest.mark.e2e
+def test_only_the_service_publishes_contacts_and_statuses(
+    serve: Any,
+    join: Callable[..., Link],
+    files: Folder,
+    inbox: Any,
+    sample: Sample,
+) -> None:
+    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
+    endpoint = served.endpoint.replace("0.0.0.0", "127.0.0.1")
+    for config in (None, files.stranger):
+        with pytest.raises(NoRouterError, match="user and password"):
+            Link.open(client_settings([endpoint], wait=False, zenoh_config=config))
+
+    robot = join(endpoint, zenoh_config=files.robot)
+    viewer = join(endpoint, zenoh_config=files.viewer)
+    contacts, plain, statuses = inbox(ContactEvent), inbox(ContactEvent), inbox(LearnerStatus)
+    viewer.subscribe(ALL_CONTACT, contacts, history=True)
+    robot.subscribe(ALL_CONTACT, plain)
+    viewer.subscribe(ALL_LEARNER, statuses)
+    tokens = inbox()
+    viewer.watch_tokens(SERVICE_TOKEN, tokens)
+    assert tokens.wait(1)[0] == (SERVICE_TOKEN, True)
+
+    # The robot's samples get through, and the service's events to both.
+    servo = matched(robot, servo_key("rf"))
+    servo.put(sample(1, contact=True))
+    assert contacts.wait(1)[0].seq == 1
+    assert plain.wait(1)[0].seq == 1
+    statuses.wait(lambda items: any(status.ticks == 1 for status in items))
+
+    # What only the service may say: nobody hears it from others, neither at once nor later.
+    event = contacts.items[0]
+    forged = ContactEvent(
+        **{**{name: getattr(event, name) for name in event.__struct_fields__}, "seq": 666}
+    )
+    wrong = LearnerStatus(
+        leg="rf",
+        t_ns=1,
+        status="valid",
+        model_version=666,
+        residual_rms=[],
+        noise_floor=[],
+    )
+    # (From sessions of their own: within a session everybody hears himself, without a router.)
+    liars = [join(endpoint, zenoh_config=config) for config in (files.robot, files.viewer)]
+    for liar in liars:
+        liar.publisher(contact_key("rf"), reliable=True).put(forged)
+        liar.publisher(contact_key("rf"), reliable=True, history=1).put(forged)
+        liar.publisher(learner_key("rf")).put(wrong)
+        liar.publisher(SERVICE_STATUS).put(wrong)
+        liar.queryable(model_key("rf"), lambda request: request.reply(wrong))
+        liar.token(leg_token("zz"))
+    liars[1].publisher(servo_key("rf")).put(sample(555, contact=False))
+    for liar in liars:  # a round trip: what it put before has been dealt with after it
+        assert len(liar.query(model_key("rf"))) >= 1
+    servo.put(sample(2))
+    assert [e.seq for e in contacts.wait(2)] == [1, 2]
+    late = inbox(ContactEvent)
+    join(endpoint, zenoh_config=files.viewer).subscribe(ALL_CONTACT, late, history=True)
+    assert [e.seq for e in late.wait(1)] == [2]
+    statuses.wait(lambda items: any(status.ticks == 2 for status in items))
+    assert all(status.model_version == 3 for status in statuses.items)
+    assert [e.seq for e in plain.wait(2)] == [1, 2]
+    (last,) = viewer.query(contact_key("rf"))
+    assert b"666" not in last.payload
+    (report,) = viewer.query(model_key("rf"))
+    assert report.error is None
+    assert leg_token("zz") not in viewer.alive("robot/leg/*")
+
+    assert served.stop() == 0
+    log = served.log.read_text()
+    assert not [secret for secret in SECRETS if secret in log]
+
+
+@pytest.mark.e2e
+def test_zenohs_own_log_holds_no_password(
+    command: Any, files: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from adaptive_contact.service.link import Link, client_settings, router_settings\n"
+        "service, robot = map(Path, sys.argv[1:])\n"
+        "with Link.open(router_settings(['127.0.0.1:0'], zenoh_config=service)) as router:\n"
+        "    with Link.open(client_settings(router.endpoints, zenoh_config=robot)): pass"
+    )
+    for level in ("debug", "trace"):
+        monkeypatch.setenv("RUST_LOG", level)
+        process = command(
+            *("-c", code, str(files.service), str(files.robot)),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+        log, _ = process.communicate(timeout=30)
+        assert process.returncode == 0
+        assert "DEBUG" in log
+        assert not [line[:300] for line in log.splitlines() for one in SECRETS if one in line]
+
+
+@pytest.mark.e2e
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
+def test_mutual_tls_lets_in_who_has_a_certificate(tmp_path: Path) -> None:
+    def openssl(*args: str) -> None:
+        subprocess.run(["openssl", *args], check=True, capture_output=True, cwd=tmp_path)
+
+    new = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
+    openssl("req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test ca")
+    for name in ("service", "client"):
+        (tmp_path / f"{name}.ext").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost")
+        openssl(
+            "req", *new, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
+        )
+        openssl(
+            *("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key"),
+            *("-CAcreateserial", "-days", "2", "-extfile", f"{name}.ext", "-out", f"{name}.pem"),
+        )
+
+    def config(name: str, text: str) -> Path:
+        path = tmp_path / f"{name}.json5"
+        path.write_text(text.replace("/etc/adaptive-contact", str(tmp_path)))
+        return path
+
+    service, client = config("tls", TLS_SERVICE), config("tls_client", TLS_CLIENT)
+    without = re.sub(r"connect_\w+: .*\n", "", TLS_CLIENT)
+    with Link.open(router_settings(["tls/0.0.0.0:0"], zenoh_config=service)) as router:
+        endpoint = router.endpoints[0].replace("0.0.0.0", "127.0.0.1")
+        settings = client_settings([endpoint], wait=False, zenoh_config=client)
+        with Link.open(settings) as joined:
+            assert joined.is_connected()
+        with pytest.raises(NoRouterError, match="refused"):
+            Link.open(
+                client_settings([endpoint], wait=False, zenoh_config=config("without", without))
+            )
+    # A lock on one door is none on the other.
+    with pytest.raises(ConfigurationError, match="would let anybody on that network in"):
+        Link.open(router_settings(["tls/0.0.0.0:0", "tcp/0.0.0.0:0"], zenoh_config=service))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{transport: {auth: {usrpwd: {user: "svc", password: "hunter2" x: 1}}}}',
+        '{transport: {auth: {usrpwd: {user: "svc", password: "hunter2", more: 1}}}}',
+        '{transport: {auth: {usrpwd: "hunter2"}}}',
+        '{transport: {auth: {usrpwd: {user: "svc",\npassword: "hunter2\n}}}}',
+        '{transport: {link: {tls: {connect_private_key_base64: 3, listen_private_key: "hunter2',
+        '{mode: "hunter2"}',
+    ],
+)
+def test_errors_of_a_configuration_do_not_quote_it(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "zenoh.json5"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match="not a usable Zenoh configuration") as caught:
+        Link.open(router_settings(zenoh_config=path))
+    assert "hunter2" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_keys_in_endpoints_are_not_shown() -> None:
+    secret = "tls/0.0.0.0:7447#listen_private_key_base64=c2VjcmV0"
+    assert shown(secret) == "tls/0.0.0.0:7447"
+    with pytest.raises(ConfigurationError) as caught:
+        Link.open(router_settings([secret]))
+    assert "c2VjcmV0" not in str(caught.value)
+    for wrong in ("xyz/1:2#key=c2VjcmV0", "tls/a:b:c#key=c2VjcmV0", "tls/1.2.3.4:99999#c2VjcmV0"):
+        with pytest.raises(ConfigurationError) as caught:
+            client_settings([wrong])
+        assert "c2VjcmV0" not in str(caught.value)
+    closed = client_settings(["tls/127.0.0.1:1#connect_private_key_base64=c2VjcmV0"], wait=False)
+    with pytest.raises(NoRouterError) as refused:
+        Link.open(closed)
+    assert "c2VjcmV0" not in str(refused.value)
+
+
+def test_the_lines_in_the_document_are_the_real_ones() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        Link.open(router_settings(["tcp/0.0.0.0:7447"]))
+    assert f"adaptive-contact: {caught.value}\n" in TEXT

@@ -1,0 +1,139 @@
+"""Documentation that cannot go stale unseen: links, command lines, make targets, Python."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shlex
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import typer
+from typer.main import get_command
+
+from adaptive_contact.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_CODE = re.compile(r"`([^`]+)`")
+_LINK = re.compile(r"\]\(<?([^)\s>]+)>?\)")
+_SHELLS = ("", "bash", "console", "sh", "shell")
+
+
+class Quote(NamedTuple):
+    """A command as a page writes it; in a fence it is whole, in a sentence it may be cut short."""
+
+    page: str
+    words: tuple[str, ...]
+    whole: bool
+
+    def __str__(self) -> str:
+        return f"{self.page}: {' '.join(self.words)}"
+
+
+@cache
+def parts(page: Path) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The text without its fences, and the fences with their language."""
+    text = page.read_text(encoding="utf-8")
+    return _FENCE.sub("", text), tuple(_FENCE.findall(text))
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """Anchors of the headings, as GitHub makes them."""
+    found: list[str] = []
+    for title in re.findall(r"^#+ +(.*?) *#*$", parts(page)[0], re.MULTILINE):
+        plain = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title.lower()).replace("`", "")
+        slug = re.sub(r"[^\w\- ]", "", plain).replace(" ", "-")
+        found.append(f"{slug}-{found.count(slug)}" if slug in found else slug)
+    return frozenset(found)
+
+
+def quotes(name: str) -> list[Quote]:
+    """Command lines of all pages that begin with a name."""
+    found = []
+    for page in PAGES:
+        text, fences = parts(page)
+        where = str(page.relative_to(ROOT))
+        lines = [
+            (line, True)
+            for language, body in fences
+            if language in _SHELLS
+            for line in body.replace("\\\n", " ").splitlines()
+        ]
+        # A line break inside a code span is a space.
+        lines += [(" ".join(span.split()), False) for span in _CODE.findall(text)]
+        for line, whole in lines:
+            line = re.sub(r"^(\$ |[A-Z_]+=\S+ |\.venv/bin/)+", "", line.strip())
+            line = re.sub(r"^python3? -m adaptive_contact\b", "adaptive-contact", line)
+            if re.match(rf"{name}(\s|$)", line):
+                words = shlex.split(re.split(r" [|>&;]", line)[0], comments=True)
+                found.append(Quote(where, tuple(words), whole))
+    return found
+
+
+def test_there_is_something_to_check() -> None:
+    names = {page.name for page in PAGES}
+    assert {"README.md", "CHANGELOG.md", "architecture.md", "messages.md"} <= names
+    assert len(quotes("adaptive-contact")) > 20
+    assert len(quotes("make")) > 2
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in _LINK.findall(parts(page)[0]):
+        if re.match(r"[a-z]+:", target):
+            continue  # of another site, which a test does not ask
+        path, _, anchor = target.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        assert there.exists(), f"{target}: no such file"
+        assert there.is_relative_to(ROOT), f"{target}: leads out of the repository"
+        if anchor:
+            assert anchor in anchors(there), f"{target}: no such heading"
+
+
+@pytest.fixture(scope="module")
+def program() -> Any:
+    """The whole command line."""
+    if not main.app.registered_commands:
+        main._register()
+    return get_command(main.app)
+
+
+@pytest.mark.parametrize("quote", sorted(set(quotes("adaptive-contact"))), ids=str)
+def test_commands_parse(program: Any, quote: Quote) -> None:
+    _, *words = quote.words
+    words = [w.strip("[]") for w in words if w.strip("[]") not in ("…", "...", "")]
+    command = program
+    while words and hasattr(command, "commands"):
+        name = words.pop(0)
+        if name.startswith("-"):
+            assert name in ("--help", "--version", "--install-completion")
+            return
+        assert name in command.commands, f"no command '{name}'"
+        command = command.commands[name]
+    if hasattr(command, "commands"):
+        return  # a group is named
+    # With --help, options are read but nothing is missed; what is wrong raises a usage error.
+    arguments = words if quote.whole else [*words, "--help"]
+    with contextlib.suppress(typer.Exit):
+        command.make_context(command.name, arguments)
+
+
+@pytest.mark.parametrize("quote", sorted(set(quotes("make"))), ids=str)
+def test_make_targets_exist(quote: Quote) -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in quote.words[1:]:
+        if re.fullmatch(r"[a-z][a-z-]*", target):
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"no target '{target}'"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_python_compiles(page: Path) -> None:
+    for language, body in parts(page)[1]:
+        if language == "python":
+            compile(body, str(page), "exec")
