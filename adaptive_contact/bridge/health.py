@@ -111,6 +111,7 @@ def is_stale(
         speed_before_rad_s: what it said a tick ago.
         tick_step_rad: speed, rad/s, of one position step a tick.
     """
-    if steps != before:
+    # Of one sign: a joint that has turned round meanwhile may well be where it was.
+    if steps != before or speed_rad_s * speed_before_rad_s <= 0.0:
         return False
     return min(abs(speed_rad_s), abs(speed_before_rad_s)) > STALE_STEPS * tick_step_rad

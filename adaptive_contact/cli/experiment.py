@@ -26,7 +26,9 @@ def logs(
     path: Annotated[
         Path,
         typer.Argument(
-            metavar="PATH", help="Recording (.npz or .json), or a folder of them.", show_default=False
+            metavar="PATH",
+            help="Recording (.npz or .json), or a folder of them.",
+            show_default=False,
         ),
     ],
     json: JsonOption = False,

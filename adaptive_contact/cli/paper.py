@@ -14,9 +14,9 @@ __all__ = ["paper"]
 
 
 def paper(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Where results go.")
-    ] = Path("out/paper"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")] = Path(
+        "out/paper"
+    ),
     quick: Annotated[
         bool, typer.Option("--quick", help="A few minutes: fewer legs, fewer hours.")
     ] = False,
@@ -51,16 +51,12 @@ def paper(
 
     unknown = [name for name in stage or () if name not in STAGES]
     if unknown:
-        raise ConfigurationError(
-            f"no stage '{unknown[0]}'; stages are {', '.join(STAGES)}"
-        )
+        raise ConfigurationError(f"no stage '{unknown[0]}'; stages are {', '.join(STAGES)}")
     plan = dataclasses.replace(QUICK if quick else FULL, seed=seed)
     stages = [name for name in STAGES if not stage or name in stage]
     console = Console()
     try:
-        results = run_paper(
-            out, plan, workers=workers, stages=stages, logs=logs, console=console
-        )
+        results = run_paper(out, plan, workers=workers, stages=stages, logs=logs, console=console)
     except KeyboardInterrupt:
         console.print("\ninterrupted; the same command goes on from here")
         raise typer.Exit(130) from None

@@ -190,7 +190,7 @@ def _work(work: list[Job], folders: Folders, processes: int, console: Console) -
 
         def step(done: Done) -> None:
             nonlocal simulated
-            simulated += done.job.seconds
+            simulated += done.job.recording.seconds
             bar.update(task, advance=done.job.work, minutes=f"{simulated / 60:.0f} min simulated")
 
         return run_jobs(work, folders, processes=processes, progress=step)

@@ -161,7 +161,7 @@ class Calibration:
         return np.array([t.quantile(min(share, t.rate)) for t in tails])
 
     def score(self, statistic: Array, per_tick: float) -> Array:
-        """(n,) largest channel over its threshold, above 1 for a contact; NaN where none is known."""
+        """(n,) largest channel over its threshold, above 1 for a contact; NaN if none is known."""
         used = statistic[:, list(self.channels)] / self.thresholds(per_tick)
         known = np.isfinite(used)
         best = np.where(known, used, -np.inf).max(axis=1)

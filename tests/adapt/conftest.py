@@ -58,8 +58,8 @@ class FakeLeg:
         out: list[tuple[np.ndarray, np.ndarray, bool, bool]] = []
         start = low
         for number in range(swings):
-            top = np.array([rng.uniform(0.14, 0.2), rng.uniform(-0.06, 0.06), rng.uniform(-0.02, 0.02)])
-            end = np.array([rng.uniform(0.14, 0.2), rng.uniform(-0.06, 0.06), rng.uniform(-0.12, -0.08)])
+            top = rng.uniform([0.14, -0.06, -0.02], [0.2, 0.06, 0.02])
+            end = rng.uniform([0.14, -0.06, -0.12], [0.2, 0.06, -0.08])
             up = [start + (top - start) * (i + 1) / 10 for i in range(10)]
             down = [top + (end - top) * (i + 1) / 14 for i in range(14)]
             stop = touch(number)

@@ -125,7 +125,7 @@ def test_the_covariance_stays_definite_and_bounded_over_a_million_rows() -> None
 
 
 def test_an_outlier_moves_it_little() -> None:
-    theta, target, truth = data(500, seed=5)
+    theta, target, _ = data(500, seed=5)
     rls = make(prior=5.0)
     for row, y in zip(theta, target, strict=True):
         rls.update(row, y)

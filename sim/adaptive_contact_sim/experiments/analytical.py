@@ -161,9 +161,14 @@ class _Dynamics:
         (cx, _, cz), (ix_f, iy_f, iz_f), (ix_t, iy_t, iz_t) = leg.inertia
         del cx
         yaw = (
-            cz + leg.mass_kg[0] * leg.centre_m[0, 0] ** 2
-            + m_f * rf**2 + ix_f * s1**2 + iz_f * c1**2
-            + m_t * rt**2 + ix_t * s2**2 + iz_t * c2**2
+            cz
+            + leg.mass_kg[0] * leg.centre_m[0, 0] ** 2
+            + m_f * rf**2
+            + ix_f * s1**2
+            + iz_f * c1**2
+            + m_t * rt**2
+            + ix_t * s2**2
+            + iz_t * c2**2
         )
         cross = kr * tr + kz * tz
         own = iy_t + m_t * (xt**2 + zt**2)
@@ -173,9 +178,7 @@ class _Dynamics:
 
         # What a yaw does to the pitch joints (half the slope of its inertia), and they to it.
         slope2 = -2.0 * m_t * rt * tz + 2.0 * (ix_t - iz_t) * s2 * c2
-        slope1 = (
-            -2.0 * m_f * rf * fz + 2.0 * (ix_f - iz_f) * s1 * c1 - 2.0 * m_t * rt * kz + slope2
-        )
+        slope1 = -2.0 * m_f * rf * fz + 2.0 * (ix_f - iz_f) * s1 * c1 - 2.0 * m_t * rt * kz + slope2
         coriolis = m_t * (kr * tz - kz * tr)  # -d(cross)/d(q3)
         g = leg.gravity
         rest = np.stack(

@@ -78,7 +78,8 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
 
     Args:
         robot: whose leg it is.
-        train, test: the paper's datasets of the same leg.
+        train: the paper's training segments of the same leg.
+        test: its test segments.
         count: how many.
 
     Returns:
@@ -144,7 +145,14 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
         "limit_deg": np.degrees(limit).tolist(),
         "drawn": shown,
         "trace": _trace(
-            heard, table[shown], number, measured, desired, told, difference, paper_ticks,
+            heard,
+            table[shown],
+            number,
+            measured,
+            desired,
+            told,
+            difference,
+            paper_ticks,
             default_ticks,
         ),
     }

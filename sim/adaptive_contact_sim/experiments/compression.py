@@ -49,9 +49,7 @@ class Comparison:
     difference: float
 
 
-def compare(
-    stream: Stream, library: Library, threshold: float, *, repeats: int = 3
-) -> Comparison:
+def compare(stream: Stream, library: Library, threshold: float, *, repeats: int = 3) -> Comparison:
     """Time both fits of the free rows of a stream; the better of ``repeats``, CPU time.
 
     Args:

@@ -174,9 +174,7 @@ def load(store: Store, piece: Piece) -> Stream:
     return Stream(piece, leg)
 
 
-def parallel(
-    work: Callable[[T], R], items: Sequence[T], workers: int
-) -> Iterator[tuple[T, R]]:
+def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterator[tuple[T, R]]:
     """Do work in processes of one thread each, in order of completion.
 
     An interruption lets the items in hand finish, so that what they store is kept.
@@ -251,4 +249,3 @@ def pack(leg: LegArrays) -> dict[str, NDArray[Any]]:
         "onset_grazing": np.array([o.grazing for o in onsets], dtype=bool),
         "releases_ns": np.array(leg.releases_ns, dtype=np.int64),
     }
-

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -100,7 +101,13 @@ def detection(
 
 def _quiet(root: Path, plan: Plan, role: Role) -> dict[str, Any]:
     """Sums over the free streams of a role."""
-    total: dict[str, Any] = {"ticks": 0, "alarms": {}, "squares": {}, "rows": Counter(), "kinds": {}}
+    total: dict[str, Any] = {
+        "ticks": 0,
+        "alarms": {},
+        "squares": {},
+        "rows": Counter(),
+        "kinds": {},
+    }
     for name in DETECTORS:
         total["alarms"][name] = np.zeros(len(FACTORS), dtype=np.int64)
     total["alarms"][DEFAULT] = 0
@@ -165,9 +172,7 @@ def _figures(
     kinds = list(dict.fromkeys(t.piece.kind for t in touched))
     by_kind = {
         kind: _row(
-            summarise(
-                [o for o, t in zip(outcomes, touched, strict=True) if t.piece.kind == kind]
-            ),
+            summarise([o for o, t in zip(outcomes, touched, strict=True) if t.piece.kind == kind]),
             kind,
         )
         for kind in kinds
@@ -277,7 +282,7 @@ def _binned(
     latency = np.concatenate([o.touches.latency_ns for o in outcomes]) / 1e6
     use = ~np.isin(row, left_out)
     bins = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         inside = use & (value >= low) & (value < high)
         hits, total = int(np.count_nonzero(found & inside)), int(np.count_nonzero(inside))
         median = float(np.median(latency[found & inside])) if hits else None

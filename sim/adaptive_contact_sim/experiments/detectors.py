@@ -197,9 +197,7 @@ DETECTORS: Final[dict[str, Detector]] = {
     "servo rule": Detector("servo law, paper's rule", _rule("servo"), True),
     "paper ratio": Detector("paper's library, likelihood ratio", _ratio("paper"), False),
     "paper rule": Detector("the paper: its library, its rule", _rule("paper"), True),
-    "analytical ratio": Detector(
-        "analytical model, likelihood ratio", _ratio("analytical"), False
-    ),
+    "analytical ratio": Detector("analytical model, likelihood ratio", _ratio("analytical"), False),
     "analytical rule": Detector("analytical model, paper's rule", _rule("analytical"), True),
     "tracking": Detector(
         "tracking error", lambda bench, e: tracking_error(e.motion, bench.lag), True

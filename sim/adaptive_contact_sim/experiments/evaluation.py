@@ -130,4 +130,3 @@ def default_events(result: dict[str, NDArray[Any]], index: int) -> Events:
     """The default detector's events of a job's piece."""
     prefix = f"{index}/default/"
     return Events(*(result[prefix + field] for field in ("t_ns", "contact", "onset_ns")))
-

@@ -11,7 +11,7 @@ import numpy as np
 from adaptive_contact.errors import MissingExtraError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
-from adaptive_contact_sim.pose import WORKSPACES
+from adaptive_contact_sim.experiments.plan import WORKSPACES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -160,7 +160,12 @@ def _sweep(data: Any) -> Figure:
     sweeps = data["sweeps"]
     figure = _figure(3.3 * len(sweeps), 6.6)
     grid = figure.subplots(3, len(sweeps), sharex="col", squeeze=False)
-    curves = (("all", "black"), ("position", _BLUE), ("velocity", _ORANGE), ("acceleration", _GREEN))
+    curves = (
+        ("all", "black"),
+        ("position", _BLUE),
+        ("velocity", _ORANGE),
+        ("acceleration", _GREEN),
+    )
     for column, sweep in enumerate(sweeps):
         points = [p for p in sweep["points"] if p["lambda"] > 0 and p["status"] == "ok"]
         lam = [p["lambda"] for p in points]

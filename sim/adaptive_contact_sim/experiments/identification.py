@@ -35,6 +35,7 @@ from adaptive_contact_sim.experiments.rows import (
     factor_of,
     free_rows,
     noise_floor,
+    pick,
     rms_deg,
 )
 from adaptive_contact_sim.experiments.stlsq import RIDGE, paper_fit
@@ -83,7 +84,8 @@ def identification(robot: Robot, train: Stream, test: Stream) -> dict[str, Any]:
 
     Args:
         robot: whose leg it is.
-        train, test: the paper's two datasets.
+        train: the paper's training segments.
+        test: its test segments.
 
     Returns:
         A tree of figures, see the keys.
@@ -167,7 +169,13 @@ def _sparsest(points: Sequence[dict[str, Any]]) -> float | None:
 
 
 def _in_unit(windows: Rows, factor: float) -> Rows:
-    return Rows(*(part * factor for part in windows[:4]), windows.tick)
+    return Rows(
+        windows.measured * factor,
+        windows.desired * factor,
+        windows.preview * factor,
+        windows.increment * factor,
+        windows.tick,
+    )
 
 
 def _next_state(windows: Rows) -> Array:
@@ -242,10 +250,7 @@ def _fold_factors(library: Library, windows: Rows, swing: NDArray[np.int64]) -> 
     """One factor per fold of swings, ten neighbours together."""
     target = windows.measured[:, 0] + windows.increment
     fold = swing // 10 % FOLDS
-    return [
-        factor_of(library, Rows(*(part[fold == f] for part in windows)), target[fold == f])
-        for f in range(FOLDS)
-    ]
+    return [factor_of(library, pick(windows, fold == f), target[fold == f]) for f in range(FOLDS)]
 
 
 def _held_out(
@@ -274,8 +279,7 @@ def _selection(
     target = rows.windows.increment
     fold = rows.swing // 10 % FOLDS
     folds = [
-        factor_of(library, Rows(*(p[fold == f] for p in rows.windows)), target[fold == f])
-        for f in range(FOLDS)
+        factor_of(library, pick(rows.windows, fold == f), target[fold == f]) for f in range(FOLDS)
     ]
     whole = Factor.merged(folds, library.size, target.shape[1])
     unit = tuple(fit_sparse(whole, FitSettings()).rms.tolist())
@@ -288,7 +292,9 @@ def _selection(
             others = Factor.merged(
                 (o for i, o in enumerate(folds) if i != f), library.size, target.shape[1]
             )
-            squares += np.square(inside.rms(fit_sparse(others, settings).coefficients)) * inside.rows
+            squares += (
+                np.square(inside.rms(fit_sparse(others, settings).coefficients)) * inside.rows
+            )
         residual = held.windows.increment - blockwise(library, held.windows, fit.coefficients)
         points.append(
             {

@@ -12,6 +12,7 @@ with its reason instead of being dropped in silence.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import zipfile
 from collections.abc import Iterator
@@ -157,7 +158,7 @@ def _stretches(
         yield f"'{name}': {np.count_nonzero(~forward)} rows whose time does not advance left out"
         t, pos, goal = t[forward], pos[forward], goal[forward]
     begins = np.concatenate(([0], np.flatnonzero(np.diff(t) > _GAP_S) + 1, [len(t)]))
-    for first, last in zip(begins[:-1], begins[1:], strict=True):
+    for first, last in itertools.pairwise(begins):
         part = slice(int(first), int(last))
         pos_part, repaired = _repair(np.unwrap(pos[part], axis=0))
         measured, desired = _resample(t[part], pos_part, np.unwrap(goal[part], axis=0))

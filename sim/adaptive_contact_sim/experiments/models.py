@@ -180,9 +180,7 @@ def _streams(store: Store, pieces: Sequence[Piece], robot_seed: int) -> dict[str
     return found
 
 
-def _tune(
-    store: Store, plan: Plan, robot: Robot, models: dict[str, LegModels]
-) -> dict[str, Any]:
+def _tune(store: Store, plan: Plan, robot: Robot, models: dict[str, LegModels]) -> dict[str, Any]:
     """Choose everything that is chosen on tuning streams, as a tree."""
     streams = [load(store, piece) for piece in plan.pieces("tune")]
     free = [s for s in streams if s.piece.kind != "hard"]

@@ -12,10 +12,24 @@ from typing import Final, Literal
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import Approach, ObstacleSettings
+from adaptive_contact_sim import pose
 from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 
-__all__ = ["FULL", "QUICK", "STIFFNESS_N_M", "GantrySettings", "LegRun", "Piece", "Plan", "Role"]
+__all__ = [
+    "FULL",
+    "QUICK",
+    "STIFFNESS_N_M",
+    "WORKSPACES",
+    "GantrySettings",
+    "LegRun",
+    "Piece",
+    "Plan",
+    "Role",
+]
+
+# Lower and upper subspace, by name of the workspace.
+WORKSPACES: Final = pose.WORKSPACES
 
 # What a stretch is for: learning, choosing settings, false alarms (``free`` hung up by the body,
 # ``stand`` as in the paper), collisions.

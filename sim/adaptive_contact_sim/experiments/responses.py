@@ -46,9 +46,7 @@ def predictions(model: LegModel, measured: Array, desired: Array) -> Array:
     """(n, J) rad, the positions foretold one tick before; NaN where the window was not full."""
     cut = stack(measured, desired, model.library.window)
     out = np.full_like(measured, np.nan)
-    out[cut.tick + 1] = cut.measured[:, 0] + model.increment(
-        cut.measured, cut.desired, cut.preview
-    )
+    out[cut.tick + 1] = cut.measured[:, 0] + model.increment(cut.measured, cut.desired, cut.preview)
     return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,15 @@ from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.servo import QUANTUM_RAD
 
-__all__ = ["FreeRows", "blockwise", "factor_of", "free_rows", "noise_floor", "rms_deg"]
+__all__ = [
+    "FreeRows",
+    "blockwise",
+    "factor_of",
+    "free_rows",
+    "noise_floor",
+    "pick",
+    "rms_deg",
+]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,7 +53,18 @@ def free_rows(stream: Stream, library: Library) -> FreeRows:
     use = stream.swing & stream.stretch.free
     rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1])
     number = np.cumsum(np.diff(stream.swing.astype(int), prepend=0) == 1)
-    return FreeRows(Rows(*(part[rows] for part in cut)), number[cut.tick[rows]])
+    return FreeRows(pick(cut, rows), number[cut.tick[rows]])
+
+
+def pick(windows: Rows, which: NDArray[Any]) -> Rows:
+    """Some of the windows, by indices or a mask."""
+    return Rows(
+        windows.measured[which],
+        windows.desired[which],
+        windows.preview[which],
+        windows.increment[which],
+        windows.tick[which],
+    )
 
 
 def blockwise(library: Library, windows: Rows, coefficients: Array) -> Array:

@@ -247,9 +247,7 @@ class _Runner:
             if p.is_file()
         ]
         with self._told("recordings of real servos"):
-            return self.store.tree(
-                "logs", [source_fingerprint(), stamps], lambda: run_logs(path)
-            )
+            return self.store.tree("logs", [source_fingerprint(), stamps], lambda: run_logs(path))
 
     # -- private -------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ Nothing here is a number of its own: every figure is read from the results' tree
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from adaptive_contact_sim.experiments.tables_detection import detection_sections
@@ -15,8 +15,8 @@ from adaptive_contact_sim.experiments.tables_format import (
     number,
     per_joint,
     percent,
-    skipped,
 )
+from adaptive_contact_sim.experiments.tables_logs import logs_sections
 
 __all__ = ["Headline", "headline", "sections"]
 
@@ -45,9 +45,7 @@ def headline(results: Mapping[str, Any]) -> list[Headline]:
                 "≥ 99 % of ≥ 1,000",
                 f"{percent(row['recall'])} of {row['touches']} "
                 f"(95 % {percent(low)} to {percent(high)})",
-                None
-                if row["recall"] is None
-                else row["recall"] >= 0.99 and row["touches"] >= 1000,
+                None if row["recall"] is None else row["recall"] >= 0.99 and row["touches"] >= 1000,
             ),
             Headline(
                 "latency of those",
@@ -110,7 +108,7 @@ def sections(results: Mapping[str, Any]) -> list[Section]:
     if results.get("workspace"):
         found.append(_workspace(results["workspace"]))
     if results.get("logs"):
-        found += _logs(results["logs"])
+        found += logs_sections(results["logs"])
     return found
 
 
@@ -146,7 +144,9 @@ def _identification(data: Any) -> list[Section]:
             sweeps.append(
                 [
                     title,
-                    f"{label}" if label != "picked" else f"picked, λ = {number(point['lambda'], 4)}",
+                    f"{label}"
+                    if label != "picked"
+                    else f"picked, λ = {number(point['lambda'], 4)}",
                     " ".join(str(n) for n in point["terms"][:3]),
                     point["status"],
                     number(point["test"]["position"], 5),
@@ -304,9 +304,7 @@ def _workspace(data: Any) -> Section:
         for what, rms in library["rms_deg"].items():
             over = [v / data["floor_deg"] for v in rms]
             rows.append([name, what, per_joint(rms, 3), per_joint(over)])
-        one, several = (
-            sum(library["rms_deg"][key]) for key in ("one model", "one per region")
-        )
+        one, several = (sum(library["rms_deg"][key]) for key in ("one model", "one per region"))
         unseen, near = (
             sum(library["rms_deg"][key])
             for key in (
@@ -328,85 +326,4 @@ def _workspace(data: Any) -> Section:
         f"other seeds. {'; '.join(verdicts)}.",
         [Table("Held-out RMS", ["library", "model", "RMS °", "/ floor"], rows)],
         ["paper-residual-map"],
-    )
-
-
-def _logs(data: Any) -> list[Section]:
-    if "skipped_stage" in data:
-        return [Section("Real servos", f"Skipped: {data['skipped_stage']}.", [], [])]
-    tables: list[Table] = []
-    for arm in data["arms"]:
-        rows = [["all", "naive", "-", per_joint(arm["naive_deg"], 3), "-"]]
-        for protocol in ("unseen motions", "unseen moments"):
-            part = arm[protocol]
-            if "rms_deg" not in part:
-                rows.append([protocol, "-", "-", part["status"], "-"])
-                continue
-            for name, rms in part["rms_deg"].items():
-                terms = part["terms"][name]
-                kept = sum(terms["kept"]) / len(terms["kept"])
-                rows.append(
-                    [
-                        protocol,
-                        name,
-                        f"{number(kept, 0)} of {terms['size']}",
-                        per_joint(rms, 3),
-                        number(sum(rms) / len(rms), 3),
-                    ]
-                )
-        tables.append(
-            Table(
-                f"Arm with {arm['joints']} servos, {arm['rows']:,} ticks, "
-                f"{len(arm['motions'])} motions: one-step RMS",
-                ["held out", "library", "terms per joint", "RMS °, joint by joint", "mean"],
-                rows,
-            )
-        )
-        alarms = [
-            [
-                protocol,
-                str(arm[protocol]["false_alarms"]["events"]),
-                f"{arm[protocol]['false_alarms']['ticks']:,}",
-                number(arm[protocol]["false_alarms"]["expected"], 1),
-                number(arm[protocol]["false_alarms"]["per_hour"], 1),
-            ]
-            for protocol in ("unseen motions", "unseen moments")
-            if "false_alarms" in arm[protocol]
-        ]
-        tables.append(
-            Table(
-                "False alarms of the servo law's likelihood ratio at an aim of 1 per hour",
-                ["held out", "events", "ticks", "expected", "per robot-hour"],
-                alarms,
-            )
-        )
-    pendulum = data.get("pendulum")
-    if pendulum:
-        tables.append(_pendulum(pendulum))
-    text = (
-        f"{data['recordings']} recordings from `{data['path']}`. Nothing here was simulated. "
-        "'Unseen motions' holds out whole kinds of motion, 'unseen moments' blocks of ten seconds."
-        + skipped(data["skipped"])
-    )
-    return [Section("Real servos", text, tables, [])]
-
-
-def _pendulum(data: Any) -> Table:
-    gains = [f"{g:g}" for g in data["gains"]]
-    rows: list[Sequence[str]] = [
-        ["naive", "-", *(number(data["naive_deg"][g], 3) for g in gains)]
-    ]
-    for name, library in data["libraries"].items():
-        for gain in gains:
-            cells = [
-                number(library["fixed_deg"][gain].get(g), 3) if g != gain else "(fitted)"
-                for g in gains
-            ]
-            rows.append([name, f"fixed, of kp {gain}", *cells])
-        cells = [number(library["refitted_deg"].get(g), 3) for g in gains]
-        rows.append([name, "refitted, run held out", *cells])
-    return Table(
-        "XL-330 pendulum: RMS ° at each gain, of a model fixed at another and refitted",
-        ["library", "model", *(f"kp {g}" for g in gains)],
-        rows,
     )

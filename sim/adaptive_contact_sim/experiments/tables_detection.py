@@ -153,9 +153,12 @@ def _recall(figures: Any) -> str:
 
 
 def _limits(data: Any) -> Section:
-    shown = [n for n in ("default", "servo ratio", "paper rule", "analytical ratio", "tracking")]
+    shown = ("default", "servo ratio", "paper rule", "analytical ratio", "tracking")
     tables = []
-    for field, label in (("by_speed", "speed at touch, m/s (hard ground)"), ("by_force", "force, N")):
+    for field, label in (
+        ("by_speed", "speed at touch, m/s (hard ground)"),
+        ("by_force", "force, N"),
+    ):
         rows = []
         for i, first in enumerate(data["figures"]["default"][field]):
             if not first["touches"]:
@@ -204,7 +207,9 @@ def _learned(data: Any) -> Section:
         "`free` is hung up by the body, `stand` stands on five legs: how much the body's giving way "
         "matters.",
         [
-            Table("One-step residuals on free judged ticks", ["stream", "model", "RMS °"], residuals),
+            Table(
+                "One-step residuals on free judged ticks", ["stream", "model", "RMS °"], residuals
+            ),
             Table(
                 "Channels used (joints 0 to 2, or windows), and counted recall on tuning collisions",
                 ["detector", "channels", "recall"],

@@ -40,9 +40,7 @@ def interval(ends: Sequence[float | None]) -> str:
     return "-" if None in ends else f"{100 * (ends[0] or 0):.1f}–{100 * (ends[1] or 0):.1f}"
 
 
-def per_joint(
-    values: Sequence[float | None], digits: int = 2, *, scientific: bool = False
-) -> str:
+def per_joint(values: Sequence[float | None], digits: int = 2, *, scientific: bool = False) -> str:
     """Values side by side."""
     form = f".{digits}e" if scientific else f".{digits}f"
     return " ".join("-" if v is None else format(v, form) for v in values)

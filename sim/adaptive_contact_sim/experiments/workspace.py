@@ -33,6 +33,8 @@ from adaptive_contact_sim.experiments.rows import (
     factor_of,
     free_rows,
     noise_floor,
+    pick,
+    rms_deg,
 )
 
 __all__ = ["workspace"]
@@ -59,7 +61,8 @@ def workspace(
     Args:
         robot: whose leg it is.
         paper: the paper's training segments of this leg.
-        train, test: free streams of the same leg over the whole workspace.
+        train: free streams of the same leg over the whole workspace.
+        test: others, of other seeds.
 
     Returns:
         A tree of figures and maps.
@@ -91,7 +94,7 @@ def _compare(
     edges = np.median(_cylinder(where), axis=0)
     region, held_region = _region(where, edges), _region(tried, edges)
     factors = [
-        factor_of(library, _pick(fitted, region == r), fitted.increment[region == r])
+        factor_of(library, pick(fitted, region == r), fitted.increment[region == r])
         for r in range(REGIONS)
     ]
     subspaces = free_rows(paper, library).windows
@@ -108,7 +111,7 @@ def _compare(
     unseen, neighbour = np.empty_like(residual_one), np.empty_like(residual_one)
     for r in range(REGIONS):
         inside = held_region == r
-        part = _pick(held, inside)
+        part = pick(held, inside)
         residual_own[inside] = part.increment - blockwise(library, part, own[r])
         unseen[inside] = part.increment - blockwise(library, part, others[r])
         # The neighbour is chosen on training rows of the region, the kindest choice there is.
@@ -121,11 +124,11 @@ def _compare(
         "test_rows": len(held.tick),
         "region_rows": [int(np.count_nonzero(region == r)) for r in range(REGIONS)],
         "rms_deg": {
-            "paper's subspaces": _rms(residual_before),
-            "one model": _rms(residual_one),
-            "one per region": _rms(residual_own),
-            "region unseen, one model of the others": _rms(unseen),
-            "region unseen, nearest region's model": _rms(neighbour),
+            "paper's subspaces": rms_deg(residual_before),
+            "one model": rms_deg(residual_one),
+            "one per region": rms_deg(residual_own),
+            "region unseen, one model of the others": rms_deg(unseen),
+            "region unseen, nearest region's model": rms_deg(neighbour),
         },
         "by_region_deg": {
             "one model": [_norm(residual_one[held_region == r]) for r in range(REGIONS)],
@@ -138,11 +141,13 @@ def _compare(
 
 def _joined(streams: Sequence[Stream], library: Library) -> Rows:
     parts = [free_rows(s, library).windows for s in streams]
-    return Rows(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _pick(rows: Rows, mask: NDArray[np.bool_]) -> Rows:
-    return Rows(*(part[mask] for part in rows))
+    return Rows(
+        np.concatenate([p.measured for p in parts]),
+        np.concatenate([p.desired for p in parts]),
+        np.concatenate([p.preview for p in parts]),
+        np.concatenate([p.increment for p in parts]),
+        np.concatenate([p.tick for p in parts]),
+    )
 
 
 def _cylinder(point: Array) -> Array:
@@ -162,10 +167,6 @@ def _fit(factor: Factor) -> Array:
     unit = tuple(np.maximum(plain.rms, 1e-9).tolist())
     fit = fit_sparse(factor, FitSettings(threshold=_THRESHOLD, unit=unit))
     return fit.coefficients if fit.status == "ok" else plain.coefficients
-
-
-def _rms(residual: Array) -> list[float]:
-    return np.degrees(np.sqrt(np.square(residual).mean(axis=0))).tolist()
 
 
 def _norm(residual: Array) -> float | None:

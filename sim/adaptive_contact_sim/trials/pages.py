@@ -165,7 +165,7 @@ def _outcomes(ax: Any, judgement: Judgement) -> None:
 
 def _terms(ax: Any, leg: str, full: LegReplay) -> None:
     ax.set_ylabel("degrees per tick")
-    ax.set_title("Terms of the full model that moved most, × usual size")
+    ax.set_title("Terms moved most, × usual size")
     trace, known = full.trace, reference_baseline().legs[leg]
     names = known.model.library.names
     if trace is None or not len(trace.names) or tuple(trace.names) != names:

@@ -29,11 +29,11 @@ from adaptive_contact.score import (
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.experiments.store import read_arrays, write_arrays
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.trials.files import read_arrays, write_arrays
 from adaptive_contact_sim.trials.spec import RecordingSpec
 from adaptive_contact_sim.trials.staging import stagehand
 from adaptive_contact_sim.walk import WalkSettings

@@ -25,7 +25,7 @@ from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
-from adaptive_contact_sim.experiments.store import read_arrays, write_arrays
+from adaptive_contact_sim.trials.files import read_arrays, write_arrays
 from adaptive_contact_sim.trials.learners import learner, reference_baseline
 from adaptive_contact_sim.trials.recording import Recording, key_of
 from adaptive_contact_sim.trials.spec import ReplaySpec, Variant

@@ -15,16 +15,17 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Final, NamedTuple
+from zipfile import is_zipfile
 
 from adaptive_contact.errors import ConfigurationError, SimulationDiverged
-from adaptive_contact_sim.trials.recording import key_of, made
+from adaptive_contact_sim.trials.recording import file_of, key_of, made
 from adaptive_contact_sim.trials.replay import (
     load_replay,
     replay,
     replay_file,
     save_replay,
 )
-from adaptive_contact_sim.trials.spec import ReplaySpec, Scenario
+from adaptive_contact_sim.trials.spec import RecordingSpec, ReplaySpec, Scenario
 
 __all__ = ["Done", "Folders", "Job", "jobs", "run"]
 
@@ -67,21 +68,14 @@ class Folders(NamedTuple):
 class Job(NamedTuple):
     """One recording, and the replays of it that are missing."""
 
+    recording: RecordingSpec
     replays: tuple[ReplaySpec, ...]
-
-    @property
-    def seconds(self) -> float:
-        """Simulated."""
-        return self.replays[0].recording.seconds
 
     @property
     def work(self) -> float:
         """How long it takes, roughly: simulated seconds, and those that learners go through."""
-        learners = sum(
-            len(spec.recording.legs) * len(spec.variants) * spec.recording.seconds
-            for spec in self.replays
-        )
-        return self.seconds + _LEARNER_SHARE * learners
+        learners = sum(len(spec.variants) for spec in self.replays) * len(self.recording.legs)
+        return self.recording.seconds * (1.0 + _LEARNER_SHARE * learners)
 
 
 class Done(NamedTuple):
@@ -97,13 +91,18 @@ _LEARNER_SHARE: Final = 0.06
 
 def jobs(chosen: Iterable[Scenario], folders: Folders) -> list[Job]:
     """What is missing of some scenarios, the longest first."""
-    wanted: dict[str, list[ReplaySpec]] = {}
+    wanted: dict[str, dict[str, ReplaySpec]] = {}
     for scenario in chosen:
         for spec in (*scenario.replays, *scenario.references):
-            group = wanted.setdefault(key_of(spec.recording), [])
-            if spec not in group and not replay_file(spec, folders.replays).exists():
-                group.append(spec)
-    missing = [Job(tuple(group)) for group in wanted.values() if group]
+            own = wanted.setdefault(key_of(spec.recording), {})
+            own[replay_file(spec, folders.replays).name] = spec
+    missing = []
+    for group in wanted.values():
+        recording = next(iter(group.values())).recording
+        lacking = tuple(s for n, s in group.items() if not is_zipfile(folders.replays / n))
+        # Judging needs the recording's truth, too.
+        if lacking or not is_zipfile(file_of(recording, folders.recordings)):
+            missing.append(Job(recording, lacking))
     return sorted(missing, key=lambda job: -job.work)
 
 
@@ -160,11 +159,10 @@ def run(
 
 
 def _do(job: Job, folders: Folders) -> Done:
-    first = job.replays[0]
     try:
-        recording = made(first.recording, folders.recordings)
+        recording = made(job.recording, folders.recordings)
     except SimulationDiverged as error:
-        seed = first.recording.settings.seed
+        seed = job.recording.settings.seed
         return Done(job, f"the run with seed {seed} has no recording: {error}")
     for spec in job.replays:
         path = replay_file(spec, folders.replays)

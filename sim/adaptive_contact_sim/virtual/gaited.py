@@ -1,8 +1,9 @@
 """Servos of a robot that walks by itself: a simulation with a controller of its own.
 
 The simulation is the one of ``adaptive-contact sim``, untouched: same settings, same samples and
-truth.  Each tick's physics is made half a tick ahead, when the bus is quiet, and kept step by
-step, so that a reading at any moment sees the robot as it is then.
+truth.  Each tick's physics is made a tick ahead and kept step by step, so that a reading at any
+moment sees the robot as it is then.  It is made on another thread: the engine lets go of the
+interpreter in every step, and the bus is answered in between.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Final
 
 import numpy as np
@@ -23,8 +25,6 @@ __all__ = ["GaitedBackend"]
 
 Array = NDArray[np.float64]
 
-# When, within a tick, the next one is made: after the cycle of a bridge that reads at its start.
-_AHEAD: Final = 0.6
 # Further behind than this, lost time is let go.
 _LET_GO_S: Final = 0.5
 
@@ -50,7 +50,8 @@ class GaitedBackend:
         self._angles = [np.zeros((n, N_SERVOS)) for _ in range(2)]  # of this tick, of the next
         self._speeds = [np.zeros((n, N_SERVOS)) for _ in range(2)]
         self._goals = [np.zeros(N_SERVOS) for _ in range(2)]
-        self._ticks: list[Tick | None] = [None, None]
+        self._maker = ThreadPoolExecutor(1, "physics")
+        self._made: Future[Tick] | None = None
         self._row = 0
         self._at = 0
         self._start_s: float | None = None
@@ -61,8 +62,9 @@ class GaitedBackend:
         """Bring the robot up to a moment."""
         if self._start_s is None:
             self._begin(now_s, 0)
-            self._make(0)
-            self._publish()
+            self._make()
+            self._next()
+            self._tick = 0
         assert self._start_s is not None
         start = self._start_s + self._tick * self._period_s
         if now_s - start > _LET_GO_S:
@@ -71,11 +73,8 @@ class GaitedBackend:
         while now_s >= start + self._period_s:
             self._next()
             start += self._period_s
-        if self._ticks[1] is None and now_s >= start + _AHEAD * self._period_s:
-            self._make(1)
         self._at = min(int((now_s - start) / self._step_s), len(self._angles[0]) - 1)
-        ahead = self._ticks[1] is not None
-        return start + (1.0 if ahead else _AHEAD) * self._period_s
+        return start + self._period_s
 
     def angle(self, index: int) -> float:
         """Angle of a servo's horn, rad."""
@@ -111,28 +110,24 @@ class GaitedBackend:
 
         def after_step() -> None:
             rub()
-            self._angles[self._making][self._row] = plant.joint_angles
-            self._speeds[self._making][self._row] = plant.joint_speeds
+            self._angles[1][self._row] = plant.joint_angles
+            self._speeds[1][self._row] = plant.joint_speeds
             self._row += 1
 
-        self._making = 0
         plant.servos.rub = after_step  # type: ignore[method-assign]
 
-    def _make(self, slot: int) -> None:
-        self._making, self._row = slot, 0
-        self._ticks[slot] = self.sim.tick()
-        self._goals[slot][:] = self.sim.desired
+    def _make(self) -> None:
+        """Begin to make the next tick."""
+        self._row = 0
+        self._made = self._maker.submit(self.sim.tick)
 
     def _next(self) -> None:
-        if self._ticks[1] is None:
-            self._make(1)
+        """Let the next tick be this one."""
+        assert self._made is not None
+        tick = self._made.result()
+        self._goals[1][:] = self.sim.desired
         for pair in (self._angles, self._speeds, self._goals):
             pair.reverse()
-        self._ticks = [self._ticks[1], None]
         self._tick += 1
-        self._publish()
-
-    def _publish(self) -> None:
-        tick = self._ticks[0]
-        assert tick is not None
         self._on_tick(tick)
+        self._make()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.survey import write_robot
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
 
 __all__ = ["VirtualPlan", "run"]
+
+_SWITCH_S: Final = 0.0003
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,6 +102,8 @@ def run(
     plans = plan_ports(robot)
     if plan.write_config is not None:
         plan.write_config.write_text(write_robot(robot), encoding="utf-8")
+    # The physics' thread must not keep the bus waiting for the interpreter (5 ms by default).
+    sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as stack:
         publish = _truth(plan, stack, stop)
         backend, pairs = _backend(plan, plans, publish, stack)

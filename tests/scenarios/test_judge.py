@@ -1,0 +1,117 @@
+"""Lock-outs, valid after how many swings, quantiles, goals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adaptive_contact.score import SwingTable
+from adaptive_contact_sim.trials.figures import quantile
+from adaptive_contact_sim.trials.goals import goals
+from adaptive_contact_sim.trials.judge import longest_lock_out, swings_until_valid
+from adaptive_contact_sim.trials.registry import scenarios
+from adaptive_contact_sim.trials.replay import STATUSES, SwingLog
+
+
+def swings(story: str) -> SwingTable:
+    """One letter per swing: h(it), m(iss), f(alse alarm), . (nothing)."""
+    n = len(story)
+    touched = np.array([c in "hm" for c in story], dtype=np.int64)
+    return SwingTable(
+        start_ns=np.arange(n) * 1_000_000_000,
+        end_ns=np.arange(n) * 1_000_000_000 + 500_000_000,
+        ticks=np.full(n, 20),
+        judged=np.full(n, 20),
+        touches=touched,
+        hits=np.array([c == "h" for c in story], dtype=np.int64),
+        misses=np.array([c == "m" for c in story], dtype=np.int64),
+        false_alarms=np.array([c == "f" for c in story], dtype=np.int64),
+        neutral=np.zeros(n, dtype=np.int64),
+    )
+
+
+@pytest.mark.parametrize(
+    ("story", "longest"),
+    [
+        ("", 0),
+        ("h.h.h.", 0),
+        ("h.m.h", 1),
+        ("hffffh", 4),
+        ("m..m...m.h", 3),  # blind: free swings prove nothing
+        ("m.f.m..f", 4),
+        ("fhf", 1),
+    ],
+)
+def test_lock_outs(story: str, longest: int) -> None:
+    assert longest_lock_out(swings(story)) == longest
+
+
+def log(*statuses: str) -> SwingLog:
+    n = len(statuses)
+    status = np.array([STATUSES.index(s) for s in statuses], dtype=np.int64)  # type: ignore[arg-type]
+    rest = {name: np.zeros(n) for name in SwingLog._fields}
+    return SwingLog(**(rest | {"status": status, "t_ns": 10 * (np.arange(n) + 1)}))
+
+
+@pytest.mark.parametrize(
+    ("statuses", "expected"),
+    [
+        ((), (None, None)),
+        (("valid", "valid"), (0, 0)),
+        (("learning", "learning", "valid"), (3, 30)),
+        (("learning", "learning"), (None, None)),
+        (("valid", "adapting", "valid", "adapting"), (3, 30)),
+        (("valid", "ambiguous"), (None, None)),
+    ],
+)
+def test_swings_until_valid(
+    statuses: tuple[str, ...], expected: tuple[int | None, int | None]
+) -> None:
+    assert swings_until_valid(log(*statuses)) == expected
+
+
+def test_a_quantile_of_those_that_never_came() -> None:
+    assert quantile([3, 1, 2], 0.5) == 2.0
+    assert quantile([1, None, None], 0.5) is None
+    assert quantile([1, 1, None], 0.5) == 1.0
+    assert quantile([0] * 19 + [None], 0.95) == 0.0
+    assert quantile([0] * 18 + [None, None], 0.95) is None
+    assert quantile([], 0.5) is None
+
+
+def tree(**changes: Any) -> dict[str, Any]:
+    recovery = {"swings_median": 3.0, "swings_p95": 8.0, "alarms_median": 1.0}
+    full = {
+        "recovery": {"step": recovery},
+        "recall_lost_points": 0.2,
+        "harmful": False,
+        "touching_share": 0.0002,
+        "longest_lock_out": 2,
+    }
+    counts = changes.pop("counts", True)
+    return {"counts_as_one_to_recover_from": counts, "variants": {"full": full | changes}}
+
+
+def test_goals_of_a_step_that_counts() -> None:
+    made = goals(scenarios()["step-friction4"], tree())
+    assert [g.limit for g in made] == [10.0, 20.0, 2.0]
+    assert all(g.met for g in made)
+    never = {"swings_median": None, "swings_p95": None, "alarms_median": 90.0}
+    assert not any(
+        g.met for g in goals(scenarios()["step-friction4"], tree(recovery={"step": never}))
+    )
+
+
+def test_goals_of_a_step_that_does_not() -> None:
+    made = goals(scenarios()["step-mass50"], tree(counts=False, harmful=True))
+    assert [g.met for g in made] == [True, False]
+
+
+def test_a_poisonous_scenario_is_held_to_what_is_learned() -> None:
+    made = goals(scenarios()["contacts-level"], tree(touching_share=0.002))
+    assert [(g.what, g.met) for g in made] == [
+        ("recall lost, points", True),
+        ("contact ticks learned, share", False),
+    ]

@@ -1,0 +1,116 @@
+"""Made once, resumed after an interruption, the same numbers either way."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.trials import figures as figures_module
+from adaptive_contact_sim.trials.figures import figures, judge_scenario
+from adaptive_contact_sim.trials.recording import file_of
+from adaptive_contact_sim.trials.registry import scenarios
+from adaptive_contact_sim.trials.replay import load_replay, replay_file
+from adaptive_contact_sim.trials.results import merge, read_results, results, write_results
+from adaptive_contact_sim.trials.runner import Done, Folders, jobs, run
+from adaptive_contact_sim.trials.runs import QUICK_SIZES
+from adaptive_contact_sim.trials.spec import Scenario, Variant
+
+SIZES = replace(QUICK_SIZES, leg_runs=2, before_s=3.0, after_s=5.0, first_seed=9300)
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    made = scenarios(SIZES)["step-mass50"]
+    return replace(made, variants=(Variant.FROZEN, Variant.FULL))
+
+
+@pytest.fixture(autouse=True)
+def few_bootstraps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures_module, "_BOOTSTRAPS", 20)
+
+
+def text_of(scenario: Scenario, folders: Folders) -> str:
+    return json.dumps(figures(judge_scenario(scenario, folders)), allow_nan=False)
+
+
+@pytest.fixture(scope="module")
+def whole(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Folders:
+    folders = Folders.of(tmp_path_factory.mktemp("whole"))
+    assert run(jobs([scenario], folders), folders, processes=1) == []
+    return folders
+
+
+def test_what_was_made_is_not_made_again(scenario: Scenario, whole: Folders) -> None:
+    assert jobs([scenario], whole) == []
+    # Two runs and their two twins; one replay of each.
+    assert len(list(whole.recordings.iterdir())) == 4
+    assert len(list(whole.replays.iterdir())) == 4
+
+
+def test_an_interrupted_run_goes_on_and_gives_the_same(
+    scenario: Scenario, whole: Folders, tmp_path: Path
+) -> None:
+    folders = Folders.of(tmp_path)
+
+    def interrupt(_: Done) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(jobs([scenario], folders), folders, processes=1, progress=interrupt)
+    assert len(jobs([scenario], folders)) == 3
+    # A file that was cut counts as missing.
+    spec = next(s for s in scenario.replays if replay_file(s, folders.replays).exists())
+    replay_file(spec, folders.replays).write_bytes(b"cut")
+    assert load_replay(spec, replay_file(spec, folders.replays)) is None
+    assert len(jobs([scenario], folders)) == 4
+    run(jobs([scenario], folders), folders, processes=1)
+    assert text_of(scenario, folders) == text_of(scenario, whole)
+
+
+@pytest.mark.slow
+def test_processes_do_not_change_the_numbers(
+    scenario: Scenario, whole: Folders, tmp_path: Path
+) -> None:
+    folders = Folders.of(tmp_path)
+    seen: list[Done] = []
+    run(jobs([scenario], folders), folders, processes=2, progress=seen.append)
+    assert len(seen) == 4
+    assert text_of(scenario, folders) == text_of(scenario, whole)
+
+
+def test_replays_outlive_recordings(scenario: Scenario, whole: Folders, tmp_path: Path) -> None:
+    folders = Folders.of(tmp_path)
+    run(jobs([scenario], folders), folders, processes=1)
+    path = file_of(scenario.recordings[0], folders.recordings)
+    before = path.read_bytes()
+    path.unlink()
+    assert len(jobs([scenario], folders)) == 1
+    run(jobs([scenario], folders), folders, processes=1)
+    assert path.read_bytes() == before
+
+
+def test_results_are_merged_with_those_of_the_same_learner_only(
+    scenario: Scenario, whole: Folders, tmp_path: Path
+) -> None:
+    judgement = judge_scenario(scenario, whole)
+    tree = results([judgement], SIZES, quick=True)
+    path = tmp_path / "results.json"
+    assert merge(tree, path) is tree
+    other = dict(tree) | {"scenarios": {"ramp-mud": tree["scenarios"]["step-mass50"]}}
+    write_results(other, path)
+    assert list(merge(tree, path)["scenarios"]) == ["step-mass50", "ramp-mud"]
+    write_results(other | {"learner": "another"}, path)
+    assert list(merge(tree, path)["scenarios"]) == ["step-mass50"]
+    assert read_results(path)["learner"] == "another"
+
+
+def test_no_results_are_told_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="run `adaptive-contact scenarios run --all`"):
+        read_results(tmp_path / "results.json")
+    (tmp_path / "results.json").write_text('{"v": 99}')
+    with pytest.raises(ConfigurationError, match="not results of this version"):
+        read_results(tmp_path / "results.json")
