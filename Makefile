@@ -9,7 +9,7 @@ SEED   ?= 1
 MINUTES ?= 30
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test check bench scenarios baseline lock wheel clean
+.PHONY: help env demo test check bench scenarios baseline soak fuzz lock wheel clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -50,6 +50,12 @@ scenarios: env  ## every drift through every learner; docs/adaptation.md (two ho
 
 baseline: env  ## learn the shipped baseline anew
 	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json
+
+soak: env  ## MINUTES of walking with drifts, refits, two router restarts, one service restart
+	$(BIN)/python -m adaptive_contact_sim.soak --minutes $(MINUTES) --seed $(SEED) --out out/soak
+
+fuzz: env  ## ten million broken payloads through the codec and the sample checks
+	$(BIN)/python tests/service/fuzz.py 10000000 $(SEED)
 
 wheel: env  ## the wheel, in dist
 	$(BIN)/python -m build --wheel --no-isolation

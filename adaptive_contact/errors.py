@@ -70,5 +70,5 @@ class BusError(AdaptiveContactError):
     """A Dynamixel bus cannot be used."""
 
 
-class SimulationDiverged(AdaptiveContactError):
+class SimulationDiverged(AdaptiveContactError):  # noqa: N818 - an event, not a mistake
     """The simulated robot left the range of the physically possible."""

@@ -55,11 +55,13 @@ class Reading(NamedTuple):
         data: the block's bytes, None with a fault.
         alarms: names of the error bits.
         fault: what went wrong.
+        at_s: monotonic time at which the servo was asked.
     """
 
     data: bytes | None
     alarms: tuple[str, ...] = ()
     fault: Fault | None = None
+    at_s: float = 0.0
 
 
 class Pong(NamedTuple):
@@ -264,19 +266,21 @@ class Bus:
         return len(self._port.readPort(1)) > 0
 
     def _read_one(self, servo: int, block: Block) -> Reading:
+        at_s = time.monotonic()
         data, result, error = self._packets.readTxRx(self._port, servo, block.address, block.size)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
-        return self._reading(data, error, block)
+        return self._reading(data, error, block, at_s)
 
-    def _reading(self, data: Sequence[int], error: int, block: Block) -> Reading:
+    def _reading(self, data: Sequence[int], error: int, block: Block, at_s: float) -> Reading:
         alarms = self.alarms(error)
         if len(data) != block.size:
             return Reading(None, alarms, Fault.REFUSED)
-        return Reading(bytes(data), alarms)
+        return Reading(bytes(data), alarms, None, at_s)
 
     def _sync_read(self, servos: Sequence[int], block: Block) -> dict[int, Reading]:
         found: dict[int, Reading] = {}
+        at_s = time.monotonic()
         result = self._packets.syncReadTx(
             self._port, block.address, block.size, list(servos), len(servos), self._fast
         )
@@ -288,7 +292,7 @@ class Bus:
             if result == COMM_SUCCESS and packet[_ID2] == BROADCAST_ID:
                 for answer in split_fast_sync(bytes(packet[_ERROR2:-2]), block.size):
                     if answer.id in servos:
-                        found[answer.id] = self._reading(answer.data, answer.error, block)
+                        found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
             return found
         while len(found) < len(servos):
             packet, result = self._packets.rxPacket(self._port, False)
@@ -301,5 +305,5 @@ class Bus:
                 # Unstuffing leaves its spare bytes at the end: cut to size by the length field.
                 size = packet[5] + (packet[6] << 8) - 4
                 data = packet[_DATA2 : _DATA2 + size]
-                found[servo] = self._reading(data, packet[_ERROR2], block)
+                found[servo] = self._reading(data, packet[_ERROR2], block, at_s)
         return found

@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
 from adaptive_contact.bridge.drive import Driver, Mode, complaint
-from adaptive_contact.bridge.health import ServoHealth, due, is_stale
+from adaptive_contact.bridge.health import Punctuality, ServoHealth, due, is_stale
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
 from adaptive_contact.bridge.status import ServoCounts
@@ -34,6 +34,7 @@ class _Servo:
     goal: int | None = None
     last_goal: int | None = None
     valid: bool = False
+    punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
     @property
     def angle(self) -> float | None:
@@ -97,13 +98,14 @@ class Cycle:
         for driver in self._drivers.values():
             driver.forget()
 
-    def tick(self, t_ns: int, seq: int, now_ns: int) -> dict[str, ServoSample]:
+    def tick(self, t_ns: int, seq: int, now_ns: int, due_ns: int) -> dict[str, ServoSample]:
         """Make one control tick.
 
         Args:
             t_ns: wall clock, for the samples.
             seq: number of the tick.
             now_ns: monotonic.
+            due_ns: monotonic time at which the tick should have begun.
 
         Returns:
             A sample of every leg whose servos have all been heard at least once.
@@ -111,7 +113,7 @@ class Cycle:
         Raises:
             PortLostError: the port is gone.
         """
-        self._read(now_ns)
+        self._read(now_ns, due_ns)
         if self.mode == "drive":
             self._write(now_ns)
         self._count += 1
@@ -144,7 +146,7 @@ class Cycle:
 
     # -- private -------------------------------------------------------------------------------
 
-    def _read(self, now_ns: int) -> None:
+    def _read(self, now_ns: int, due_ns: int) -> None:
         # Goals are read where they are not known: by an observer always, by a driver at first.
         known = self.mode == "drive" and all(d.goal is not None for d in self._drivers.values())
         block = self._model.motion if known else self._model.goal_and_motion
@@ -162,10 +164,10 @@ class Cycle:
             if was_silent and reading.data is not None:
                 # Power has come back, it seems: ask the others at once.
                 self._hurry_until = self._count + len(self._servos) + 1
-            servo.valid = reading.data is not None and self._take(servo, reading, known)
+            servo.valid = reading.data is not None and self._take(servo, reading, known, due_ns)
 
-    def _take(self, servo: _Servo, reading: Reading, known: bool) -> bool:
-        """Take a reading's values; False if the position is a stale one."""
+    def _take(self, servo: _Servo, reading: Reading, known: bool, due_ns: int) -> bool:
+        """Take a reading's values; False if the position is not one of this tick."""
         assert reading.data is not None
         model, registers = self._model, self._model.registers
         block = model.motion if known else model.goal_and_motion
@@ -177,9 +179,13 @@ class Cycle:
             steps, servo.steps, speed, servo.speed_rad_s, model.step_rad / self.plan.period_s
         )
         servo.steps, servo.speed_rad_s = steps, speed
+        faults = self.health[servo.joint.servo].faults
         if stale:
-            self.health[servo.joint.servo].faults["stale"] += 1
-        return not stale
+            faults["stale"] += 1
+        punctual = servo.punctual.judge(reading.at_s - due_ns / 1e9, speed, model.step_rad)
+        if not punctual:
+            faults["unpunctual"] += 1
+        return punctual and not stale
 
     def _write(self, now_ns: int) -> None:
         registers = self._model.registers

@@ -29,10 +29,17 @@ _REOPEN_S: Final = 0.25
 _STATUS_NS: Final = _NS
 
 
-def take_priority() -> str | None:
-    """Run this process before all ordinary ones; the reason where that is not allowed."""
+def take_priority(below: int = 0) -> str | None:
+    """Run this thread, and those it makes, before all ordinary ones.
+
+    Args:
+        below: by how much to stand back behind others that call this.
+
+    Returns:
+        The reason where that is not allowed.
+    """
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_PRIORITY - below))
     except PermissionError:
         return (
             "no right to real-time priority; give it with: sudo setcap cap_sys_nice+ep "
@@ -111,7 +118,7 @@ class PortLoop:
                 due_ns += late * self._period_ns
                 seq += late
             try:
-                samples = self.cycle.tick(wall_ns + begun_ns, seq, begun_ns)
+                samples = self.cycle.tick(wall_ns + due_ns, seq, begun_ns, due_ns)
                 self._outlet.samples(samples)
                 self._returning = False
                 self._pulse.beat(begun_ns, time.monotonic_ns())

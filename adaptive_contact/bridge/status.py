@@ -33,8 +33,9 @@ class ServoCounts(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     Attributes:
         silent: it does not answer now.
         alarms: what it complains of now, such as ``overload``.
-        faults: how often, by kind: ``no_answer``, ``corrupt``, ``refused``, ``stale``, and the
-            names of error bits.
+        faults: how often, by kind: ``no_answer``, ``corrupt``, ``refused``, ``stale`` (an old
+            position again), ``unpunctual`` (read too far from its moment), and the names of error
+            bits.
     """
 
     silent: bool = False

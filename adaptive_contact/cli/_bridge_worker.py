@@ -74,17 +74,17 @@ def work(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    # Before Zenoh makes its threads: a publication waits for their locks, and would otherwise
+    # wait for as long as an ordinary thread that holds one is not let run.
+    refused = take_priority() if realtime else None
     try:
         with Link.open(settings, stop=stop) as link:
             outlet, mailbox = ZenohOutlet(link, plan), Mailbox()
             if mode == "drive":
                 listen(link, plan, mailbox)
-            loop = PortLoop(plan, mode, outlet, mailbox, run)
-            # Only now, so that Zenoh's threads, made before, stay ordinary ones.
-            refused = take_priority() if realtime else None
             if refused is not None:
                 outlet.say(f"port {plan.name}: {refused}")
-            loop.run(stop)
+            PortLoop(plan, mode, outlet, mailbox, run).run(stop)
     except LinkError as error:
         if not stop.is_set():
             print(f"adaptive-contact bridge: {error}", file=sys.stderr, flush=True)

@@ -28,7 +28,17 @@ app = typer.Typer(
 )
 
 # Command -> module with a function of the same name; order is the help's.
-_COMMANDS: Final = ("serve", "watch", "doctor", "record", "replay", "score", "fit", "bench", "paper")
+_COMMANDS: Final = (
+    "serve",
+    "watch",
+    "doctor",
+    "record",
+    "replay",
+    "score",
+    "fit",
+    "bench",
+    "paper",
+)
 
 
 def _register() -> None:

@@ -91,6 +91,9 @@ def run(
     quick: Annotated[
         bool, typer.Option("--quick", help="Short recordings, two leg-runs: does it all run?")
     ] = False,
+    brief: Annotated[
+        bool, typer.Option("--brief", help="Short recordings, six leg-runs: half an hour.")
+    ] = False,
     processes: Annotated[
         int, typer.Option("--processes", min=1, max=64, help="Recordings worked on at a time.")
     ] = 2,
@@ -108,7 +111,7 @@ def run(
         from adaptive_contact_sim.trials.registry import named, scenarios
         from adaptive_contact_sim.trials.results import merge, results, write_results
         from adaptive_contact_sim.trials.runner import Folders, jobs
-        from adaptive_contact_sim.trials.runs import FULL_SIZES, QUICK_SIZES
+        from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
         from adaptive_contact_sim.trials.words import results_table
     from rich.console import Console
 
@@ -116,7 +119,8 @@ def run(
         raise ConfigurationError(
             "no scenario given; name some (`adaptive-contact scenarios list`), or give --all"
         )
-    sizes = QUICK_SIZES if quick else FULL_SIZES
+    size = "quick" if quick else "brief" if brief else "full"
+    sizes = {"quick": QUICK_SIZES, "brief": BRIEF_SIZES, "full": FULL_SIZES}[size]
     if seeds is not None:
         sizes = dataclasses.replace(sizes, leg_runs=seeds)
     chosen = list(scenarios(sizes).values()) if everything else named(names or (), sizes)
@@ -128,7 +132,7 @@ def run(
         empty = [j.scenario.name for j in judgements if not j.leg_runs]
         if empty:
             raise ConfigurationError(f"no leg-run of {', '.join(empty)} came about: {problems[0]}")
-        tree = results(judgements, sizes, quick=quick, problems=problems)
+        tree = results(judgements, sizes, size=size, problems=problems)
         whole = merge(tree, folders.results)
         write_results(whole, folders.results)
         if pages:

@@ -235,15 +235,39 @@ def _about_service(heard: Examination, alive: bool) -> list[Finding]:
         )
         for reason, times in service.rejects.items()
     ]
-    if service.callback_faults:
-        found.append(
-            Finding(
-                "error",
-                None,
-                f"{service.callback_faults} exceptions in the service's Zenoh callbacks",
-                "this is a bug; report it with the service's log",
-            )
-        )
+    if service.note is not None:
+        found.append(Finding("error", None, f"the service says: {service.note}", "as it says"))
+    counts: list[tuple[Level, int, str, str]] = [
+        (
+            "error",
+            service.callback_faults,
+            "exceptions in the service's Zenoh callbacks",
+            "this is a bug; report it with the service's log",
+        ),
+        (
+            "error",
+            service.events_lost,
+            "contact events were lost to a subscriber that hung",
+            "find the subscriber that blocks in its callback, and let it only enqueue there",
+        ),
+        (
+            _still(service.slow_puts, before.slow_puts),
+            service.slow_puts,
+            "contact events were held up by a subscriber that hung",
+            "find the subscriber that blocks in its callback, and let it only enqueue there",
+        ),
+        (
+            "warning",
+            service.stalls,
+            "times the service stood still for a second or more",
+            "look at its log, and at what else the machine was doing",
+        ),
+    ]
+    found += [
+        Finding(level, None, f"{times} {what}", remedy)
+        for level, times, what, remedy in counts
+        if times
+    ]
     if service.baseline is None:
         found.append(
             Finding(

@@ -109,7 +109,7 @@ class Service:
             while not stop.is_set():
                 self._beats += 1
                 wait_s = min(max(self._look_ns - time.monotonic_ns(), 0), _LOOK_NS) / 1e9
-                round_ = self._intake.take(min(wait_s, _PAUSE_S) if self._to_save else wait_s)
+                round_ = self._intake.take(_PAUSE_S if self._to_save else wait_s)
                 if round_:
                     self.work(round_, time.monotonic_ns())
                 self.save(time.monotonic_ns(), pause=not round_)

@@ -95,7 +95,8 @@ def robot_text(
     lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
     for p in range(ports):
         lines.append(
-            f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\ntimeout_ms = 10\n{extra}\n'
+            f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\n'
+            f"timeout_ms = 10\n{extra}\n"
         )
     for i in range(legs):
         ids = [i * joints + j + 1 for j in range(joints)]

@@ -60,7 +60,7 @@ def test_a_quick_run_makes_figures_pages_and_a_report(
     result = RUN.invoke(app, [*arguments, "--out", str(out), "--json"])
     assert result.exit_code == 0, result.output
     tree = json.loads(result.stdout)
-    assert tree["quick"] is True
+    assert tree["size"] == "quick"
     figures_of = tree["scenarios"]["step-friction4"]
     assert figures_of["leg_runs"] == 1
     assert set(figures_of["variants"]) == {"frozen", "ungated", "refit", "rls", "full"}

@@ -97,7 +97,7 @@ def test_results_are_merged_with_those_of_the_same_learner_only(
     scenario: Scenario, whole: Folders, tmp_path: Path
 ) -> None:
     judgement = judge_scenario(scenario, whole)
-    tree = results([judgement], SIZES, quick=True)
+    tree = results([judgement], SIZES, size="quick")
     path = tmp_path / "results.json"
     assert merge(tree, path) is tree
     other = dict(tree) | {"scenarios": {"ramp-mud": tree["scenarios"]["step-mass50"]}}

@@ -147,7 +147,7 @@ class Listener:
         assert event.contact == touches(event.seq)
         return at
 
-    def steady(self, robot: Robot50, leg: str, count: int = 6) -> None:
+    def steady(self, robot: Robot50, leg: str, count: int = 4) -> None:
         """From now on every change must come, once, at the tick at which it happens."""
         with self._changed:
             begin = len(self.events)

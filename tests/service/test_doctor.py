@@ -303,3 +303,14 @@ def test_the_command(
     found = [(leg, what) for level, leg, what, _ in diagnosis["findings"] if level != "note"]
     assert ("rf", "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)") in found
     assert all(leg != "lf" for leg, _ in found)
+
+
+def test_what_the_service_says_of_itself_is_found() -> None:
+    told = service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1)
+    messages = [(SERVICE_STATUS, encode(told)), *good()[1:]]
+    assert whats(diagnose(hear(*messages), 3.0, alive=True)) == [
+        "error: the service says: state: disk full",
+        "error: 3 contact events were lost to a subscriber that hung",
+        "note: 2 contact events were held up by a subscriber that hung",
+        "warning: 1 times the service stood still for a second or more",
+    ]

@@ -254,3 +254,11 @@ def test_the_command_over_zenoh(
     out, _ = table_process.communicate(timeout=20)
     assert "mini" in out
     assert "CONTACT" in out
+
+
+def test_what_the_service_says_of_itself_is_over_the_table() -> None:
+    watch = Watch()
+    watch.service(service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1))
+    text = drawn(watch.view(0))
+    for part in ("state: disk full", "3 events lost", "2 events held up", "stood still 1 times"):
+        assert part in text

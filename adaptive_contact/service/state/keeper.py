@@ -25,7 +25,7 @@ _log = structlog.get_logger()
 
 SAVE_PERIOD_S: Final = 10.0
 # Refusals told in ServiceStatus; more than a robot has legs would not fit its 4 kB.
-_TOLD: Final = 8
+_TOLD: Final = 4
 _LINE: Final = 160
 
 

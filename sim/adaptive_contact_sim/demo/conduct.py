@@ -180,14 +180,15 @@ class _Run:
 
     def step(self, view: View) -> None:
         """Look at the walk, inject what is due, and show it."""
-        self.walked_s = self._recorder.counts[self._key] * self._period_s
+        before_s, self.walked_s = self.walked_s, self._recorder.counts[self._key] * self._period_s
         if self._injector is not None and not self._injector.running:
             self._injected(self._injector)
             self._injector = None
         if self._injector is None and self._waiting and self.walked_s >= self._settings.drift_at_s:
             drift = self._waiting.pop(0)
             self._injector = Child("the injection", _inject(drift, self._endpoint))
-        self._show.show(view, self.walked_s, drifted=self.drift_ns > 0)
+        if self.walked_s > before_s:  # what is left standing is the walk, not the silence after
+            self._show.show(view, self.walked_s, drifted=self.drift_ns > 0)
 
     def finish(self) -> None:
         """Make sure that the drift was there before the walk was over.

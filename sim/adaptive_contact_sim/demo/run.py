@@ -51,7 +51,7 @@ def run_demo(settings: DemoSettings, console: Console, stop: threading.Event) ->
     console.print()
     console.print(as_table(settings, verdict))
     for path in (settings.report, settings.summary, settings.recording):
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+        console.print(f"wrote {path}", markup=False, highlight=False, soft_wrap=True)
     console.print(f"{time.monotonic() - began_s:.0f} s in all", highlight=False)
     return verdict
 

@@ -1,19 +1,21 @@
 r"""The analytical detector's model: the simulator's own equations, nominal parameters, no fitting.
 
-One leg on a level base that does not move.  With yaw :math:`\psi`, femur and tibia pitch, link angles
-:math:`\phi_1 = q_2`, :math:`\phi_2 = q_2 + q_3` and each link's centre of mass at (r, z) in the leg's
-plane,
+One leg on a level base that does not move.  With yaw :math:`\psi`, femur and tibia pitch, link
+angles :math:`\phi_1 = q_2`, :math:`\phi_2 = q_2 + q_3` and each link's centre of mass at (r, z) in
+the leg's plane,
 
-.. math:: (M(q) + hD)\,\Delta\omega = h\,(\tau(q, \theta^{des}) - D\omega - c(q, \omega) - g(q)) - \lambda,
-          \qquad |\lambda_i| \le h F_i(\omega, \tau)
+.. math::
+    (M(q) + hD)\,\Delta\omega = h\,(\tau(q, \theta^{des}) - D\omega - c(q, \omega) - g(q))
+    - \lambda,
+    \qquad |\lambda_i| \le h F_i(\omega, \tau)
 
 per physics step h: the servo's law with its rounding, punch and saturation, back-EMF and viscous
 damping D (implicit), Coriolis and gravity terms, and friction F that really sticks (a projected
 Gauss-Seidel on the three joints).  Twenty steps make one control tick.
 
 An observer keeps the state: after every reading y[k] the predicted angle and speed move by
-:math:`\gamma_q` and :math:`\gamma_\omega` times the innovation.  :math:`\gamma_q = 1` with the speed taken
-from two readings is the prediction from measured positions alone.
+:math:`\gamma_q` and :math:`\gamma_\omega` times the innovation.  :math:`\gamma_q = 1` with the
+speed taken from two readings is the prediction from measured positions alone.
 """
 
 from __future__ import annotations

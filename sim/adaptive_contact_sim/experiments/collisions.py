@@ -1,4 +1,6 @@
-"""The paper's ten collisions (section 4.3), with what Figure 5 draws: 1 kHz truth, 50 Hz predictions.
+"""The paper's ten collisions (section 4.3), with what Figure 5 draws.
+
+Truth at 1 kHz, readings and predictions at 50 Hz.
 
 Everything stands on the paper's own dataset: models of its training segments, and for the paper's
 rule the threshold "experimentally found", here the largest value on the judged free ticks of the
@@ -20,6 +22,7 @@ from adaptive_contact.detect.baseline_events import alarm_ticks
 from adaptive_contact.detect.baselines import JUDGED_AFTER_TICKS, Prediction, paper_rule
 from adaptive_contact.identify import Window
 from adaptive_contact.robot import Robot
+from adaptive_contact.robot.phase import directions
 from adaptive_contact.score import find_swings
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.elements import LEGS
@@ -124,7 +127,8 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
     score = np.where(judged, (difference / limit).max(axis=1), np.nan)
     t_ns = np.arange(len(swing), dtype=np.int64) * 20_000_000
     number = find_swings(t_ns, swing).of_tick
-    paper_ticks = alarm_ticks(score, number)
+    falling = np.roll(directions(desired, robot.leg(train.leg)), 1) == 1
+    paper_ticks = alarm_ticks(score, number, 1.0, falling & judged)
     default_ticks = _default(robot, train, test, measured, desired, swing)
     table = []
     for step, speed, force in touches[:count]:

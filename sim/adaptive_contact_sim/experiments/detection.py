@@ -60,6 +60,7 @@ class _Touched(NamedTuple):
     piece: Piece
     truth: LegStream
     swing: NDArray[np.int64]
+    descending: NDArray[np.bool_]
     scores: dict[str, Array]
     events: Events
 
@@ -147,6 +148,7 @@ def _touched(store: Store, root: Path, plan: Plan) -> list[_Touched]:
                     piece,
                     leg_stream(stream.run, stream.leg, robot),
                     find_swings(stream.run.t_ns, stream.swing).of_tick,
+                    result[f"{index}/descending"],
                     {n: result[f"{index}/score/{n}"].astype(np.float64) for n in DETECTORS},
                     default_events(result, index),
                 )
@@ -157,7 +159,7 @@ def _touched(store: Store, root: Path, plan: Plan) -> list[_Touched]:
 def _outcome(touched: _Touched, name: str, factor: float = 1.0) -> LegOutcome:
     if name == DEFAULT:
         return match(touched.truth, touched.events)
-    ticks = alarm_ticks(touched.scores[name], touched.swing, factor)
+    ticks = alarm_ticks(touched.scores[name], touched.swing, factor, touched.descending)
     t_ns = touched.truth.t_ns[ticks]
     return match(touched.truth, Events(t_ns, np.ones(len(t_ns), dtype=bool), t_ns))
 
@@ -314,9 +316,17 @@ def _misses(touched: Sequence[_Touched], outcomes: Sequence[LegOutcome]) -> list
                     "t_s": float(table.onset_ns[i] / 1e9),
                     "speed_m_s": float(table.speed_m_s[i]),
                     "force_n": float(table.force_n[i]),
+                    "after_release_ms": _after_release(t.truth, int(table.onset_ns[i])),
                 }
             )
     return found[:_SHOWN_MISSES]
+
+
+def _after_release(truth: LegStream, onset_ns: int) -> float | None:
+    """How long before a touch the leg's last contact ended, ms; None for the first."""
+    changes = truth.truth
+    ended = changes.t_ns[~changes.contact & (changes.t_ns < onset_ns)]
+    return float((onset_ns - ended[-1]) / 1e6) if len(ended) else None
 
 
 def _residual_figures(quiet: dict[str, dict[str, Any]]) -> dict[str, Any]:

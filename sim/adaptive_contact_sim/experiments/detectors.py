@@ -71,6 +71,12 @@ class Evidence:
     swing_of_tick: Ints
 
     @property
+    def descending(self) -> NDArray[np.bool_]:
+        """(n,) whether the command in force is past the lift."""
+        falling = np.roll(self.motion.direction, 1) == 1
+        return np.asarray(falling & self.motion.judged)
+
+    @property
     def free(self) -> NDArray[np.bool_]:
         """(n,) judged ticks that no contact is near."""
         return self.motion.judged & self.stream.stretch.free
@@ -252,7 +258,7 @@ def tune_bench(
 
 def events_at(evidence: Evidence, score: Array, threshold: float = 1.0) -> Events:
     """A stream's events at a threshold on its scores."""
-    ticks = alarm_ticks(score, evidence.swing_of_tick, threshold)
+    ticks = alarm_ticks(score, evidence.swing_of_tick, threshold, evidence.descending)
     t_ns = evidence.stream.run.t_ns[ticks]
     return Events(t_ns, np.ones(len(ticks), dtype=bool), t_ns)
 

@@ -86,6 +86,7 @@ def _evaluate(store: Store, job: Job) -> dict[str, NDArray[Any]]:
         free = own.stream.piece.role in ("free", "stand")
         out |= {prefix + k: v for k, v in _default(told).items()}
         out |= {prefix + k: v for k, v in _residuals(own).items()}
+        out[prefix + "descending"] = own.descending
         out[prefix + "judged"] = np.array(np.count_nonzero(own.motion.judged & own.free))
         out[prefix + "swing"] = np.array(np.count_nonzero(own.stream.swing))
         for detector in DETECTORS:
@@ -122,7 +123,7 @@ def _sweep(own: Evidence, score: NDArray[np.float64]) -> NDArray[np.int64]:
     counts = np.full(len(FACTORS), -1, dtype=np.int64)
     for i, factor in enumerate(FACTORS):
         if np.count_nonzero(known > factor) <= _ABSURD_SHARE * len(known):
-            counts[i] = len(alarm_ticks(score, own.swing_of_tick, float(factor)))
+            counts[i] = len(alarm_ticks(score, own.swing_of_tick, float(factor), own.descending))
     return counts
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from adaptive_contact.errors import MissingExtraError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
-from adaptive_contact_sim.experiments.plan import WORKSPACES
+from adaptive_contact_sim.workspace import WORKSPACES, Space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,49 +88,49 @@ def _workspace(data: Any) -> Figure:
     """Figure 3: the grid of 1 cm that the leg reaches, both subspaces, the feet's places."""
     del data
     figure = _figure(8.0, 3.9)
-    top, side = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
+    top, side = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     geometry = LegGeometry.of()
-    grid = np.arange(-0.26, 0.261, 0.01)
-    x, z = np.meshgrid(np.arange(0.0, 0.261, 0.01), grid)
-    points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
-    inside = geometry.reachable(points)
-    side.plot(points[inside, 0], points[inside, 2], ".", color="black", ms=1.5)
     lower, upper = WORKSPACES["paper"]
-    for space, colour, label in ((lower, _SKY, "lower subspace"), (upper, "#F0E442", "upper")):
-        low, high = space.reach_m
-        side.fill(
-            [low, high, high, low],
-            np.repeat(space.height_m, 2),
-            color=colour,
-            alpha=0.55,
-            label=label,
-        )
-    mounted = geometry.to_body(np.tile(np.array([0.115, 0.0, -0.165]), (len(LEGS), 1)))
-    side.plot([0.115], [-0.165], "o", color=_GREEN, label="stance (others)")
-    side.set(
-        xlabel="from the coxa axis (m)", ylabel="height over it (m)", title="side", aspect="equal"
-    )
-    side.legend(loc="lower left", fontsize=7)
     index = LEGS.index("rf")
-    level = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
-    points = np.concatenate([level, np.full((len(level), 1), -0.05)], axis=1)
+    step = np.arange(-0.26, 0.2601, 0.01)
+
+    x, z = (a.ravel() for a in np.meshgrid(step[step >= 0.0], step))
+    points = np.stack([x, np.zeros_like(x), z], axis=1)
     points = points[geometry.reachable(points)]
-    turned = points @ geometry.rotations[index].T + geometry.mounts_m[index]
-    top.plot(turned[:, 0], turned[:, 1], ".", color="black", ms=1.5)
-    yaw = np.linspace(*upper.yaw_rad, 30)
-    ring = np.concatenate(
-        [
-            np.stack([r * np.cos(a), r * np.sin(a), 0 * a], axis=1)
-            for r, a in zip(upper.reach_m, (yaw, yaw[::-1]), strict=True)
-        ]
-    )
-    ring = ring @ geometry.rotations[index].T + geometry.mounts_m[index]
-    top.fill(ring[:, 0], ring[:, 1], color=_SKY, alpha=0.55)
+    level = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
+    height = sum(lower.height_m) / 2
+    flat = np.concatenate([level, np.full((len(level), 1), height)], axis=1)
+    flat = flat[geometry.reachable(flat)]
+    turned = flat @ geometry.rotations[index].T + geometry.mounts_m[index]
+    for axes, own, shown in ((side, points, points[:, [0, 2]]), (top, flat, turned[:, :2])):
+        axes.plot(shown[:, 0], shown[:, 1], ".", color="black", ms=1.5, label="reached, 1 cm")
+        for space, colour, label in ((lower, _BLUE, "lower subspace"), (upper, "#E6C800", "upper")):
+            inside = _inside(space, own)
+            axes.plot(shown[inside, 0], shown[inside, 1], "s", color=colour, ms=4, label=label)
+    side.plot([0.115], [-0.165], "o", color=_GREEN, label="stance of the others")
+    side.set(xlabel="from the coxa axis (m)", ylabel="over it (m)", title="side", aspect="equal")
+    side.legend(loc="upper left", fontsize=6.5)
+    feet = geometry.to_body(np.tile(np.array([0.115, 0.0, -0.165]), (len(LEGS), 1)))
     others = [i for i in range(len(LEGS)) if i != index]
-    top.plot(mounted[others, 0], mounted[others, 1], "o", color=_GREEN)
+    top.plot(feet[others, 0], feet[others, 1], "o", color=_GREEN)
     top.plot(geometry.mounts_m[:, 0], geometry.mounts_m[:, 1], "s", color=_GREY, ms=4)
-    top.set(xlabel="forward (m)", ylabel="left (m)", title="from above, leg rf", aspect="equal")
+    top.set(
+        xlabel="forward (m)",
+        ylabel="left (m)",
+        title=f"from above, leg rf, at {height:.2f} m",
+        aspect="equal",
+    )
     return figure
+
+
+def _inside(space: Space, points: Any) -> Any:
+    """Mask of points of the leg's frame that lie in a subspace."""
+    yaw = np.arctan2(points[:, 1], points[:, 0])
+    reach = np.hypot(points[:, 0], points[:, 1])
+    inside = (yaw >= space.yaw_rad[0]) & (yaw <= space.yaw_rad[1])
+    inside &= (reach >= space.reach_m[0] - 1e-9) & (reach <= space.reach_m[1] + 1e-9)
+    low, high = space.height_m
+    return inside & (points[:, 2] >= low - 1e-9) & (points[:, 2] <= high + 1e-9)
 
 
 def _responses(data: Any) -> Figure:
@@ -248,7 +248,7 @@ def _collision(data: Any) -> Figure:
 
 def _roc(data: Any) -> Figure:
     """Headline recall against false alarms, thresholds swept."""
-    figure = _figure(7.4, 4.4)
+    figure = _figure(7.4, 5.2)
     axes = figure.subplots()
     hours = data["figures"]["default"]["false_alarms"]["all"]["hours"]
     # What was never seen is drawn where half an alarm would be.
@@ -280,13 +280,14 @@ def _roc(data: Any) -> Figure:
         xlabel=f"false alarms per robot-hour ({hours:.1f} h; left edge: none seen)",
         ylabel="recall, hard ground, ≥ 0.2 m/s (%)",
     )
-    axes.legend(fontsize=7, loc="lower right")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=3)
     return figure
 
 
 def _limits(data: Any) -> Figure:
     """Recall against approach speed and contact force, with 95 % intervals."""
-    figure = _figure(8.0, 3.7)
+    figure = _figure(8.0, 4.3)
     left, right = figure.subplots(1, 2, sharey=True)
     shown = ("default", "servo ratio", "paper rule", "analytical ratio", "tracking")
     for axes, field, label in (
@@ -310,7 +311,8 @@ def _limits(data: Any) -> Figure:
             )  # fmt: skip
         axes.set(xscale="log", xlabel=label, ylim=(-2, 102))
     left.set_ylabel("recall (%)")
-    right.legend(fontsize=6.5, loc="lower right")
+    handles, labels = right.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=3)
     return figure
 
 

@@ -1,10 +1,10 @@
 r"""Identification as in the paper's section 4.2, and what R² does not show.
 
-The state is the paper's Eq. 6, :math:`x[k] = (\theta[k], …, \theta[k-N])`, and the library its Eq. 8; the sweep of λ
-stops when some state has no terms left.  R² is given for all states, for the position
-:math:`\theta[k+1]`, and for its first and second backward differences.  Beside it stand the root mean square
-over the noise floor, the sensitivity of the prediction to the joint's own command, the number of
-terms and the condition number.
+The state is the paper's Eq. 6, :math:`x[k] = (\theta[k], …, \theta[k-N])`, and the library its
+Eq. 8; the sweep of λ stops when some state has no terms left.  R² is given for all states, for the
+position :math:`\theta[k+1]`, and for its first and second backward differences.  Beside it stand
+the root mean square over the noise floor, the sensitivity of the prediction to the joint's own
+command, the number of terms and the condition number.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Recordings of real servos in the two formats that are read.
 
-``.npz``: keys ``MOTION/t`` (s), ``MOTION/goal`` and ``MOTION/pos`` (n, J) rad, any number of motions
-(github.com/isaac-sim2real/sage).  ``.json``: one run of one servo, ``entries[]`` with ``timestamp`` s,
-``goal_position`` and ``position`` rad, ``torque_enable``; ``kp`` and ``trajectory`` beside them
-(github.com/Rhoban/bam).
+``.npz``: keys ``MOTION/t`` (s), ``MOTION/goal`` and ``MOTION/pos`` (n, J) rad, any number of
+motions (github.com/isaac-sim2real/sage).  ``.json``: one run of one servo, ``entries[]`` with
+``timestamp`` s, ``goal_position`` and ``position`` rad, ``torque_enable``; beside them ``kp`` and
+``trajectory`` (github.com/Rhoban/bam).
 
 Angles are unwrapped, rows without torque left out, and a file or motion that cannot be used is told
 with its reason instead of being dropped in silence.

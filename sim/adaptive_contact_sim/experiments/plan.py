@@ -12,7 +12,6 @@ from typing import Final, Literal
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import Approach, ObstacleSettings
-from adaptive_contact_sim import pose
 from adaptive_contact_sim.pose import PERIOD_S, PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 
@@ -20,16 +19,12 @@ __all__ = [
     "FULL",
     "QUICK",
     "STIFFNESS_N_M",
-    "WORKSPACES",
     "GantrySettings",
     "LegRun",
     "Piece",
     "Plan",
     "Role",
 ]
-
-# Lower and upper subspace, by name of the workspace.
-WORKSPACES: Final = pose.WORKSPACES
 
 # What a stretch is for: learning, choosing settings, false alarms (``free`` hung up by the body,
 # ``stand`` as in the paper), collisions.
@@ -112,6 +107,7 @@ class Plan:
         robots: seeds of the robots; each has the ``legs``.
         train_segments, test_segments: the paper's dataset (4.1), one leg of robot 0.
         train_s, tune_s: free motion per leg-run by kind, s.
+        train_hung_s, tune_hung_s: the same of every robot hung up by its body, s.
         free_s: reported free motion by kind, s, of every robot hung up by its body.
         stand_s: the same per leg-run, standing on five legs.
         touch_s: reported collisions per leg-run by kind, s.
@@ -126,6 +122,8 @@ class Plan:
     test_segments: int
     train_s: dict[str, float]
     tune_s: dict[str, float]
+    train_hung_s: dict[str, float]
+    tune_hung_s: dict[str, float]
     free_s: dict[str, float]
     stand_s: dict[str, float]
     touch_s: dict[str, float]
@@ -140,9 +138,9 @@ class Plan:
 
     def pieces(self, role: Role) -> list[Piece]:
         """All stretches of a role."""
+        found = self._hung_up(role)
         if role == "free":
-            return self._hung_up()
-        found = []
+            return found
         for index, leg_run in enumerate(self.leg_runs):
             base = _SEEDS[role] + 1000 * (self.seed * 100 + index)
             count = 0
@@ -164,22 +162,24 @@ class Plan:
         settings = SimulationSettings(motion=motion, seed=seed, robot_seed=leg_run.robot_seed)
         return Piece(leg_run, role, "paper", ticks * PERIOD_S, settings)
 
-    def _hung_up(self) -> list[Piece]:
+    def _hung_up(self, role: Role) -> list[Piece]:
         """Free motion of whole robots: six pieces share their settings and one simulation."""
-        found = []
+        times = {"free": self.free_s, "train": self.train_hung_s, "tune": self.tune_hung_s}
+        found: list[Piece] = []
         for robot in self.robots:
-            count = 0
-            for kind, seconds in self.free_s.items():
+            # Below 900,000 of a role's seeds lie those of its leg-runs.
+            count = 0 if role == "free" else 900_000
+            for kind, seconds in times.get(role, {}).items():
                 parts = max(1, round(seconds / _PIECE_S))
                 for _ in range(parts):
                     settings = GantrySettings(
                         motions=tuple(_motion(leg, kind) for leg in LEGS),
-                        seed=_SEEDS["free"] + 1000 * (self.seed * 100 + robot) + count,
+                        seed=_SEEDS[role] + 1000 * (self.seed * 100 + robot) + count,
                         robot_seed=robot,
                     )
                     count += 1
                     found += [
-                        Piece(LegRun(robot, leg), "free", kind, seconds / parts, settings)
+                        Piece(LegRun(robot, leg), role, kind, seconds / parts, settings)
                         for leg in self.legs
                     ]
         return found
@@ -237,6 +237,8 @@ FULL: Final = Plan(
     test_segments=1000,
     train_s={"descent": 160.0, "slow": 60.0, "forward": 40.0},
     tune_s={"descent": 100.0, "slow": 40.0, "forward": 25.0},
+    train_hung_s={"descent": 600.0, "slow": 150.0, "forward": 150.0},
+    tune_hung_s={"descent": 300.0, "slow": 75.0, "forward": 75.0},
     free_s={"descent": 3700.0, "slow": 800.0, "forward": 800.0},
     stand_s={"descent": 210.0, "slow": 50.0, "forward": 50.0},
     touch_s=_TOUCH_S,
@@ -250,6 +252,8 @@ QUICK: Final = Plan(
     test_segments=400,
     train_s=FULL.train_s,
     tune_s=FULL.tune_s,
+    train_hung_s=FULL.train_hung_s,
+    tune_hung_s=FULL.tune_hung_s,
     free_s={"descent": 240.0, "slow": 60.0, "forward": 60.0},
     stand_s={"descent": 60.0, "slow": 20.0, "forward": 20.0},
     touch_s={kind: 0.6 * seconds for kind, seconds in _TOUCH_S.items()},

@@ -1,10 +1,11 @@
 r"""The paper's fit as PySINDy makes it, from the compressed factor.
 
-``DiscreteSINDy`` with ``STLSQ`` sees the rows :math:`(\Theta, X_{next})`; here it sees the triangle of
-their QR factorisation.  Column norms, ridge solutions, thresholds and the unbiased refit depend on
-the rows through :math:`\Theta^\top\Theta` and :math:`\Theta^\top X_{next}` only, so that supports are the same and
-coefficients differ by rounding.  (PySINDy's unbiased refit drops directions whose singular value is
-below :math:`10^{-6}` of the largest; the triangle has the same singular values.)
+``DiscreteSINDy`` with ``STLSQ`` sees the rows :math:`(\Theta, X_{next})`; here it sees the triangle
+of their QR factorisation.  Column norms, ridge solutions, thresholds and the unbiased refit depend
+on the rows through :math:`\Theta^\top\Theta` and :math:`\Theta^\top X_{next}` only, so that
+supports are the same and coefficients differ by rounding.  (PySINDy's unbiased refit drops
+directions whose singular value is below :math:`10^{-6}` of the largest; the triangle has the same
+singular values.)
 
 ``raw`` thresholds coefficients in the units of the data, ``normalised`` those of columns with unit
 Euclidean norm, which PySINDy offers as ``normalize_columns``: λ then grows with the square root of

@@ -316,8 +316,8 @@ def _workspace(data: Any) -> Section:
             f"{name} library: {'one model' if one <= several else 'one model per region'} wins "
             f"where all regions were seen ({number(min(one, several) / 3, 3)}° against "
             f"{number(max(one, several) / 3, 3)}°, mean of joints), "
-            f"{'one model of the others' if unseen <= near else 'the nearest model'} where a region "
-            f"was not ({number(min(unseen, near) / 3, 3)}° against "
+            f"{'one model of the others' if unseen <= near else 'the nearest model'} where a "
+            f"region was not ({number(min(unseen, near) / 3, 3)}° against "
             f"{number(max(unseen, near) / 3, 3)}°)"
         )
     return Section(

@@ -13,6 +13,7 @@ from adaptive_contact_sim.trials.runs import (
     all_touch,
     around,
     drifting,
+    minutes,
     pose_runs,
     walk_runs,
     without_drift,
@@ -93,14 +94,15 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
         Phase("changing", at_s, until_s),
         Phase("after", until_s, end_s),
     )
+    took = minutes(sizes.slow_s)
     entries = {
-        "ramp-mud": ("100 g of mud gather in ten minutes", What("mass", 0.1, shape="ramp")),
+        "ramp-mud": (f"100 g of mud gather in {took}", What("mass", 0.1, shape="ramp")),
         "ramp-battery": (
-            "the battery sags from 12 V to 9.4 V in ten minutes",
+            f"the battery sags from 12 V to 9.4 V in {took}",
             What("supply", 9.4, shape="ramp"),
         ),
         "walk-of-friction": (
-            "friction wanders between nominal and four times that for ten minutes",
+            f"friction wanders between nominal and four times that for {took}",
             What("friction", 4.0, shape="walk"),
         ),
     }
@@ -126,7 +128,7 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
     mud = What("mass", 0.1, shape="pulse")
     pulse = Scenario(
         name="pulse-mud",
-        about="100 g of mud for a minute, then it is washed off",
+        about=f"100 g of mud for {minutes(sizes.pulse_s)}, then it is washed off",
         motion="pose",
         expect=Expect.RECOVER,
         recordings=tuple(

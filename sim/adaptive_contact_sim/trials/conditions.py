@@ -37,15 +37,15 @@ __all__ = ["contacts", "starts", "steady", "trouble", "walking_contacts"]
 
 def contacts(sizes: Sizes) -> list[Scenario]:
     """In pose: every swing of a long stretch ends in contact."""
-    at_s = sizes.before_s
+    at_s, count = sizes.before_s, sizes.contact_swings
     until_s = at_s + sizes.contact_swings * POSE_SWING_S
     end_s = until_s + sizes.before_s
     schedule = ((at_s, 1.0), (until_s, 0.55))
     entries = {
-        "contacts-hard": ("500 swings in a row end on hard obstacles", None, 0.0),
-        "contacts-soft": ("500 swings in a row end on soft obstacles", None, 1.0),
+        "contacts-hard": (f"{count} swings in a row end on hard obstacles", None, 0.0),
+        "contacts-soft": (f"{count} swings in a row end on soft obstacles", None, 1.0),
         # The middle between the paper's subspaces, which every descent crosses.
-        "contacts-level": ("500 swings in a row end at the same height", -0.045, 0.0),
+        "contacts-level": (f"{count} swings in a row end at the same height", -0.045, 0.0),
     }
     return [
         Scenario(
@@ -73,11 +73,12 @@ def contacts(sizes: Sizes) -> list[Scenario]:
 
 def walking_contacts(sizes: Sizes) -> list[Scenario]:
     """Walking, where every swing ends in contact anyway."""
-    seconds = 20.0 + sizes.contact_swings * WALK_SWING_S
+    count = sizes.contact_swings
+    seconds = 20.0 + count * WALK_SWING_S
     entries: dict[str, tuple[str, TerrainKind]] = {
-        "walk-contacts-hard": ("500 steps of each leg over hard, rough ground", "rough"),
-        "walk-contacts-soft": ("500 steps of each leg over soft ground", "soft"),
-        "walk-contacts-level": ("500 steps of each leg over flat, hard ground", "flat"),
+        "walk-contacts-hard": (f"{count} steps of each leg over hard, rough ground", "rough"),
+        "walk-contacts-soft": (f"{count} steps of each leg over soft ground", "soft"),
+        "walk-contacts-level": (f"{count} steps of each leg over flat, hard ground", "flat"),
     }
     return [
         Scenario(
@@ -101,7 +102,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     turns, round_s = turn_runs(sizes)
     stand = Scenario(
         name="stand-10min",
-        about="a leg swings for two minutes, stands for ten, and swings again",
+        about=f"a leg swings, stands for {round_s * 5 / 6 / 60:.0f} min, and swings again",
         motion="pose",
         expect=Expect.UNHARMED,
         recordings=turns,
@@ -113,7 +114,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
     free_s = at_s + sizes.caught_s
     caught = Scenario(
         name="caught-30s",
-        about="a foot hangs in a root for half a minute, through some 60 swings",
+        about=f"a foot hangs in a root for {sizes.caught_s:g} s, through all its swings",
         motion="pose",
         expect=Expect.RECOVER,
         recordings=tuple(
@@ -148,7 +149,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
 
 def starts(sizes: Sizes) -> list[Scenario]:
     """With no baseline, and with wrong ones."""
-    end_s = sizes.before_s + sizes.after_s
+    end_s = sizes.start_s
     settled = 60 * POSE_SWING_S  # the goal: valid after 60 swings
     phases = (Phase("start", 0.0, settled), Phase("after", settled, end_s))
     poses = pose_runs(sizes, end_s)

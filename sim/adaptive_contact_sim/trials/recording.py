@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,7 +32,7 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.trials.files import read_arrays, write_arrays
+from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
 from adaptive_contact_sim.trials.spec import RecordingSpec
 from adaptive_contact_sim.trials.staging import stagehand
 from adaptive_contact_sim.walk import WalkSettings
@@ -239,10 +238,7 @@ def file_of(spec: RecordingSpec, folder: Path) -> Path:
 
 def key_of(spec: RecordingSpec) -> str:
     """Hash of everything that decides a recording."""
-    # `Staging` and `SimulationSettings` are made of numbers, texts and tuples: their JSON, fields
-    # in order, tells them apart.
-    text = msgspec.json.encode([FORMAT, simulator_fingerprint(), spec])
-    return hashlib.sha256(text).hexdigest()[:20]
+    return name_of(FORMAT, simulator_fingerprint(), spec)
 
 
 @functools.cache

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +24,7 @@ from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
-from adaptive_contact_sim.trials.files import read_arrays, write_arrays
+from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
 from adaptive_contact_sim.trials.learners import learner, reference_baseline
 from adaptive_contact_sim.trials.recording import Recording, key_of
 from adaptive_contact_sim.trials.spec import ReplaySpec, Variant
@@ -260,17 +259,9 @@ def load_replay(spec: ReplaySpec, path: Path) -> Replayed | None:
 
 def replay_file(spec: ReplaySpec, folder: Path) -> Path:
     """Where a replay lives: named by all that decides it, the learner's own source included."""
-    text = msgspec.json.encode(
-        [
-            FORMAT,
-            learner_fingerprint(),
-            key_of(spec.recording),
-            spec.baseline,
-            spec.variants,
-            spec.trace,
-        ]
-    )
-    return folder / f"{hashlib.sha256(text).hexdigest()[:20]}.npz"
+    seen = (spec.baseline, spec.variants, spec.trace)
+    name = name_of(FORMAT, learner_fingerprint(), key_of(spec.recording), *seen)
+    return folder / f"{name}.npz"
 
 
 @functools.cache

@@ -29,6 +29,20 @@ This page is written by `adaptive-contact scenarios report` from the figures of
 `adaptive-contact scenarios run --all` (`make scenarios`); nothing in it is typed by hand.
 """
 
+_SMALL: Final = {
+    "brief": """\
+**These are figures of the short form (`scenarios run --all --brief`)**: 6 leg-runs, half a minute
+around a step, ramps over one minute instead of ten, 60 swings in contact instead of 500, minutes
+without change instead of ten robot-hours. Ramps are thus ten times as steep as they should be, and
+a false alarm more or less moves a rate by hundreds per robot-hour. `make scenarios` makes the full
+form, two hours on two idle cores.
+""",
+    "quick": """\
+**These are figures of a quick look (`--quick`): short recordings, few leg-runs. They show that
+everything runs, and prove nothing.**
+""",
+}
+
 _METHOD: Final = """\
 ## How it is measured
 
@@ -106,11 +120,8 @@ def report_text(results: Tree, pictures: set[str]) -> str:
     """
     table = results["scenarios"]
     parts = [_INTRODUCTION]
-    if results["quick"]:
-        parts.append(
-            "**These are the figures of a quick look (`--quick`): short recordings, few leg-runs. "
-            "They show that everything runs, and prove nothing.**\n"
-        )
+    if results["size"] != "full":
+        parts.append(_SMALL[results["size"]])
     parts.append(_verdict(table))
     parts += [f"- {problem}\n" for problem in results["problems"]]
     if SUMMARY in pictures:

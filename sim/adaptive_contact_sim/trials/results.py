@@ -23,18 +23,18 @@ Tree = dict[str, Any]
 
 VERSION: Final = 1
 # What has to agree for figures to stand in one table.
-_BELONGS: Final = ("v", "quick", "leg_runs", "learner", "simulator", "baseline")
+_BELONGS: Final = ("v", "size", "leg_runs", "learner", "simulator", "baseline")
 
 
 def results(
-    judgements: Sequence[Judgement], sizes: Sizes, *, quick: bool, problems: Sequence[str] = ()
+    judgements: Sequence[Judgement], sizes: Sizes, *, size: str, problems: Sequence[str] = ()
 ) -> Tree:
     """The tree of some scenarios' figures.
 
     Args:
         judgements: of the scenarios.
         sizes: they were made with.
-        quick: whether those are the small ones.
+        size: what those are called: ``full``, ``brief`` or ``quick``.
         problems: runs that have no recording, one line each.
     """
     table = {}
@@ -45,7 +45,7 @@ def results(
         table[judgement.scenario.name] = tree
     return {
         "v": VERSION,
-        "quick": quick,
+        "size": size,
         "leg_runs": sizes.leg_runs,
         "learner": learner_fingerprint(),
         "simulator": simulator_fingerprint(),

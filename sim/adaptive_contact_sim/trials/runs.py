@@ -23,6 +23,7 @@ from adaptive_contact_sim.trials.spec import Phase, RecordingSpec, Staging
 from adaptive_contact_sim.walk import WalkSettings
 
 __all__ = [
+    "BRIEF_SIZES",
     "FULL_SIZES",
     "POSE_SWING_S",
     "QUICK_SIZES",
@@ -32,6 +33,7 @@ __all__ = [
     "all_touch",
     "around",
     "drifting",
+    "minutes",
     "of_robot_0",
     "pose_run",
     "pose_runs",
@@ -67,6 +69,7 @@ class Sizes:
         contact_swings: in a row that end in contact.
         turn_trials: of a leg between two long rests, each of which lasts five turns.
         caught_s: how long a foot is caught.
+        start_s: of a start without a baseline, or with a wrong one.
         steady_walks: walks without drift, per leg-run asked for.
         first_seed: of all runs.
     """
@@ -82,11 +85,28 @@ class Sizes:
     contact_swings: int = 500
     turn_trials: int = 262
     caught_s: float = 30.0
+    start_s: float = 140.0
     steady_walks: float = 2.6
     first_seed: int = 7000
 
 
 FULL_SIZES: Final = Sizes()
+# Every scenario, small enough for half an hour on a busy machine.
+BRIEF_SIZES: Final = Sizes(
+    leg_runs=6,
+    before_s=8.0,
+    after_s=22.0,
+    walk_before_s=14.0,
+    walk_after_s=46.0,
+    slow_s=60.0,
+    slow_after_s=10.0,
+    pulse_s=15.0,
+    contact_swings=60,
+    turn_trials=25,
+    caught_s=8.0,
+    start_s=50.0,
+    steady_walks=0.3,
+)
 QUICK_SIZES: Final = Sizes(
     leg_runs=2,
     before_s=15.0,
@@ -99,6 +119,7 @@ QUICK_SIZES: Final = Sizes(
     contact_swings=60,
     turn_trials=40,
     caught_s=10.0,
+    start_s=60.0,
     steady_walks=0.5,
 )
 
@@ -221,6 +242,11 @@ def without_staging(spec: RecordingSpec) -> RecordingSpec:
 def of_robot_0(spec: RecordingSpec) -> RecordingSpec:
     """The recording of the robot that the shipped baseline was learned on."""
     return replace(spec, settings=replace(spec.settings, robot_seed=0))
+
+
+def minutes(seconds: float) -> str:
+    """Such as ``10 min`` or ``30 s``."""
+    return f"{seconds / 60:g} min" if seconds % 60 == 0 else f"{seconds:g} s"
 
 
 def around(at_s: float, end_s: float, swing_s: float) -> tuple[Phase, ...]:

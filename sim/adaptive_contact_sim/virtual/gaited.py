@@ -9,6 +9,7 @@ interpreter in every step, and the bus is answered in between.
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -50,7 +51,7 @@ class GaitedBackend:
         self._angles = [np.zeros((n, N_SERVOS)) for _ in range(2)]  # of this tick, of the next
         self._speeds = [np.zeros((n, N_SERVOS)) for _ in range(2)]
         self._goals = [np.zeros(N_SERVOS) for _ in range(2)]
-        self._maker = ThreadPoolExecutor(1, "physics")
+        self._maker = ThreadPoolExecutor(1, "physics", initializer=_stand_back)
         self._made: Future[Tick] | None = None
         self._row = 0
         self._at = 0
@@ -131,3 +132,10 @@ class GaitedBackend:
         self._tick += 1
         self._on_tick(tick)
         self._make()
+
+
+def _stand_back() -> None:
+    """Let a real-time physics thread never keep the bus from running."""
+    if os.sched_getscheduler(0) == os.SCHED_RR:
+        first = os.sched_getparam(0).sched_priority
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(first - 5, 1)))

@@ -8,6 +8,7 @@ that it stays the same when a hang-up gives it another pseudo-terminal.
 from __future__ import annotations
 
 import contextlib
+import gc
 import heapq
 import os
 import pty
@@ -288,6 +289,9 @@ class VirtualServer:
 
     def run(self, stop: threading.Event) -> None:
         """Serve until stopped; the ports have to be open (``with server:``)."""
+        # What exists now stays: a full collection would keep the bus waiting for tens of ms.
+        gc.collect()
+        gc.freeze()
         while not stop.is_set():
             self._cable()
             now_s = time.monotonic()

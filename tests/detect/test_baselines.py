@@ -1,0 +1,162 @@
+"""Baseline detectors against slow reference mathematics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact.detect import ContactState
+from adaptive_contact.detect.baseline_events import alarm_ticks
+from adaptive_contact.detect.baselines import (
+    JUDGED_AFTER_TICKS,
+    Motion,
+    Prediction,
+    calibrate,
+    learn_noise,
+    likelihood_ratio,
+    paper_rule,
+    position_difference,
+    tracking_error,
+)
+from adaptive_contact.detect.noise import WINDOWS, context
+from adaptive_contact.detect.statistic import statistic
+from adaptive_contact.errors import IdentificationError
+
+QUANTUM = 0.005
+
+
+def walk(seed: int, n: int = 4000, swing: int = 20, hold: int = 3) -> tuple[Motion, Prediction]:
+    rng = np.random.default_rng(seed)
+    desired = np.cumsum(rng.normal(scale=0.03, size=(n, 3)), axis=0)
+    noise = rng.normal(scale=QUANTUM / 2, size=(n, 3))
+    measured = np.roll(desired, 3, axis=0) + noise
+    residual = rng.normal(scale=QUANTUM, size=(n, 3)) @ np.array(
+        [[1.0, 0.3, 0.0], [0.0, 1.0, -0.4], [0.0, 0.0, 1.0]]
+    )
+    increment = rng.normal(scale=0.03, size=(n, 3))
+    tick = np.arange(n) % (swing + hold)
+    swing_tick = np.where(tick < swing, tick + 1, 0)
+    direction = (tick >= swing // 2).astype(np.int64)
+    return Motion(measured, desired, swing_tick, direction), Prediction(residual, increment)
+
+
+def reference_alarms(
+    score: np.ndarray, swing: np.ndarray, threshold: float, descending: np.ndarray
+) -> list[int]:
+    """The state machine of the product, tick by tick, on one score."""
+    state, found, before = ContactState(), [], -1
+    for k in range(len(score)):
+        if swing[k] != before:
+            before = swing[k]
+            state.reset()
+        if swing[k] < 0:
+            continue
+        value = score[k] / threshold
+        decision = state.swing_tick(value, value, k, k, descending=bool(descending[k]))
+        if decision is not None and decision.contact:
+            found.append(k)
+    return found
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.05, 3.0), st.floats(0.0, 0.4))
+def test_alarms_of_a_stream_equal_those_of_the_state_machine(
+    seed: int, threshold: float, missing: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    n = 300
+    score = rng.exponential(size=n)
+    score[rng.random(n) < missing] = np.nan
+    tick = np.arange(n)
+    swing = np.where(tick % 23 < 20, tick // 23, -1)
+    descending = tick % 23 >= rng.integers(5, 20)
+    assert alarm_ticks(score, swing, threshold, descending).tolist() == reference_alarms(
+        score, swing, threshold, descending
+    )
+
+
+def test_no_alarm_without_scores() -> None:
+    nothing = np.full(10, np.nan)
+    assert len(alarm_ticks(nothing, np.zeros(10, dtype=np.int64))) == 0
+    assert len(alarm_ticks(np.zeros(0), np.zeros(0, dtype=np.int64))) == 0
+
+
+def test_rules_tick_by_tick() -> None:
+    motion, prediction = walk(1, n=60)
+    rule, naive = paper_rule(prediction), position_difference(motion)
+    lag = 2
+    error = tracking_error(motion, lag)
+    e, m, d = prediction.residual, motion.measured, motion.desired
+    for k in range(4, 60):
+        for j in range(3):
+            assert rule[k, j] == pytest.approx(abs(abs(e[k, j]) - abs(e[k - 1, j])))
+            steps = abs(m[k, j] - m[k - 1, j]), abs(m[k - 1, j] - m[k - 2, j])
+            assert naive[k, j] == pytest.approx(abs(steps[0] - steps[1]))
+            assert error[k, j] == pytest.approx(abs(d[k - 1 - lag, j] - m[k, j]))
+    assert np.isnan(rule[0]).all()
+    assert np.isnan(naive[:2]).all()
+    assert np.isnan(error[: lag + 1]).all()
+
+
+def test_likelihood_ratio_equals_the_online_statistic_tick_by_tick() -> None:
+    motion, prediction = walk(2)
+    noise = learn_noise(motion, prediction, motion.judged, QUANTUM)
+    values = likelihood_ratio(motion, prediction, noise, QUANTUM)
+    for k in range(40, 200):
+        usable = min(max(motion.swing_tick[k] - JUDGED_AFTER_TICKS, 0), len(WINDOWS))
+        if usable == 0:
+            assert np.isnan(values[k]).all()
+            continue
+        where = context(
+            motion.desired[k - 1], motion.desired[k - 2], motion.direction[k - 1], QUANTUM
+        )
+        expected = statistic(
+            prediction.residual[k : k - 3 : -1],
+            prediction.increment[k : k - 3 : -1],
+            noise.whiten[int(where)],
+            np.array(usable),
+        ).value
+        np.testing.assert_allclose(values[k], expected)
+
+
+def test_a_gap_in_the_predictions_shortens_the_windows() -> None:
+    motion, prediction = walk(3)
+    noise = learn_noise(motion, prediction, motion.judged, QUANTUM)
+    k = 23 * 5 + 12
+    prediction.residual[k] = np.nan
+    values = likelihood_ratio(motion, prediction, noise, QUANTUM)
+    assert np.isnan(values[k]).all()
+    assert np.isfinite(values[k + 1, 0])
+    assert np.isnan(values[k + 1, 1:]).all()
+    assert np.isfinite(values[k + 2, :2]).all()
+    assert np.isnan(values[k + 2, 2])
+
+
+def test_thresholds_hold_the_rate_they_aim_at() -> None:
+    rng = np.random.default_rng(4)
+    calibration = calibrate([rng.exponential(size=(100_000, 2)) for _ in range(3)])
+    rate = 1e-4
+    score = calibration.score(rng.exponential(size=(400_000, 2)), rate)
+    assert np.mean(score > 1.0) == pytest.approx(rate, rel=0.35)
+    only = calibration.using((1,))
+    assert only.thresholds(rate).shape == (1,)
+    assert only.thresholds(rate)[0] < calibration.thresholds(rate)[1]
+
+
+def test_unknown_channels_do_not_count_and_none_gives_none() -> None:
+    rng = np.random.default_rng(5)
+    calibration = calibrate([rng.exponential(size=(20_000, 2))])
+    rows = np.array([[np.nan, 100.0], [100.0, np.nan], [np.nan, np.nan]])
+    score = calibration.score(rows, 1e-5)
+    assert (score[:2] > 1.0).all()
+    assert np.isnan(score[2])
+
+
+def test_too_few_ticks_are_told() -> None:
+    motion, prediction = walk(6, n=100)
+    with pytest.raises(IdentificationError, match="free ticks"):
+        learn_noise(motion, prediction, motion.judged, QUANTUM)
+    with pytest.raises(IdentificationError, match="exceedances"):
+        calibrate([np.ones((100, 3))])

@@ -1,0 +1,145 @@
+"""Recordings of real servos: both formats, and files that are none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptive_contact.errors import RecordingError
+from adaptive_contact_sim.experiments.log_files import load_logs
+from adaptive_contact_sim.experiments.logs import run_logs
+from adaptive_contact_sim.experiments.tables import sections
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def servo(rng: np.random.Generator, n: int, joints: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """A servo with a saturating law: speed limited to 0.08 rad a tick."""
+    t = np.arange(n) * 0.02
+    frequency = rng.uniform(0.2, 1.2, joints)
+    goal = rng.uniform(0.3, 1.0, joints) * np.sin(2 * np.pi * frequency * t[:, None])
+    position = np.zeros((n, joints))
+    for k in range(n - 1):
+        error = np.clip((goal[k] - position[k]) / 0.16, -1.0, 1.0)
+        position[k + 1] = position[k] + 0.08 * error
+    quantum = 0.0015
+    noise = rng.normal(scale=quantum / 2, size=position.shape)
+    return goal, np.round((position + noise) / quantum) * quantum
+
+
+def write_arm(path: Path, motions: int = 6, n: int = 900) -> None:
+    rng = np.random.default_rng(1)
+    arrays = {}
+    for i in range(motions):
+        goal, position = servo(rng, n)
+        arrays |= {
+            f"m{i}/t": np.arange(n) * 0.02006,
+            f"m{i}/goal": goal,
+            f"m{i}/pos": position,
+        }
+    np.savez(path, **arrays)
+
+
+def write_pendulum(path: Path, gain: int, seed: int, torque: bool = True) -> None:
+    rng = np.random.default_rng(seed)
+    goal, position = servo(rng, 350, joints=1)
+    fine = np.arange(0.0, 6.8, 0.0053) + rng.uniform(0, 0.0003, size=1283)
+    grid = np.arange(350) * 0.02
+    entries = [
+        {
+            "timestamp": float(t),
+            "goal_position": float(goal[min(int(t / 0.02), 349), 0]),
+            "position": float(np.interp(t, grid, position[:, 0])) + 2 * np.pi * (t > 3.0),
+            "torque_enable": torque or t < 5.0,
+        }
+        for t in fine
+    ]
+    path.write_text(json.dumps({"kp": gain, "trajectory": f"t{seed}", "entries": entries}))
+
+
+def test_both_formats_are_fitted_and_tabled(tmp_path: Path) -> None:
+    write_arm(tmp_path / "arm.npz")
+    for gain in (100, 200):
+        for run in range(3):
+            write_pendulum(tmp_path / f"p{gain}{run}.json", gain, run, torque=run > 0)
+    tree = run_logs(tmp_path)
+    arm = tree["arms"][0]
+    assert arm["joints"] == 2
+    for protocol in ("unseen motions", "unseen moments"):
+        rms = {name: np.mean(v) for name, v in arm[protocol]["rms_deg"].items()}
+        assert rms["servo"] < 0.75 * rms["linear"]
+        assert rms["servo"] < 0.2 * np.mean(arm["naive_deg"])
+        assert arm[protocol]["false_alarms"]["ticks"] > 4000
+    pendulum = tree["pendulum"]
+    assert pendulum["gains"] == [100.0, 200.0]
+    assert set(pendulum["libraries"]["servo"]["refitted_deg"]) == {"100", "200"}
+    # Turns are unwrapped: no reading leaps by a turn.
+    assert max(pendulum["naive_deg"].values()) < 6.0
+    assert any("without torque" in row["reason"] for row in tree["skipped"])
+    text = sections({"logs": tree})[0]
+    assert len(text.tables) == 3
+    assert all(len(row) == len(t.header) for t in text.tables for row in t.rows)
+
+
+def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
+    write_arm(tmp_path / "arm.npz", motions=2, n=200)
+    (tmp_path / "text.json").write_text("{")
+    (tmp_path / "list.json").write_text("[1, 2]")
+    (tmp_path / "empty.json").write_text('{"entries": []}')
+    (tmp_path / "lacks.json").write_text('{"entries": [{"position": 1}]}')
+    (tmp_path / "noise.npz").write_bytes(b"\x00" * 100)
+    np.savez(tmp_path / "keys.npz", a=np.zeros(3))
+    np.savez(
+        tmp_path / "shapes.npz",
+        **{"m/t": np.arange(9.0), "m/goal": np.zeros((9, 2)), "m/pos": np.zeros((9, 3))},
+    )
+    bad = np.zeros((200, 2))
+    bad[3] = np.nan
+    t = np.arange(200) * 0.02
+    t[50] = t[49]
+    np.savez(tmp_path / "nan.npz", **{"m/t": t, "m/goal": np.zeros((200, 2)), "m/pos": bad})
+    logs = load_logs(tmp_path)
+    assert len(logs.recordings) == 3
+    told = {name for name, _ in logs.skipped}
+    assert told == {
+        "text.json", "list.json", "empty.json", "lacks.json", "noise.npz", "keys.npz",
+        "shapes.npz", "nan.npz",
+    }  # fmt: skip
+    tree = run_logs(tmp_path)
+    assert "expected at least" in tree["arms"][0]["unseen motions"]["status"]
+
+
+def test_single_wild_readings_are_repaired(tmp_path: Path) -> None:
+    goal, position = servo(np.random.default_rng(2), 300)
+    position[100, 0] = -np.pi
+    n = len(goal)
+    np.savez(
+        tmp_path / "arm.npz", **{"m/t": np.arange(n) * 0.02, "m/goal": goal, "m/pos": position}
+    )
+    recording = load_logs(tmp_path / "arm.npz").recordings[0]
+    assert recording.repaired == 1
+    assert np.abs(np.diff(recording.measured, axis=0)).max() < 0.2
+
+
+def test_paths_that_hold_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no such file"):
+        load_logs(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match="holds no"):
+        load_logs(tmp_path)
+
+
+@pytest.mark.skipif(
+    not (REAL / "xl330").is_dir(),
+    reason="no ../shared/data/xl330: recordings of github.com/Rhoban/bam, not part of the project",
+)
+def test_the_real_pendulum_prefers_a_refit_of_its_own_gain() -> None:
+    tree = run_logs(REAL / "xl330")
+    pendulum = tree["pendulum"]
+    assert pendulum["runs"] == 16
+    servo_law = pendulum["libraries"]["servo"]
+    for gain in ("100", "200"):
+        assert servo_law["refitted_deg"][gain] < 0.2 * pendulum["naive_deg"][gain]
+    assert servo_law["fixed_deg"]["100"]["800"] > 2.0 * servo_law["refitted_deg"]["800"]
