@@ -142,7 +142,7 @@ class Plan:
         if role == "free":
             return found
         for index, leg_run in enumerate(self.leg_runs):
-            base = _SEEDS[role] + 1000 * (self.seed * 100 + index)
+            base = self._base(role) + 1000 * index
             count = 0
             for kind, seconds in self._times(role).items():
                 parts = max(1, round(seconds / _PIECE_S))
@@ -174,7 +174,7 @@ class Plan:
                 for _ in range(parts):
                     settings = GantrySettings(
                         motions=tuple(_motion(leg, kind) for leg in LEGS),
-                        seed=_SEEDS[role] + 1000 * (self.seed * 100 + robot) + count,
+                        seed=self._base(role) + 1000 * robot + count,
                         robot_seed=robot,
                     )
                     count += 1
@@ -183,6 +183,9 @@ class Plan:
                         for leg in self.legs
                     ]
         return found
+
+    def _base(self, role: Role) -> int:
+        return _SEEDS[role] + 10_000_000 * self.seed
 
     def _times(self, role: Role) -> dict[str, float]:
         if role == "train":

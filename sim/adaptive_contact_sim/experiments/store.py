@@ -13,6 +13,7 @@ import functools
 import hashlib
 import io
 import json
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -84,9 +85,9 @@ class Store:
 def read_arrays(path: Path) -> Arrays | None:
     """Arrays of a file; None where there is none, or none that can be read."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError):
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         return None  # never written, or cut by a full disk: made anew
 
 

@@ -54,7 +54,8 @@ def _main(data: Any) -> Section:
         f"at {number(data['aim_per_hour'], 0)} false alarm per robot-hour (540,000 swing "
         "leg-ticks), by a tail fitted to tuning streams; only the ROC curves sweep it. Free "
         f"streams: {number(hung['hours'], 2)} h hung up by the body, all six legs swinging "
-        f"(same code and constants, the body fixed), and {number(stood['hours'], 2)} h standing on five legs; the "
+        "(same code and constants, the body fixed), and "
+        f"{number(stood['hours'], 2)} h standing on five legs; the "
         f"default raised {hung['count']} and {stood['count']} false alarms there. "
         "A row whose alarms read -1 has a threshold too low to be counted."
     )

@@ -90,20 +90,26 @@ _LEARNER_SHARE: Final = 0.06
 
 
 def jobs(chosen: Iterable[Scenario], folders: Folders) -> list[Job]:
-    """What is missing of some scenarios, the longest first."""
+    """What is missing of some scenarios: the first run of each, then the second, and so on.
+
+    So there is something to judge of all of them soon; within a round the longest comes first.
+    """
     wanted: dict[str, dict[str, ReplaySpec]] = {}
+    rounds: dict[str, int] = {}
     for scenario in chosen:
-        for spec in (*scenario.replays, *scenario.references):
-            own = wanted.setdefault(key_of(spec.recording), {})
-            own[replay_file(spec, folders.replays).name] = spec
-    missing = []
-    for group in wanted.values():
+        for specs in (scenario.replays, scenario.references):
+            for i, spec in enumerate(specs):
+                key = key_of(spec.recording)
+                wanted.setdefault(key, {})[replay_file(spec, folders.replays).name] = spec
+                rounds[key] = min(i, rounds.get(key, i))
+    missing: list[tuple[int, Job]] = []
+    for key, group in wanted.items():
         recording = next(iter(group.values())).recording
         lacking = tuple(s for n, s in group.items() if not is_zipfile(folders.replays / n))
         # Judging needs the recording's truth, too.
         if lacking or not is_zipfile(file_of(recording, folders.recordings)):
-            missing.append(Job(recording, lacking))
-    return sorted(missing, key=lambda job: -job.work)
+            missing.append((rounds[key], Job(recording, lacking)))
+    return [job for _, job in sorted(missing, key=lambda entry: (entry[0], -entry[1].work))]
 
 
 def run(
