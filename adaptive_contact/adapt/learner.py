@@ -22,9 +22,11 @@ from adaptive_contact.adapt.baseline import Baseline, LegBaseline, thresholds_of
 from adaptive_contact.adapt.coldstart import ColdResult, ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
+from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.stream import Accepted, StreamGuard
-from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS, Tracker
+from adaptive_contact.adapt.swing import SwingWatch
+from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import (
     ContactState,
     Decision,
@@ -33,16 +35,13 @@ from adaptive_contact.detect import (
     onset_fraction,
 )
 from adaptive_contact.identify import LegModel, leg_library
-from adaptive_contact.robot import Leg, Robot, height
-from adaptive_contact.robot.phase import Direction, PhaseTracker
+from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
     DriftLevel,
     LearnerStatus,
     ModelReport,
-    ModelTerm,
-    Phase,
     RefitCounts,
     Reject,
     ServoSample,
@@ -55,10 +54,6 @@ Array = NDArray[np.float64]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
-# A command that lifts less says nothing of whether the foot follows; one that is followed by less
-# than this share of it is not followed (a free foot lags, but reaches more than two thirds).
-LEAST_RISE_M: Final = 0.015
-HELD_SHARE: Final = 0.3
 # Free residuals remembered for the status, about the swings of the last ten seconds.
 STATUS_TICKS: Final = 256
 
@@ -97,32 +92,24 @@ class ContactLearner:
         self._known = self._choose(baseline)
         self._origin = None if baseline is None else baseline.origin
         self._guard = StreamGuard(len(self.leg.joints))
-        self._phase = None if self.leg.lengths_m is None else PhaseTracker()
+        self._swing = SwingWatch(self.leg)
         self._state = ContactState()
         self._quantum = robot.quantum(leg)
         self._rejects: Counter[Reject] = Counter()
         self._counts: Counter[str] = Counter()
         self._recent: deque[Array] = deque(maxlen=STATUS_TICKS)
         self._t_ns = 0
-        self._swing_ticks = 0  # samples since this swing began, 0 in stance
         self._command: list[float] = [0.0] * len(self.leg.joints)  # in force, and before it
         self._command_before = self._command
-        self._height = 0.0
-        self._rising = False
         self._last_region = 0
         self._period_ns = round(robot.period_s * 1e9)
-        self._axes = self.leg.joint_axes
-        self._direction = Direction.DESCENT
         self._where = 0
         self.tracker: Tracker | None = None
         self.thresholds: Array | None = None
         self._book = SwingBook()
         self._follower: Follower | None = None
         self._unit: Array | float = 1.0  # variance of this tick's residual over the baseline's
-        self._rising_foot = False
-        self._measured_height = 0.0
         self._swing_open = False
-        self._lowest = self._commanded_top = self._measured_rise = 0.0
         self._cold: ColdStart | None = None
         self._cold_job: int | None = None
         if self._known is not None:
@@ -177,7 +164,7 @@ class ContactLearner:
     def status(self) -> LearnerStatus:
         """How the learner is."""
         joints = len(self.leg.joints)
-        floor = [0.0] * joints if self._known is None else self._known.noise.rms.tolist()
+        follower = self._follower
         recent = np.array(self._recent)
         rms = np.sqrt(np.square(recent).mean(axis=0)).tolist() if len(recent) else [0.0] * joints
         return LearnerStatus(
@@ -186,10 +173,10 @@ class ContactLearner:
             status=self._status,
             model_version=self._version,
             residual_rms=rms,
-            noise_floor=floor,
-            buffer=BufferCounts() if self._follower is None else self._follower.buffer.counts,
-            drift=DriftLevel() if self._follower is None else self._follower.drift,
-            refits=RefitCounts() if self._follower is None else self._follower.refits,
+            noise_floor=[0.0] * joints if self._known is None else self._known.noise.rms.tolist(),
+            buffer=BufferCounts() if follower is None else follower.buffer.counts,
+            drift=DriftLevel() if follower is None else follower.drift,
+            refits=RefitCounts() if follower is None else follower.refits,
             ticks=self._counts["ticks"],
             rejects={str(reason): n for reason, n in sorted(self._rejects.items())},
             missed=self._guard.missed,
@@ -201,23 +188,9 @@ class ContactLearner:
     @property
     def model_report(self) -> ModelReport | None:
         """The model in terms and equations, or None while there is none."""
-        if self._known is None:
+        if self._follower is None or self.thresholds is None:
             return None
-        assert self._follower is not None
-        model = self._follower.model
-        joints = range(len(self.leg.joints))
-        terms = [[ModelTerm(name=n, coefficient=c) for n, c in model.terms(j)] for j in joints]
-        assert self.thresholds is not None
-        return ModelReport(
-            leg=self.leg.id,
-            model_version=model.version,
-            joints=list(self.leg.joints),
-            terms=terms,
-            equations=model.equations(),
-            library=model.library.name,
-            threshold=float(self.thresholds[0]),
-            origin=self._origin,
-        )
+        return report_of(self.leg, self._follower.model, float(self.thresholds[0]), self._origin)
 
     def snapshot(self) -> dict[str, Any] | None:
         """What has been learned, as a tree that msgpack can write; None without a model."""
@@ -278,7 +251,7 @@ class ContactLearner:
             self._cold.add(
                 sample.measured,
                 sample.desired,
-                swing=self._swing_ticks > 0,
+                swing=self._swing.ticks > 0,
                 sound=sample.valid is None or all(sample.valid),
             )
         return True
@@ -290,16 +263,11 @@ class ContactLearner:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
         self._where = context_of(
-            self._command, self._command_before, self._direction, self._quantum
+            self._command, self._command_before, self._swing.direction, self._quantum
         )
         judged = tracker.observe(sample.measured, sample.valid)
-        if self.leg.lengths_m is not None:
-            now = height(sample.measured, self.leg.lengths_m, self._axes)
-            self._rising_foot = now > self._measured_height
-            self._measured_height = now
-            self._measured_rise = max(self._measured_rise, now - self._lowest)
-            self._commanded_top = max(self._commanded_top, self._height)
-        judged = judged and self._swing_ticks > 1
+        self._swing.observe(sample)
+        judged = judged and self._swing.ticks > 1
         if judged and self._follower is not None and tracker.theta is not None:
             self._unit = self._follower.variance(tracker.theta) * tracker.inflation
         return judged
@@ -322,7 +290,7 @@ class ContactLearner:
             verdict.distance / float(self.thresholds[0]),
             sample.t_ns,
             onset_ns,
-            descending=self._descending,
+            descending=self._swing.descending,
         )
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
@@ -339,8 +307,7 @@ class ContactLearner:
     def command(self, sample: ServoSample) -> bool:
         """Take in the command written after the reading; True if a prediction can be made."""
         self._command_before, self._command = self._command, sample.desired
-        if self.leg.lengths_m is not None:
-            self._direction = Direction.LIFT if self._rising else Direction.DESCENT
+        self._swing.command()
         if self.tracker is None:
             return False
         preview = None if sample.preview is None else np.array(sample.preview)
@@ -412,11 +379,11 @@ class ContactLearner:
         # The model's own doubt is part of the unit; the followed level is not.
         level = distance * follower.level_in_force / len(target)
         free = calm and not self._state.contact
-        row = Row(tracker.last_theta, target, level, sample.t_ns, self._rising_foot, free)
+        row = Row(tracker.last_theta, target, level, sample.t_ns, self._swing.rising, free)
         if follower.mode is LearnerMode.UNGATED:
             follower.learn_now(row)
             return
-        self._book.add(row, self._swing_ticks, descending=self._descending)
+        self._book.add(row, self._swing.ticks, descending=self._swing.descending)
         lift = self._book.take_lift()
         if lift is not None:
             follower.lift(lift, self._region(sample), sample.t_ns)
@@ -438,22 +405,19 @@ class ContactLearner:
             return
         self._swing_open = False
         self._confirm(self._book.resolve())
-        # From where the foot was: after a touch it starts higher than its command.
-        wanted = self._commanded_top - self._lowest
-        if wanted > LEAST_RISE_M:
-            self._follower.foot_held(self._measured_rise < HELD_SHARE * wanted)
+        held = self._swing.held
+        if held is not None:
+            self._follower.foot_held(held)
         self._follower.swing_done()
 
     def _connect(self, result: Accepted, sample: ServoSample) -> None:
         tracker = self.tracker
         if result.restart:
             self._state.reset()
-            self._swing_ticks = 0
+            self._swing.restart()
             self._swing_open = False
             self._book.discard()
             self._command = self._command_before = sample.desired
-            if self._phase is not None:
-                self._phase = PhaseTracker()
             if tracker is not None:
                 tracker.restart()
         elif result.missed and tracker is not None:
@@ -464,41 +428,17 @@ class ContactLearner:
                 self._book.discard()
 
     def _follow_phase(self, sample: ServoSample) -> None:
-        phase: Phase | None = None
-        if self._phase is not None:
-            assert self.leg.lengths_m is not None
-            now = height(sample.desired, self.leg.lengths_m, self._axes)
-            self._rising = now > self._height
-            self._height = now
-            phase = self._phase.update(now)
-        if sample.phase is not None:
-            phase = sample.phase
-        if phase is None:
-            self._counts["no_phase"] += 1
-        if phase != "swing":
-            self._swing_ticks = 0
+        self._swing.follow(sample)
+        if self._swing.ticks == 0:
             self._resolve()
-            return
-        self._swing_ticks += 1
-        if self._swing_ticks == 1:
-            self._resolve()
+        elif self._swing.ticks == 1:
             self._swing_open = True
-            self._lowest = self._measured_height
-            self._commanded_top = self._height
-            self._measured_rise = 0.0
             self._book.begin(sample.t_ns)
             if self._follower is not None:
                 self._follower.begin_swing()
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()
-
-    @property
-    def _descending(self) -> bool:
-        """Whether the command in force is past the lift; without geometry, the time says so."""
-        if self.leg.lengths_m is None:
-            return self._swing_ticks > 2 * LIFT_OFF_TICKS
-        return self._direction is Direction.DESCENT and self._swing_ticks > LIFT_OFF_TICKS
 
     def _onset(self, sample: ServoSample, width: int) -> int:
         tracker = self.tracker
@@ -545,7 +485,7 @@ class ContactLearner:
         """What stops this leg from being judged, for a person."""
         if self._follower is not None and self._follower.note is not None:
             return self._follower.note
-        if self._counts["no_phase"] and self._phase is None:
+        if self._swing.untold and self._swing.blind:
             return (
                 "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
                 "contacts are not reported"

@@ -102,10 +102,17 @@ class LegFigures:
 
 @dataclasses.dataclass(frozen=True)
 class Training:
-    """A learned baseline and how good it is."""
+    """A learned baseline and how good it is.
+
+    Attributes:
+        baseline: of the legs that could be learned.
+        figures: by leg.
+        skipped: legs that were recorded but could not be learned, and why.
+    """
 
     baseline: Baseline
     figures: dict[str, LegFigures]
+    skipped: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,10 +153,11 @@ def learn(
         The baseline with its figures.
 
     Raises:
-        IdentificationError: there is too little to learn from, in one line per cause.
+        IdentificationError: no leg has enough to learn from.
     """
     legs: dict[str, LegBaseline] = {}
     figures: dict[str, LegFigures] = {}
+    skipped: dict[str, str] = {}
     statistics: list[Array] = []
     for leg in robot.legs:
         stretches = streams.get(leg.id)
@@ -157,18 +165,23 @@ def learn(
             continue
         progress(leg.id)
         terms = leg_library(robot, leg, library, window)
-        legs[leg.id], figures[leg.id], values = learn_leg(
-            leg, terms, stretches, robot.quantum(leg.id), threshold
-        )
+        try:
+            legs[leg.id], figures[leg.id], values = learn_leg(
+                leg, terms, stretches, robot.quantum(leg.id), threshold
+            )
+        except IdentificationError as error:  # a leg that only stood, perhaps
+            skipped[leg.id] = str(error)
+            continue
         statistics.append(values)
     if not legs:
         raise IdentificationError(
-            f"no leg has samples; expected robot/leg/*/servo of the legs {', '.join(robot.leg_ids)}"
+            "; ".join(skipped.values())
+            or f"no leg has samples; expected robot/leg/*/servo of {', '.join(robot.leg_ids)}"
         )
     pooled = np.concatenate(statistics)
     tails = tuple(fit_tail(pooled[:, w]) for w in range(len(WINDOWS)))
     baseline = Baseline(robot.name, origin, robot.quantum_rad, legs, tails)
-    return Training(baseline, figures)
+    return Training(baseline, figures, skipped)
 
 
 def learn_leg(

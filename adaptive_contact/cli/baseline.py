@@ -23,6 +23,8 @@ def baseline(
     json: JsonOption = False,
 ) -> None:
     """Record the simulated robot and learn its baseline; the result depends on no clock."""
+    from threadpoolctl import threadpool_limits
+
     from adaptive_contact.adapt import save_baseline
     from adaptive_contact.cli.fit import print_training
     from adaptive_contact.robot import shipped_robot
@@ -31,9 +33,10 @@ def baseline(
         from adaptive_contact_sim.training import learn_shipped
 
     robot = shipped_robot()
-    training = learn_shipped(
-        robot, processes=processes, progress=lambda line: typer.echo(line, err=True)
-    )
+    with threadpool_limits(1):
+        training = learn_shipped(
+            robot, processes=processes, progress=lambda line: typer.echo(line, err=True)
+        )
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
     typer.echo(f"baseline written to {out}", err=True)

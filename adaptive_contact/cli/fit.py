@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
 
 __all__ = ["fit", "print_training"]
+
+# Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
+MANY_TICKS: Final = 20_000
 
 
 def fit(
@@ -55,20 +58,32 @@ def fit(
     json: JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and print its equations."""
+    from threadpoolctl import threadpool_limits
+
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.training import learn
     from adaptive_contact.robot import load_robot, shipped_robot
 
     robot = shipped_robot() if config is None else load_robot(config)
     gathered = _gather(recordings, robot)
-    training = learn(
-        robot,
-        {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples},
-        origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
-        library=library,
-        threshold=threshold,
-        progress=lambda leg: typer.echo(f"fitting leg {leg}", err=True),
-    )
+    with threadpool_limits(1):  # matrices this small only wait for each other in threads
+        training = learn(
+            robot,
+            {leg: legs.stretches(free=free) for leg, legs in gathered.items() if legs.samples},
+            origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
+            library=library,
+            threshold=threshold,
+            progress=lambda leg: typer.echo(f"fitting leg {leg}", err=True),
+        )
+    for reason in training.skipped.values():
+        typer.echo(f"adaptive-contact: left out: {reason}", err=True)
+    ticks = min(tail.ticks for tail in training.baseline.tails)
+    if ticks < MANY_TICKS:
+        typer.echo(
+            f"adaptive-contact: the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
+            "they are cautious, and soft contacts will be missed; record more swings",
+            err=True,
+        )
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
     typer.echo(f"baseline written to {out}", err=True)

@@ -29,6 +29,7 @@ app = typer.Typer(
 
 # Command -> module with a function of the same name; order is the help's.
 _COMMANDS: Final = (
+    "demo",
     "serve",
     "watch",
     "doctor",

@@ -110,9 +110,7 @@ class Library:
         if self.name == "servo":
             return self._servo(measured, desired, preview)
         lead = measured.shape[:-2]
-        columns = np.concatenate(
-            [part.reshape(*lead, -1) for part in (measured, desired, preview)], axis=-1
-        )
+        columns = np.concatenate([_flat(part) for part in (measured, desired, preview)], axis=-1)
         one = np.ones((*lead, 1))
         if self.name == "linear":
             return np.concatenate([one, columns], axis=-1)
@@ -166,11 +164,11 @@ class Library:
         parts = [
             np.ones((*lead, 1)),
             position,
-            velocity.reshape(*lead, -1),
+            _flat(velocity),
             error[..., 0, :],
-            slew.reshape(*lead, -1),
-            np.clip(error, -1.0, 1.0).reshape(*lead, -1),
-            np.clip(left, -1.0, 1.0).reshape(*lead, -1),
+            _flat(slew),
+            _flat(np.clip(error, -1.0, 1.0)),
+            _flat(np.clip(left, -1.0, 1.0)),
         ]
         parts += [np.clip(error[..., 0, :] / f, -1.0, 1.0) for f in SLOPE_FACTORS[1:]]
         if velocity.shape[-2]:
@@ -178,7 +176,7 @@ class Library:
         angles = np.cumsum(position * self._pitch, axis=-1)[..., self._pitch > 0]
         parts += [np.cos(angles), np.sin(angles)]
         if preview.shape[-2]:
-            parts.append((preview - desired[..., :1, :]).reshape(*lead, -1))
+            parts.append(_flat(preview - desired[..., :1, :]))
         return np.concatenate(parts, axis=-1)
 
     def _servo_names(self) -> list[str]:
@@ -211,6 +209,12 @@ def leg_library(
         slope_rad=robot.servo.slope_rad,
         period_s=robot.period_s,
     )
+
+
+def _flat(values: Array) -> Array:
+    """(..., m, J) to (..., m J); -1 would not do for no rows at all."""
+    *lead, depth, joints = values.shape
+    return values.reshape(*lead, depth * joints)
 
 
 def _at(offset: int) -> str:

@@ -237,6 +237,15 @@ def _about_service(heard: Examination, alive: bool) -> list[Finding]:
     ]
     if service.note is not None:
         found.append(Finding("error", None, f"the service says: {service.note}", "as it says"))
+    found += [
+        Finding(
+            "note",
+            None,
+            f"learned state was refused: {line}",
+            "the leg started from its baseline; `adaptive-contact state show` lists what there is",
+        )
+        for line in ([] if service.state is None else service.state.refused)
+    ]
     counts: list[tuple[Level, int, str, str]] = [
         (
             "error",

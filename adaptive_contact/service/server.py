@@ -22,10 +22,10 @@ from adaptive_contact.service.link import Link, Request
 from adaptive_contact.service.meters import Brake, Latency
 from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.ports import Bank, Question
-from adaptive_contact.service.rivals import Rivals
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.service.surroundings import Surroundings
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import ALL_SERVO, Reject, Rejected, ServoSample, model_key
 
@@ -36,7 +36,6 @@ _log = structlog.get_logger()
 # How often each status is looked at for a change, and the longest a stop goes unnoticed.
 _LOOK_NS: Final = 100_000_000
 _SERVICE_STATUS_NS: Final = 1_000_000_000
-_ROUTER_LOOK_NS: Final = 1_000_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
 # A snapshot takes milliseconds: it waits for a pause between two control ticks, though not for
 # ever where there is none.
@@ -85,15 +84,13 @@ class Service:
         self._to_save: deque[tuple[int, Desk]] = deque()
         self._outbox = Outbox()
         self._beats = 0
-        self._note: str | None = None
         self._watchdog = Watchdog(
             lambda: self._beats, self._outbox.busy_ns, on_stall=self._stalled, on_end=give_up
         )
-        self._rivals = Rivals(link)
+        self._surroundings = Surroundings(link, now_ns)
         self._status = link.publisher(SERVICE_STATUS, history=1)
-        self._look_ns = self._status_ns = self._router_ns = now_ns
+        self._look_ns = self._status_ns = now_ns
         self._latency_ns = now_ns + _LATENCY_LOG_NS
-        self._connected = True
         self._visited = 0
         for leg in robot.leg_ids:
             self._desk(leg, now_ns)
@@ -157,13 +154,10 @@ class Service:
             self._look_at(self._visited, now_ns)
             self._visited = (self._visited + 1) % len(self._desks)
         self._look_ns = max(self._look_ns, now_ns)
+        self._surroundings.look(now_ns)
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
-            self._look_at_rivals(now_ns)
             self._status.put(self.status(now_ns))
-        if now_ns >= self._router_ns:
-            self._router_ns = now_ns + _ROUTER_LOOK_NS
-            self._look_at_router(now_ns)
         if now_ns >= self._latency_ns:
             self._latency_ns = now_ns + _LATENCY_LOG_NS
             self.log_figures()
@@ -175,8 +169,8 @@ class Service:
         state = None if self._keeper is None else self._keeper.facts
         failing = None if state is None or state.error is None else f"state: {state.error}"
         return ServiceStatus(
-            instance=self._rivals.instance,
-            note="; ".join(filter(None, (self._note, failing))) or None,
+            instance=self._surroundings.instance,
+            note="; ".join(filter(None, (self._surroundings.note, failing))) or None,
             events_lost=self._outbox.lost,
             slow_puts=self._outbox.slow,
             stalls=self._watchdog.stalls,
@@ -293,15 +287,9 @@ class Service:
         if all(desk is not waiting for _, waiting in self._to_save):
             self._to_save.append((now_ns, desk))
 
-    def _look_at_rivals(self, now_ns: int) -> None:
-        note = self._rivals.note(now_ns)
-        if note is not None and self._brake.passes("rival", now_ns) is not None:
-            _log.warning("not alone", why=note)
-        self._note = note
-
     def _stalled(self, for_s: float) -> None:
         """Say on the watchdog's thread what the worker cannot say."""
-        self._note = f"the worker has stood still for {for_s:.1f} s"
+        self._surroundings.note = f"the worker has stood still for {for_s:.1f} s"
         self._status.put(self.status(time.monotonic_ns()))
 
     def _end(self, now_ns: int) -> None:
@@ -338,16 +326,6 @@ class Service:
         stands_for = self._brake.passes((what, reason, facts.get("leg")), now_ns, times)
         if stands_for is not None:
             _log.warning(what, reason=reason.value, times=stands_for, **facts)
-
-    def _look_at_router(self, now_ns: int) -> None:
-        connected = self._link.is_connected()
-        if connected and not self._connected:
-            _log.info("router is back")
-        if not connected:
-            stands_for = self._brake.passes("router", now_ns)
-            if self._connected or stands_for is not None:
-                _log.warning("router lost, reconnecting", why=self._link.diagnose().line)
-        self._connected = connected
 
 
 def version() -> str:

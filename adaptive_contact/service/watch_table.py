@@ -56,6 +56,8 @@ def headline(view: View) -> Text:
         line.append(f"  {service.callback_faults} callback faults", style="bold red")
     if service.note is not None:
         line.append(f"\n{service.note}", style="bold red")
+    for refused in [] if service.state is None else service.state.refused:
+        line.append(f"\nstate refused: {refused}", style="yellow")
     return line
 
 

@@ -46,14 +46,14 @@ def write_arm(path: Path, motions: int = 6, n: int = 900) -> None:
 def write_pendulum(path: Path, gain: int, seed: int, torque: bool = True) -> None:
     rng = np.random.default_rng(seed)
     goal, position = servo(rng, 350, joints=1)
-    fine = np.arange(0.0, 6.8, 0.0053) + rng.uniform(0, 0.0003, size=1283)
+    fine = np.cumsum(rng.uniform(0.0051, 0.0055, size=1280))
     grid = np.arange(350) * 0.02
     entries = [
         {
             "timestamp": float(t),
             "goal_position": float(goal[min(int(t / 0.02), 349), 0]),
             "position": float(np.interp(t, grid, position[:, 0])) + 2 * np.pi * (t > 3.0),
-            "torque_enable": torque or t < 5.0,
+            "torque_enable": torque or bool(t < 5.0),
         }
         for t in fine
     ]
@@ -61,7 +61,7 @@ def write_pendulum(path: Path, gain: int, seed: int, torque: bool = True) -> Non
 
 
 def test_both_formats_are_fitted_and_tabled(tmp_path: Path) -> None:
-    write_arm(tmp_path / "arm.npz")
+    write_arm(tmp_path / "arm.npz", n=5600)
     for gain in (100, 200):
         for run in range(3):
             write_pendulum(tmp_path / f"p{gain}{run}.json", gain, run, torque=run > 0)
@@ -109,6 +109,7 @@ def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
         "shapes.npz", "nan.npz",
     }  # fmt: skip
     tree = run_logs(tmp_path)
+    assert tree["recordings"] == 3
     assert "expected at least" in tree["arms"][0]["unseen motions"]["status"]
 
 

@@ -23,7 +23,7 @@ SMALL = dataclasses.replace(
     free_s={"descent": 4.0},
     stand_s={"descent": 2.0},
     touch_s={"hard": 4.0},
-    tune_touch_s=2.0,
+    tune_touch_s={"hard": 2.0},
 )
 ROLES = ("train", "tune", "free", "stand", "touch")
 

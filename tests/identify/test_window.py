@@ -54,6 +54,13 @@ def test_every_column_has_a_name_of_its_own(name: str, joints: int, window: Wind
     )
 
 
+@pytest.mark.parametrize("name", ["servo", "paper", "linear"])
+def test_no_rows_at_all(name: str) -> None:
+    library = Library(name, ("a", "b"), ("yaw", "pitch"))  # type: ignore[arg-type]
+    empty = np.empty((0, 4, 2))
+    assert library.evaluate(empty, empty, empty[:, :0]).shape == (0, library.size)
+
+
 def test_the_papers_library_is_equation_8() -> None:
     library = Library("paper", ("a", "b", "c"), ("yaw", "pitch", "pitch"), Window(2, 2, 1))
     variables = 3 * (3 + 3 + 1)

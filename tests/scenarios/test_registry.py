@@ -100,7 +100,7 @@ def test_phases_and_marks_fit_their_recordings() -> None:
         for recording in scenario.recordings:
             assert ends == pytest.approx(recording.seconds), scenario.name
         for before, after in zip(scenario.phases, scenario.phases[1:], strict=False):
-            assert before.to_s == after.from_s
+            assert before.to_s <= after.from_s
         assert set(scenario.judged) <= {phase.name for phase in scenario.phases}
         assert all(0.0 <= mark.at_s < ends for mark in scenario.marks)
         assert {Variant.FROZEN, Variant.FULL} <= set(scenario.variants) <= set(ALL_VARIANTS)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import View, Watch
 from adaptive_contact.service.watch_table import headline, table
@@ -258,7 +259,17 @@ def test_the_command_over_zenoh(
 
 def test_what_the_service_says_of_itself_is_over_the_table() -> None:
     watch = Watch()
-    watch.service(service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1))
+    kept = StateFacts(
+        folder="/x", restored=[], refused=["rf.state: damaged"], saved=1, failed=0, error=None
+    )
+    told = service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1, state=kept)
+    watch.service(told)
     text = drawn(watch.view(0))
-    for part in ("state: disk full", "3 events lost", "2 events held up", "stood still 1 times"):
+    for part in (
+        "state refused: rf.state: damaged",
+        "state: disk full",
+        "3 events lost",
+        "2 events held up",
+        "stood still 1 times",
+    ):
         assert part in text

@@ -53,7 +53,7 @@ PAPER_LAMBDA: Final = 5.0
 TOLERANCE: Final = 1.005
 FOLDS: Final = 5
 # Our own sweep, in units of the residual.
-OUR_LAMBDAS: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
+OUR_LAMBDAS: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 # Conventions in which a λ can be meant: unit of angles, whether columns are normalised, N, N', M.
 CONVENTIONS: Final = (
     ("rad", False, PAPER_WINDOW),

@@ -175,6 +175,7 @@ def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, 
         library = _library(name, joints, slope)
         factors = [_factor(library, [r]) for r in parts]
         held, over, ticks, terms = [], 0, 0, []
+        reason: str | None = None
         for fold in range(FOLDS):
             tested = [r for i, r in enumerate(parts) if i % FOLDS == fold]
             tuning = [i for i in range(len(parts)) if i % FOLDS == (fold + 1) % FOLDS]
@@ -189,8 +190,11 @@ def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, 
             terms.append(np.count_nonzero(coefficients, axis=0))
             held += [_residual(library, coefficients, r) for r in tested]
             if name == "servo" and status == "ok":
-                counted = _alarms(library, coefficients, [parts[i] for i in tuning], tested)
-                over, ticks = over + counted[0], ticks + counted[1]
+                try:
+                    counted = _alarms(library, coefficients, [parts[i] for i in tuning], tested)
+                    over, ticks = over + counted[0], ticks + counted[1]
+                except IdentificationError as error:
+                    reason = str(error)
         out["rms_deg"][name] = _rms_deg(held)
         out["terms"][name] = {"size": library.size, "kept": np.mean(terms, axis=0).tolist()}
         if name == "servo":
@@ -200,6 +204,7 @@ def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, 
                 "per_hour": over / (ticks / ROBOT_HOUR_TICKS) if ticks else None,
                 "aim_per_hour": _AIM_PER_HOUR,
                 "expected": _AIM_PER_HOUR * ticks / ROBOT_HOUR_TICKS,
+                "reason": reason,
             }
     return out
 
@@ -239,20 +244,22 @@ def _motion(recording: Recording) -> Motion:
 def _alarms(
     library: Library, coefficients: Array, tuned: Sequence[Recording], tested: Sequence[Recording]
 ) -> tuple[int, int]:
-    """Events on free motions, at the threshold that tuning motions set, and judged ticks."""
+    """Events on free motions, at the threshold that tuning motions set, and judged ticks.
+
+    Raises:
+        IdentificationError: the tuning motions are too short for a threshold.
+    """
     motions = [_motion(r) for r in tuned]
     predicted = [_prediction(library, coefficients, r) for r in tuned]
     joined = Motion(*(np.concatenate(p) for p in zip(*motions, strict=True)))
     told = Prediction(*(np.concatenate(p) for p in zip(*predicted, strict=True)))
-    try:
-        noise = learn_noise(joined, told, joined.judged, _QUANTUM_RAD)
-        statistics = [
+    noise = learn_noise(joined, told, joined.judged, _QUANTUM_RAD)
+    calibration = calibrate(
+        [
             likelihood_ratio(m, p, noise, _QUANTUM_RAD)[m.judged]
             for m, p in zip(motions, predicted, strict=True)
         ]
-        calibration = calibrate(statistics)
-    except IdentificationError:
-        return 0, 0
+    )
     over = ticks = 0
     for recording in tested:
         motion = _motion(recording)

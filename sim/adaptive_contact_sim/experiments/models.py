@@ -183,7 +183,7 @@ def _streams(store: Store, pieces: Sequence[Piece], robot_seed: int) -> dict[str
 def _tune(store: Store, plan: Plan, robot: Robot, models: dict[str, LegModels]) -> dict[str, Any]:
     """Choose everything that is chosen on tuning streams, as a tree."""
     streams = [load(store, piece) for piece in plan.pieces("tune")]
-    free = [s for s in streams if s.piece.kind != "hard"]
+    free = [s for s in streams if s.piece.kind not in plan.tune_touch_s]
     some = free[:: max(1, len(free) // _GAIN_STREAMS)]
     pairs = [(s.measured, s.desired) for s in some]
     masks = [s.swing for s in some]
@@ -195,8 +195,8 @@ def _tune(store: Store, plan: Plan, robot: Robot, models: dict[str, LegModels]) 
         "positions only": _analytical_rms(leg, pairs, masks, Gains(np.ones(3), None)),
     }
     evidence = evidence_of(robot, streams, models, gains)
-    touch = [e for e in evidence if e.stream.piece.kind == "hard"]
-    quiet = [e for e in evidence if e.stream.piece.kind != "hard"]
+    touch = [e for e in evidence if e.stream.piece.kind in plan.tune_touch_s]
+    quiet = [e for e in evidence if e.stream.piece.kind not in plan.tune_touch_s]
     bench = tune_bench(robot, quiet, touch, robot.detector.false_alarms_per_hour)
     return {
         "gains": {"angle": gains.angle, "speed": gains.speed},

@@ -111,7 +111,7 @@ class Plan:
         free_s: reported free motion by kind, s, of every robot hung up by its body.
         stand_s: the same per leg-run, standing on five legs.
         touch_s: reported collisions per leg-run by kind, s.
-        tune_touch_s: collisions per leg-run on which baselines choose their settings.
+        tune_touch_s: collisions per leg-run by kind, s, on which baselines choose their settings.
         collisions: how many are drawn in detail (Figure 5).
     """
 
@@ -127,7 +127,7 @@ class Plan:
     free_s: dict[str, float]
     stand_s: dict[str, float]
     touch_s: dict[str, float]
-    tune_touch_s: float
+    tune_touch_s: dict[str, float]
     collisions: int = 10
     seed: int = 0
 
@@ -191,7 +191,7 @@ class Plan:
         if role == "train":
             return self.train_s
         if role == "tune":
-            return self.tune_s | {"hard": self.tune_touch_s}
+            return self.tune_s | self.tune_touch_s
         return self.stand_s if role == "stand" else self.touch_s
 
 
@@ -245,7 +245,7 @@ FULL: Final = Plan(
     free_s={"descent": 3700.0, "slow": 800.0, "forward": 800.0},
     stand_s={"descent": 210.0, "slow": 50.0, "forward": 50.0},
     touch_s=_TOUCH_S,
-    tune_touch_s=40.0,
+    tune_touch_s={"hard": 40.0, "hard forward": 20.0},
 )
 QUICK: Final = Plan(
     name="quick",
@@ -260,5 +260,5 @@ QUICK: Final = Plan(
     free_s={"descent": 240.0, "slow": 60.0, "forward": 60.0},
     stand_s={"descent": 60.0, "slow": 20.0, "forward": 20.0},
     touch_s={kind: 0.6 * seconds for kind, seconds in _TOUCH_S.items()},
-    tune_touch_s=40.0,
+    tune_touch_s={"hard": 40.0, "hard forward": 20.0},
 )

@@ -131,7 +131,8 @@ class _Runner:
             "leg": train.leg,
             "segments": [self.plan.train_segments, self.plan.test_segments],
             "ticks": [len(train.swing), len(test.swing)],
-            "touches": len(train.arrays.onsets) + len(test.arrays.onsets),
+            # At time 0 the leg stands: that is where it comes from, no touch.
+            "touches": sum(o.t_ns > 0 for s in (train, test) for o in s.arrays.onsets),
         }
 
     def identification(self) -> Any:

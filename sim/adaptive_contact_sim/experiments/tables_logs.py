@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from adaptive_contact_sim.experiments.tables_format import (
     Section,
@@ -14,6 +14,15 @@ from adaptive_contact_sim.experiments.tables_format import (
 )
 
 __all__ = ["logs_sections"]
+
+_FORMATS: Final = (
+    "`adaptive-contact experiment logs PATH` does the same for recordings of your own: `.npz` "
+    "files with `MOTION/t` (s), `MOTION/goal` and `MOTION/pos` (rows, joints; rad) for every "
+    "motion, or `.json` files with `kp`, `trajectory` and `entries`, each with `timestamp` (s), "
+    "`goal_position`, `position` (rad) and `torque_enable`. The recordings used here are public: "
+    "github.com/isaac-sim2real/sage (`output/real/so101`) and github.com/Rhoban/bam (branch xl330, "
+    "`bam/data.bak/raw`)."
+)
 
 
 def logs_sections(data: Any) -> list[Section]:
@@ -55,6 +64,7 @@ def logs_sections(data: Any) -> list[Section]:
                 f"{arm[protocol]['false_alarms']['ticks']:,}",
                 number(arm[protocol]["false_alarms"]["expected"], 1),
                 number(arm[protocol]["false_alarms"]["per_hour"], 1),
+                arm[protocol]["false_alarms"]["reason"] or "",
             ]
             for protocol in ("unseen motions", "unseen moments")
             if "false_alarms" in arm[protocol]
@@ -62,7 +72,7 @@ def logs_sections(data: Any) -> list[Section]:
         tables.append(
             Table(
                 "False alarms of the servo law's likelihood ratio at an aim of 1 per hour",
-                ["held out", "events", "ticks", "expected", "per robot-hour"],
+                ["held out", "events", "ticks", "expected", "per robot-hour", "left out"],
                 alarms,
             )
         )
@@ -73,6 +83,8 @@ def logs_sections(data: Any) -> list[Section]:
         f"{data['recordings']} recordings from `{data['path']}`. Nothing here was simulated. "
         "'Unseen motions' holds out whole kinds of motion, 'unseen moments' blocks of ten seconds."
         + skipped(data["skipped"])
+        + " "
+        + _FORMATS
     )
     return [Section("Real servos", text, tables, [])]
 

@@ -136,8 +136,8 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
             for run, spec in enumerate(pose_runs(sizes, washed_s))
         ),
         phases=(
-            Phase("before", 0.0, at_s),
-            Phase("muddy", at_s, off_s),
+            Phase("before", 0.0, at_s - POSE_SWING_S),
+            Phase("muddy", at_s, off_s - POSE_SWING_S),
             Phase("washed", off_s, washed_s),
         ),
         judged=("muddy", "washed"),

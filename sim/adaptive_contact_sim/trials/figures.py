@@ -137,6 +137,7 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         f"lock_outs_over_{LOCK_OUT_SWINGS}": sum(n > LOCK_OUT_SWINGS for n in lock_outs),
         "confirmed_ticks": confirmed,
         "touching_ticks_confirmed": touched,
+        "touching_since_before": sum(one.touched_before for one in judged),
         "touching_share": touched / confirmed if confirmed else None,
         "ever_doubted": sum(one.doubted for one in judged),
     }

@@ -9,7 +9,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.score import LegOutcome, LegStream, SwingTable, match, swings_to_recovery
+from adaptive_contact.score import (
+    LegOutcome,
+    LegStream,
+    SwingTable,
+    contacts_of,
+    match,
+    swings_to_recovery,
+)
 from adaptive_contact_sim.trials.replay import STATUSES, LegReplay, SwingLog
 from adaptive_contact_sim.trials.spec import Mark, Scenario
 
@@ -43,6 +50,7 @@ class Judged:
         lock_out: longest run of swings lost, from the first mark on.
         confirmed: ticks it took for free.
         touched: those of them on which the leg touched something.
+        touched_before: those of these that began in touch, not with the touch itself.
         until_valid: swings until it called itself valid, None where it did not.
         valid_ns: when it did.
         doubted: whether it ever called itself anything else.
@@ -53,6 +61,7 @@ class Judged:
     lock_out: int
     confirmed: int
     touched: int
+    touched_before: int
     until_valid: int | None
     valid_ns: int | None
     doubted: bool
@@ -62,7 +71,8 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
     """Judge what a learner made of a leg-run."""
     outcome = match(stream, replayed.events)
     marks = scenario.marks
-    ends = [mark.at_s for mark in marks[1:]] + [np.inf]
+    # Each mark's time ends with the next one; there may be none.
+    ends = [*(mark.at_s for mark in marks[1:]), np.inf][: len(marks)]
     recovery = {
         mark.name: _recovery(outcome, mark, end, mixed=scenario.mixed)
         for mark, end in zip(marks, ends, strict=True)
@@ -75,6 +85,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
         lock_out=longest_lock_out(within(outcome, first_s, np.inf).swings),
         confirmed=replayed.confirmed,
         touched=len(replayed.touched_ns),
+        touched_before=_touched_before(stream, replayed),
         until_valid=until,
         valid_ns=valid_ns,
         doubted=bool(np.any(replayed.log.status != _VALID)),
@@ -122,8 +133,21 @@ def _recovery(outcome: LegOutcome, mark: Mark, end_s: float, *, mixed: bool) -> 
     swings = within(outcome, mark.at_s, end_s).swings
     # Where every swing ends in contact there are none without, and recovery cannot need them.
     needed = {} if mixed else {"least_of_a_kind": 0}
-    count = swings_to_recovery(swings, round(mark.at_s * 1e9), **needed)
-    return Recovery(count, int(np.sum(swings.false_alarms[:count])), len(swings.start_ns))
+    mark_ns = round(mark.at_s * 1e9)
+    count = swings_to_recovery(swings, mark_ns, **needed)
+    # By their own time: those of the swing that was under way at the mark are among them.
+    until_s = end_s if count is None else swings.start_ns[count] / 1e9
+    alarms = (outcome.alarms_ns >= mark_ns) & (outcome.alarms_ns < until_s * 1e9)
+    return Recovery(count, int(np.sum(alarms)), len(swings.start_ns))
+
+
+def _touched_before(stream: LegStream, replayed: LegReplay) -> int:
+    """Touching ticks taken for free whose contact held at the sample before, too."""
+    contacts = contacts_of(stream.truth, int(stream.t_ns[0]))
+    tick = np.searchsorted(stream.t_ns, replayed.touched_ns)
+    before = stream.t_ns[np.maximum(tick - 1, 0)]
+    begun = np.searchsorted(contacts.onset_ns, before, side="right")
+    return int(np.sum(begun > np.searchsorted(contacts.release_ns, before, side="right")))
 
 
 def _longest_run(lost: NDArray[np.bool_] | Sequence[bool]) -> int:

@@ -20,7 +20,7 @@ from adaptive_contact_sim.trials.learners import reference_baseline
 from adaptive_contact_sim.trials.recording import Recording, file_of, load
 from adaptive_contact_sim.trials.replay import STATUSES, LegReplay, load_replay, replay_file
 from adaptive_contact_sim.trials.runner import Folders
-from adaptive_contact_sim.trials.spec import Scenario, Variant
+from adaptive_contact_sim.trials.spec import Expect, Scenario, Variant
 
 __all__ = ["draw_page"]
 
@@ -215,7 +215,9 @@ def _status(ax: Any, full: LegReplay) -> None:
 
 def _legend(ax: Any) -> None:
     """Above the plot, at the right: nothing of it is hidden."""
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=len(ax.lines), borderpad=0.1)
+    small = 7 if max(len(str(line.get_label())) for line in ax.lines) > 12 else 8
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderpad": 0.1}
+    ax.legend(ncols=len(ax.lines), fontsize=small, columnspacing=1.4, **place)
 
 
 def _log(ax: Any) -> None:
@@ -237,20 +239,24 @@ def _moments(ax: Any, scenario: Scenario) -> None:
 def _all_leg_runs(ax: Any, judgement: Judgement) -> None:
     scenario = judgement.scenario
     count = len(judgement.leg_runs)
+    # A step is over at once and is counted in swings; what comes slowly is shown over time.
+    sudden = scenario.expect is not Expect.FOLLOW
+    marked = sudden and bool(scenario.marks) and scenario.marks[0].at_s > 0
     ax.set_title(f"All {count} leg-runs: swings with a missed touch or a false alarm")
     for variant, judged in judgement.variants.items():
         outcomes = [one.outcome for one in judged]
         wide = 2.0 if variant is Variant.FULL else 1.1
-        if scenario.marks and scenario.marks[0].at_s > 0:
+        if marked:
             x, share = _around_mark(outcomes, scenario.marks[0].at_s)
         else:
             x, share = _over_time(outcomes)
         ax.plot(x, 100.0 * share, color=COLOURS[variant], lw=wide, label=variant.value)
     _legend(ax)
-    if scenario.marks and scenario.marks[0].at_s > 0:
+    if marked:
         ax.axvline(0.0, color=INK, lw=0.8, ls=(0, (4, 3)))
         ax.set_xlabel(f"swings of the leg since '{scenario.marks[0].name}'")
     else:
+        _moments(ax, scenario)
         ax.set_xlabel("s")
     ax.set_ylabel("% of swings lost")
     ax.set_ylim(-2.0, 102.0)

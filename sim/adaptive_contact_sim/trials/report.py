@@ -224,6 +224,11 @@ def _scenario(name: str, tree: Tree, picture: bool) -> str:
             f"- after '{mark}': {recovery['recovered']} of {tree['leg_runs']} leg-runs recovered, "
             f"after {swings(recovery)} swings (median / p95)"
         )
+    if full["touching_ticks_confirmed"]:
+        lines.append(
+            f"- contact learned: {full['touching_ticks_confirmed']} of {full['confirmed_ticks']} "
+            f"ticks, {full['touching_since_before']} of them already in touch at the sample before"
+        )
     start = full.get("start")
     if start is not None:
         then = start["when_valid"]

@@ -15,6 +15,7 @@ from typing import Final
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import JOINTS, LEGS
+from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
@@ -41,6 +42,7 @@ __all__ = [
     "walk_run",
     "walk_runs",
     "without_drift",
+    "without_faults",
     "without_staging",
 ]
 
@@ -239,6 +241,11 @@ def without_staging(spec: RecordingSpec) -> RecordingSpec:
     return replace(spec, staging=Staging())
 
 
+def without_faults(spec: RecordingSpec) -> RecordingSpec:
+    """The recording with all readings coming; the noise is the same."""
+    return replace(spec, settings=replace(spec.settings, encoder=EncoderSettings()))
+
+
 def of_robot_0(spec: RecordingSpec) -> RecordingSpec:
     """The recording of the robot that the shipped baseline was learned on."""
     return replace(spec, settings=replace(spec.settings, robot_seed=0))
@@ -250,10 +257,13 @@ def minutes(seconds: float) -> str:
 
 
 def around(at_s: float, end_s: float, swing_s: float) -> tuple[Phase, ...]:
-    """Phases around a change: before, the swings on the way, and after."""
+    """Phases around a change: before, the swings on the way, and after.
+
+    The swing during which it happens belongs to none.
+    """
     settled = min(at_s + SETTLE_SWINGS * swing_s, end_s)
     return (
-        Phase("before", 0.0, at_s),
+        Phase("before", 0.0, at_s - swing_s),
         Phase("on the way", at_s, settled),
         Phase("after", settled, end_s),
     )

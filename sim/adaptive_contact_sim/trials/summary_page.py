@@ -17,7 +17,9 @@ Tree = dict[str, Any]
 _LEAST_MISSED: Final = 1e-3
 _LEAST_RATE: Final = 0.5
 _NEVER: Final = 400.0
-_ROW_IN: Final = 0.245
+_ROW_IN: Final = 0.27
+# Between the learners of a scenario, so that none hides another.
+_SPREAD: Final = 0.16
 
 
 def draw_summary(results: Tree, path: Path) -> None:
@@ -45,23 +47,24 @@ def draw_summary(results: Tree, path: Path) -> None:
     for row, name in enumerate(names):
         for variant, own in table[name]["variants"].items():
             kind = Variant(variant)
+            y = row + _SPREAD * (list(Variant).index(kind) - 2)
             large = kind is Variant.FULL
             style = {
                 "color": COLOURS[kind],
-                "ms": 7 if large else 4.5,
+                "ms": 6 if large else 4,
                 "zorder": 3 if large else 2,
             }
             judged = own["judged"]
             if judged["recall"] is not None:
                 missed = max(1.0 - judged["recall"], _LEAST_MISSED)
-                axes[0].plot(100.0 * missed, row, "o", **style)
+                axes[0].plot(100.0 * missed, y, "o", **style)
             if judged["per_robot_hour"] is not None:
-                axes[1].plot(max(judged["per_robot_hour"], _LEAST_RATE), row, "o", **style)
+                axes[1].plot(max(judged["per_robot_hour"], _LEAST_RATE), y, "o", **style)
             for recovery in list(own["recovery"].values())[:1]:
                 median, p95 = recovery["swings_median"], recovery["swings_p95"]
                 ends = [_NEVER if n is None else max(n, 0.5) for n in (median, p95)]
-                axes[2].plot(ends, [row, row], "-", color=COLOURS[kind], lw=1.0)
-                axes[2].plot(ends[0], row, "o", **style)
+                axes[2].plot(ends, [y, y], "-", color=COLOURS[kind], lw=1.0)
+                axes[2].plot(ends[0], y, "o", **style)
     titles = (
         "Touches missed, %",
         "False alarms per robot-hour",

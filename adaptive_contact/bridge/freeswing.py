@@ -1,0 +1,113 @@
+r"""Movements to learn a leg from: free swings between random poses, gentle at both ends.
+
+A leg goes from a low pose to a high one and back, over and over, each leg at its own pace.  Poses
+are drawn around the one it was found in, within an amplitude and the joints' limits; between them
+the joints follow the minimum-jerk profile :math:`s(\tau) = 10\tau^3 - 15\tau^4 + 6\tau^5`, whose
+speed is 0 at both ends.  After each descent it rests for a few ticks, which ends the swing.
+
+Reference:
+    T. Flash, N. Hogan, "The coordination of arm movements", J. Neurosci. 5, 1985.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Leg, foot
+
+__all__ = ["REST_TICKS", "free_swings"]
+
+Array = NDArray[np.float64]
+
+REST_TICKS: Final = 4
+# A swing rises at least so much, or it is not told from standing, m.
+_RISE_M: Final = 0.025
+# Ticks of an ascent and of a descent.
+_TICKS: Final = (9, 18)
+# Limits are kept off by this share of the range between them.
+_MARGIN: Final = 0.05
+_TRIES: Final = 400
+
+
+def free_swings(
+    leg: Leg,
+    start_rad: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    amplitude_rad: float,
+    max_step_rad: float,
+) -> Iterator[list[float]]:
+    """Goals of one leg, tick by tick, without end.
+
+    Args:
+        leg: with ``lengths_m``; its limits are kept.
+        start_rad: (J,) where it is now.
+        rng: of the poses and paces.
+        amplitude_rad: how far from there a joint may go.
+        max_step_rad: largest step of a joint in a tick.
+
+    Raises:
+        ConfigurationError: its lengths are not known, or it cannot lift its foot that way.
+    """
+    if leg.lengths_m is None:
+        raise ConfigurationError(
+            f"leg '{leg.id}' has no lengths_m, so its swings cannot be told; measure its links and "
+            "fill them in"
+        )
+    home = np.array(start_rad, dtype=np.float64)
+    lower, upper = home - amplitude_rad, home + amplitude_rad
+    if leg.limits is not None:
+        low, high = np.array(leg.limits.lower_rad), np.array(leg.limits.upper_rad)
+        margin = _MARGIN * (high - low)
+        # A joint that is found outside its limits may stay, and go no further out.
+        lower = np.maximum(lower, np.minimum(low + margin, home))
+        upper = np.minimum(upper, np.maximum(high - margin, home))
+    return _goals(leg, home, lower, upper, rng, max_step_rad)
+
+
+def _goals(
+    leg: Leg,
+    home: Array,
+    lower: Array,
+    upper: Array,
+    rng: np.random.Generator,
+    max_step_rad: float,
+) -> Iterator[list[float]]:
+    here = home
+    while True:
+        low, high = _pair(leg, lower, upper, rng)
+        for target in (high, low):
+            yield from _move(here, target, rng, max_step_rad)
+            here = target
+        yield from ([float(x) for x in here] for _ in range(REST_TICKS))
+
+
+def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A low and a high pose."""
+    assert leg.lengths_m is not None
+    for _ in range(_TRIES):
+        one, other = rng.uniform(lower, upper), rng.uniform(lower, upper)
+        heights = foot(np.stack([one, other]), leg.lengths_m, leg.joint_axes)[:, 2]
+        if abs(heights[1] - heights[0]) >= _RISE_M:
+            return (one, other) if heights[1] > heights[0] else (other, one)
+    raise ConfigurationError(
+        f"leg '{leg.id}' cannot lift its foot by {100 * _RISE_M:.1f} cm from where it is; give a "
+        "larger --amplitude, or move it away from its limits"
+    )
+
+
+def _move(
+    start: Array, end: Array, rng: np.random.Generator, max_step_rad: float
+) -> Iterator[list[float]]:
+    # The profile's top speed is 15/8 of its mean.
+    least = int(np.ceil(1.875 * np.abs(end - start).max() / max_step_rad))
+    ticks = max(int(rng.integers(_TICKS[0], _TICKS[1] + 1)), least)
+    share = np.arange(1, ticks + 1) / ticks
+    smooth = share**3 * (10 - 15 * share + 6 * share**2)
+    for row in start + smooth[:, None] * (end - start):
+        yield row.tolist()

@@ -1,0 +1,65 @@
+"""What is around the service: its router, and other services.
+
+Looked at once a second by the worker, which must not wait: why a router is lost is found out on a
+thread of its own, for a look-up of a name or a host that is off can take seconds.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Final
+
+import structlog
+
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.meters import Brake
+from adaptive_contact.service.rivals import Rivals
+
+__all__ = ["Surroundings"]
+
+_log = structlog.get_logger()
+
+_LOOK_NS: Final = 1_000_000_000
+
+
+class Surroundings:
+    """Watches them, and logs what changes.
+
+    Args:
+        link: open.
+        now_ns: monotonic.
+
+    Attributes:
+        note: one line on what is wrong, None when all is well.
+    """
+
+    def __init__(self, link: Link, now_ns: int) -> None:
+        self.note: str | None = None
+        self._link = link
+        self._rivals = Rivals(link)
+        self._brake = Brake()
+        self._due_ns = now_ns
+        self._connected = True
+
+    @property
+    def instance(self) -> str:
+        """The service's own mark among others."""
+        return self._rivals.instance
+
+    def look(self, now_ns: int) -> None:
+        """Look, if it is time."""
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + _LOOK_NS
+        self.note = self._rivals.note(now_ns)
+        if self.note is not None and self._brake.passes("rival", now_ns) is not None:
+            _log.warning("not alone", why=self.note)
+        connected = self._link.is_connected()
+        if connected and not self._connected:
+            _log.info("router is back")
+        if not connected and (self._brake.passes("router", now_ns) is not None or self._connected):
+            threading.Thread(target=self._say_why, name="why", daemon=True).start()
+        self._connected = connected
+
+    def _say_why(self) -> None:
+        _log.warning("router lost, reconnecting", why=self._link.diagnose().line)
