@@ -19,6 +19,7 @@ from adaptive_contact.identify import LegModel
 __all__ = ["LIFT_OFF_TICKS", "MAX_STEP_RAD_S", "Tracker"]
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 DEPTH: Final = max(WINDOWS)
 # Ticks after the command lifts off in which the foot may still be loaded: the servo follows its
@@ -27,8 +28,9 @@ LIFT_OFF_TICKS: Final = 5
 # No position servo of this class turns faster (AX-12A: 6.2 rad/s): a reading further from the one
 # before is a fault of the bus, such as the -π that some return for "no answer".
 MAX_STEP_RAD_S: Final = 25.0
-# All joints repeating their last reading to the step, while the model expects one of them to move
-# by this many steps, is more likely a stale reading than a leg stopped dead: wait one tick.
+# A joint that repeats its last reading to the step, while the model expects it to move by this
+# many, is more likely stale than stopped dead: it waits one tick, while the other joints are
+# judged.
 STALE_QUANTA: Final = 3.0
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
@@ -60,7 +62,8 @@ class Tracker:
         self.usable = 0  # sound residuals of this swing, newest first
         self._max_step = MAX_STEP_RAD_S * library.period_s
         self._stale_step = STALE_QUANTA * quantum_rad
-        self._stale = False
+        self._none_stale = np.zeros(joints, dtype=bool)
+        self._stale = self._none_stale
         self._last: Sequence[float] | None = None
         self._impossible = 0
         self._unsure = 0
@@ -92,7 +95,8 @@ class Tracker:
         Returns:
             Whether this tick's residual can be judged.
         """
-        reading, sound = self._repair(measured, valid)
+        reading, bad = self._repair(measured, valid)
+        sound = bad is None or not bad.all()
         if self.predicted:
             self.residuals[1:] = self.residuals[:-1]
             self.increments[1:] = self.increments[:-1]
@@ -101,8 +105,9 @@ class Tracker:
             np.subtract(reading, self.measured[0], out=self.residuals[0])
             self.residuals[0] -= self.increment
         self.inflation = 1.0
-        if not sound:
+        if bad is not None:  # the joints that did answer are judged all the same
             self._unsure = UNSURE_TICKS
+            self.inflation = UNSURE_VARIANCE
         elif self._unsure:
             self._unsure -= 1
             self.inflation = UNSURE_VARIANCE
@@ -165,35 +170,38 @@ class Tracker:
 
     def _repair(
         self, measured: Sequence[float], valid: Sequence[bool] | None
-    ) -> tuple[Array, bool]:
-        """The reading as it enters the window, and whether it is the sensor's own.
+    ) -> tuple[Array, Mask | None]:
+        """The reading as it enters the window, and which joints of it are substitutes, if any.
 
         Plain floats decide, as nearly every reading is good.
         """
         reading = np.array(measured)
         last, self._last = self._last, measured
         if self.filled == 0 or last is None:
-            return reading, True
+            return reading, None
         steps = [abs(new - old) for new, old in zip(measured, last, strict=True)]
         bad = None
         if max(steps) > self._max_step:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
-                return reading, True
+                return reading, None
             bad = np.array(steps) > self._max_step
         else:
             self._impossible = 0
-        stale = not self._stale and self.predicted and not any(steps)
-        self._stale = stale and float(np.abs(self.increment).max()) > self._stale_step
-        if self._stale:
-            bad = np.ones(len(measured), dtype=bool)
+        if not all(steps) and self.predicted:
+            # A joint doubted in the last tick is believed in this one.
+            stale = (np.array(steps) == 0.0) & (np.abs(self.increment) > self._stale_step)
+            stale &= ~self._stale
+            self._stale = stale
+            if stale.any():
+                bad = stale if bad is None else bad | stale
+        else:
+            self._stale = self._none_stale
         if valid is not None and not all(valid):
             missing = ~np.array(valid, dtype=bool)
             bad = missing if bad is None else bad | missing
         if bad is None:
-            return reading, True
+            return reading, None
         substitute = self.measured[0] + self.increment if self.predicted else self.measured[0]
-        reading = np.where(bad, substitute, reading)
-        self._last = reading.tolist()
-        return reading, False
+        return np.where(bad, substitute, reading), bad

@@ -19,6 +19,7 @@ import dataclasses
 import enum
 import warnings
 from collections.abc import Iterable
+from typing import Final
 
 import numpy as np
 import scipy.linalg
@@ -27,6 +28,10 @@ from numpy.typing import NDArray
 __all__ = ["Factor", "Fit", "FitSettings", "FitStatus", "fit_sparse"]
 
 Array = NDArray[np.float64]
+
+# Singular values below this share of the largest count as zero in the unbiased refit; the value of
+# scikit-learn's LinearRegression, which PySINDy's own refit uses.
+RANK_CUTOFF: Final = 1e-6
 
 
 class FitStatus(enum.StrEnum):
@@ -219,7 +224,7 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
             # The unbiased refit, by a rank-revealing solver: a constant or repeated column gets
             # the minimum-norm answer instead of noise.
             solution = scipy.linalg.lstsq(
-                r[:, kept] / scale[kept], qty[:, joint], cond=1e-10, check_finite=False
+                r[:, kept] / scale[kept], qty[:, joint], cond=RANK_CUTOFF, check_finite=False
             )[0]
             coefficients[kept, joint] = solution / scale[kept]
     status = FitStatus.OK if support.any(axis=0).all() else FitStatus.EMPTIED

@@ -8,6 +8,7 @@ into equal steps, each written as a goal for one tick, as in the paper's section
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
@@ -25,6 +26,7 @@ from adaptive_contact_sim.workspace import WORKSPACES
 __all__ = ["PoseMotion", "PoseSettings"]
 
 Array = NDArray[np.float64]
+Path = Literal["cartesian", "joint"]
 
 PERIOD_S: Final = 0.02
 # Standing: feet under the knees, body high enough for the lower subspace to hang free.
@@ -41,6 +43,9 @@ _SLOW_M_S: Final = (0.02, 0.10)
 
 # Where the two subspaces touch each other, an ascent still has to be one.
 _LEAST_RISE_M: Final = 0.04
+# Draws of a trial after which its ascent may bend: there are places, low and close to the body,
+# that no straight line leaves.  A straight one is found in a handful of draws elsewhere.
+_STRAIGHT_TRIES: Final = 200
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class PoseSettings:
     trials_per_turn: int = 20
     segment_ticks: int = 10
     hold_ticks: int = 3
-    path: Literal["cartesian", "joint"] = "cartesian"
+    path: Path = "cartesian"
     workspace: Literal["paper", "whole"] = "paper"
     approach: Approach = "descent"
     react_ms: float | None = None
@@ -254,7 +259,9 @@ class PoseMotion:
             # The leg stopped short of where this plan was to start.
             start = self._geometry.feet(last.frozen)
             if plan.ascent:
-                points, joints = self._line(start, plan.points[plan.ascent - 1], plan.ascent)
+                points, joints = self._line(
+                    start, plan.points[plan.ascent - 1], plan.ascent, self.settings.path
+                )
                 plan.points[: plan.ascent], plan.joints[: plan.ascent] = points, joints
             else:
                 plan.points = _arc(start, plan.points[-1])
@@ -285,7 +292,10 @@ class PoseMotion:
         n = self.settings.segment_ticks
         forward = self.settings.approach == "forward"
         self._side = -self._side
-        while True:
+        path = self.settings.path
+        for attempt in itertools.count(1):
+            if attempt > _STRAIGHT_TRIES:
+                path = "joint"  # out of a pocket that no straight line leaves
             top = self._upper.draw(self._rng)
             end = self._lower.draw(self._rng)
             down = n
@@ -303,8 +313,8 @@ class PoseMotion:
                 down = round(drop / self._rng.uniform(*_SLOW_M_S) / PERIOD_S)
             elif top[2] - end[2] < _LEAST_RISE_M:
                 continue
-            up_points, up = self._line(self._point, top, n)
-            down_points, fall = self._line(top, end, down)
+            up_points, up = self._line(self._point, top, n, path)
+            down_points, fall = self._line(top, end, down, self.settings.path)
             if self._geometry.reachable(np.concatenate([up_points, down_points])).all():
                 break
         hold = self.settings.hold_ticks
@@ -318,10 +328,10 @@ class PoseMotion:
             obstacle=self._course.share() if self._course.wanted() else None,
         )
 
-    def _line(self, start: Array, end: Array, ticks: int) -> tuple[Array, Array]:
+    def _line(self, start: Array, end: Array, ticks: int, path: Path) -> tuple[Array, Array]:
         """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, 3) rad."""
         share = (np.arange(1, ticks + 1) / ticks)[:, None]
-        if self.settings.path == "joint":
+        if path == "joint":
             first, last = self._geometry.joints(start), self._geometry.joints(end)
             joints = first + share * (last - first)
             return self._geometry.feet(joints), joints

@@ -49,7 +49,12 @@ def _print(found: Verdict) -> None:
         f"outside the windows: {found.false_alarms} false alarms in {found.judged_ticks} swing "
         f"ticks, {missed}",
         f"refits: {found.refits}; state: {found.state}",
-        "recovery " + ", ".join(f"{one:.2f} s" for one in found.recovery_s),
+        "outages and recovery "
+        + ", ".join(
+            f"{out:.1f} s, {back:.2f} s"
+            for out, back in zip(found.outage_s, found.recovery_s, strict=True)
+        ),
+        *(f"false alarm of {leg} at {at_s:.2f} s" for leg, at_s in found.alarms),
         "memory "
         + ", ".join(f"{growth:+.1f} MB to {last:.1f} MB" for growth, last in found.memory_mb),
         f"in to out p99 {found.p99_ms} ms",

@@ -34,12 +34,14 @@ class Verdict:
         judged_ticks: swing leg-ticks outside the windows.
         inconsistent: events that no sample bears out, or that came twice.
         false_alarms: ``contact: true`` outside the windows while the leg touched nothing.
+        alarms: leg and time of each of them, s of the walk.
         touches, missed_touches: outside the windows.
         samples: that the source sent, all legs.
         missed_samples: counted as lost.
         uncounted: lost and not counted, or counted and not lost; the worst leg.
         rejects: refused samples by reason, all legs.
-        recovery_s: from the end of each fault to the last leg's first accepted sample after it.
+        outage_s: from the begin of each fault to the end of its cause.
+        recovery_s: from there to the last leg's first status, heard here, with a newer sample.
         memory_mb: growth of each life of the service after its warm-up, and its last value.
         refits: promoted, refused, rolled back.
         events, events_lost: heard here; lost by the service because a subscriber hung.
@@ -52,12 +54,14 @@ class Verdict:
     judged_ticks: int
     inconsistent: int
     false_alarms: int
+    alarms: list[tuple[str, float]]
     touches: int
     missed_touches: int
     samples: int
     missed_samples: int
     uncounted: int
     rejects: dict[str, int]
+    outage_s: list[float]
     recovery_s: list[float]
     memory_mb: list[tuple[float, float]]
     refits: dict[str, int]
@@ -102,6 +106,11 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         judged_ticks=sum(_judged_ticks(one, windows) for one in outcomes),
         inconsistent=_inconsistent(take, seq_of) + take.heard.unreadable,
         false_alarms=sum(int(_outside(one.alarms_ns, windows).sum()) for one in outcomes),
+        alarms=[
+            (one.leg, round((int(at_ns) - epoch_ns) / _NS, 2))
+            for one in outcomes
+            for at_ns in one.alarms_ns[_outside(one.alarms_ns, windows)]
+        ],
         touches=sum(int(_outside(one.touches.onset_ns, windows).sum()) for one in outcomes),
         missed_touches=sum(
             int((_outside(one.touches.onset_ns, windows) & ~one.touches.found).sum())
@@ -111,6 +120,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         missed_samples=sum(status.missed for status in newest.values()),
         uncounted=uncounted,
         rejects=dict(rejects),
+        outage_s=[(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
         recovery_s=_recoveries(take, robot),
         memory_mb=_memory(take.resident, plan.warm_up_s),
         refits=dict(refits),

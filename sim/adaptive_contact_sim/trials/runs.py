@@ -52,6 +52,10 @@ WALK_SWING_S: Final = 0.64 / 0.46
 # Swings after a change that are on the way, not after it: the goal for the 95th percentile.
 SETTLE_SWINGS: Final = 20
 _STEP_UP_AND_DOWN_S: Final = 2.0
+# Places on a descent, as shares of it: earlier, the lagging foot is still rising; later, it often
+# touches in the last ticks of a swing, which cannot be judged.  With the probabilities below about
+# half of the swings have a touch that counts; the rest is obstacles that could not be put in time.
+_WHERE: Final = (0.15, 0.4)
 # Offsets of the seeds of a kind of run from the first.
 _WALK: Final = 200
 _TURNS: Final = 400
@@ -142,8 +146,7 @@ def pose_run(
     """One leg in pose; half of its swings, about, end in a touch that can be judged."""
     leg = LEGS[run % len(LEGS)]
     whole = (run + run // len(LEGS)) % 2 == 1
-    # In the whole reach a fifth of the obstacles cannot be put in time.
-    obstacles = ObstacleSettings(probability=0.65 if whole else 0.55, where=(0.1, 0.5))
+    obstacles = ObstacleSettings(probability=0.9 if whole else 0.65, where=_WHERE)
     motion = PoseSettings(legs=(leg,), workspace="whole" if whole else "paper", obstacles=obstacles)
     settings = SimulationSettings(motion=motion, seed=sizes.first_seed + run)
     return RecordingSpec(settings, seconds, (leg,), staging or Staging())
@@ -180,7 +183,7 @@ def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
     motion = PoseSettings(
         legs=LEGS,
         trials_per_turn=sizes.turn_trials,
-        obstacles=ObstacleSettings(probability=0.55, where=(0.1, 0.5)),
+        obstacles=ObstacleSettings(probability=0.65, where=_WHERE),
     )
     count = math.ceil(sizes.leg_runs / len(LEGS))
     seeds = [sizes.first_seed + _TURNS + run for run in range(count)]

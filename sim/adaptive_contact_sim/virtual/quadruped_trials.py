@@ -51,6 +51,8 @@ _SOLE_M: Final = 0.006
 # Foot points in the leg's plane: reach and height of the lower and the upper layer, m.
 _LOWER: Final = ((0.04, 0.12), (-0.125, -0.075))
 _UPPER: Final = ((0.05, 0.13), (-0.055, -0.015))
+# Off the joints' stops, which would be contacts too.
+_HIP_RAD, _KNEE_RAD = (-2.0, 0.8), -2.3
 _NOISE_STEPS: Final = 0.5
 # Where on the commanded descent a plate is met; the foot comes there four ticks later.
 _PLATE_SHARE: Final = (0.1, 0.5)
@@ -141,7 +143,10 @@ class _Walker:
     def _draw(self, layer: tuple[tuple[float, float], tuple[float, float]]) -> Array:
         while True:
             point = np.array([self.rng.uniform(*layer[0]), self.rng.uniform(*layer[1])])
-            if 0.03 < math.hypot(*point) < _L1 + _L2 - 0.004:
+            if not 0.03 < math.hypot(*point) < _L1 + _L2 - 0.004:
+                continue
+            hip, knee = _joints(point[None])[0]
+            if _HIP_RAD[0] < hip < _HIP_RAD[1] and knee > _KNEE_RAD:
                 return point
 
 

@@ -1,0 +1,137 @@
+"""The same contacts twice: as the simulator saw them, and as they came through bus and bridge.
+
+A virtual robot with a scenario records its own samples and truth (``bridge virtual --record``);
+``adaptive-contact record`` keeps what came out of the bridge and the service.  Both are of one
+run, so every touch can be asked for in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from adaptive_contact.adapt import Baseline, LearnerBank
+from adaptive_contact.robot import Robot
+from adaptive_contact.score import Score, score_messages
+from adaptive_contact.service.recording import read_recording
+from adaptive_contact.wire import (
+    MSGPACK,
+    ContactEvent,
+    ContactTruth,
+    Rejected,
+    ServoSample,
+    decode,
+    encode,
+    leg_of_key,
+    servo_key,
+    truth_key,
+)
+
+__all__ = ["Comparison", "compare"]
+
+# Truth of touches this long before the first sample still matters to it.
+_BEFORE_NS = 1_000_000_000
+
+
+class Comparison(NamedTuple):
+    """Scores of one run.
+
+    Attributes:
+        direct: the simulator's own samples, through learners here.
+        direct_untold: the same without the phase, which a bridge that observes cannot know.
+        bridged: samples of the bridge, through learners here.
+        live: samples of the bridge, with the events that the service sent; None without any.
+    """
+
+    direct: Score
+    direct_untold: Score
+    bridged: Score
+    live: Score | None
+
+
+class _Message(NamedTuple):
+    key: str
+    payload: bytes
+    encoding: str = MSGPACK
+
+
+_Samples = list[tuple[str, ServoSample]]
+
+
+def compare(
+    direct: Path, bridged: Path, robot: Robot, baseline: Baseline, *, skip_s: float = 0.0
+) -> Comparison:
+    """Score both recordings of a run, over the time that the bridge saw.
+
+    Args:
+        direct: the virtual robot's own recording.
+        bridged: what came over the wire.
+        robot: its description.
+        baseline: to start from, in all.
+        skip_s: of the bridge's first seconds, while it looks for its place in the tick.
+
+    Raises:
+        RecordingError: a recording cannot be read, or holds nothing to be scored.
+    """
+    own, heard = _read(direct), _read(bridged)
+    first = min(sample.t_ns for _, sample in heard.samples) + round(skip_s * 1e9)
+    last = max(sample.t_ns for _, sample in heard.samples)
+    truth = [(leg, t) for leg, t in own.truth if first - _BEFORE_NS <= t.t_ns <= last]
+
+    def within(samples: _Samples) -> _Samples:
+        return [(leg, s) for leg, s in samples if first <= s.t_ns <= last]
+
+    def play(samples: _Samples) -> Score:
+        bank = LearnerBank(robot, baseline)
+        events: list[ContactEvent] = []
+        for leg, sample in samples:
+            events += bank.update({leg: sample})
+        return score_messages(_messages(samples, truth), robot, events)
+
+    mine, theirs = within(own.samples), within(heard.samples)
+    untold = [(leg, msgspec.structs.replace(s, phase=None)) for leg, s in mine]
+    live = None
+    if heard.events:
+        events = [event for event in heard.events if event.t_ns >= first]
+        live = score_messages(_messages(theirs, truth), robot, events)
+    return Comparison(play(mine), play(untold), play(theirs), live)
+
+
+class _Heard(NamedTuple):
+    samples: _Samples
+    truth: list[tuple[str, ContactTruth]]
+    events: list[ContactEvent]
+
+
+def _read(path: Path) -> _Heard:
+    heard = _Heard([], [], [])
+    for record in read_recording(path):
+        leg = leg_of_key(record.key)
+        if leg is None:
+            continue
+        kind = record.key.rpartition("/")[2]
+        if kind == "servo":
+            sample = decode(record.payload, ServoSample, record.encoding)
+            if not isinstance(sample, Rejected):
+                heard.samples.append((leg, sample))
+        elif kind == "truth":
+            truth = decode(record.payload, ContactTruth, record.encoding)
+            if not isinstance(truth, Rejected):
+                heard.truth.append((leg, truth))
+        elif kind == "contact":
+            event = decode(record.payload, ContactEvent, record.encoding)
+            if not isinstance(event, Rejected):
+                heard.events.append(event)
+    heard.samples.sort(key=lambda pair: (pair[1].t_ns, pair[0]))
+    return heard
+
+
+def _messages(
+    samples: Sequence[tuple[str, ServoSample]], truth: Sequence[tuple[str, ContactTruth]]
+) -> list[_Message]:
+    return [_Message(servo_key(leg), encode(s)) for leg, s in samples] + [
+        _Message(truth_key(leg), encode(t)) for leg, t in truth
+    ]

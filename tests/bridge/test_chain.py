@@ -1,0 +1,179 @@
+"""The whole chain in processes of its own: simulator, virtual bus, DynamixelSDK, bridge, Zenoh,
+service, contact events; scored against the simulator's truth."""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.adapt import shipped_baseline
+from adaptive_contact.bridge.status import BridgeStatus
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.wire import Command, ServoSample, command_key, decode, servo_key
+
+pytestmark = pytest.mark.e2e
+
+READY = "stop with Ctrl-C"
+
+
+class Process:
+    """A command of ours; ready when it says how to stop it."""
+
+    def __init__(self, *arguments: str, cwd: Path) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "adaptive_contact", *arguments],
+            cwd=cwd,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, "XDG_STATE_HOME": str(cwd)},
+        )
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        self.said: list[str] = []
+        threading.Thread(target=self._pump, daemon=True).start()
+
+    def _pump(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.said.append(line)
+            self._lines.put(line)
+        self._lines.put(None)
+
+    def ready(self, timeout_s: float = 60.0) -> str:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            line = self._lines.get(timeout=max(deadline - time.monotonic(), 0.01))
+            assert line is not None, "".join(self.said)
+            if READY in line:
+                return line
+
+    def wait(self, timeout_s: float) -> int:
+        return self._process.wait(timeout_s)
+
+    def stop(self) -> int:
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            return self._process.wait(20)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
+    running: list[Process] = []
+
+    def begin(*arguments: str) -> Process:
+        running.append(Process(*arguments, cwd=tmp_path))
+        return running[-1]
+
+    yield begin
+    for process in reversed(running):
+        process.stop()
+
+
+def router(start: Callable[..., Process]) -> str:
+    serve = start("serve", "--listen", "tcp/127.0.0.1:0", "--no-state")
+    return serve.ready().split("listening on ")[1].split(";")[0].split(",")[0].strip()
+
+
+def wait_for(items: queue.Queue, enough: Callable[[Any], bool], timeout_s: float) -> Any:
+    deadline = time.monotonic() + timeout_s
+    while True:
+        received = items.get(timeout=max(deadline - time.monotonic(), 0.01))
+        if enough(received):
+            return received
+
+
+@pytest.mark.timeout(180)
+def test_contacts_of_a_virtual_robot_arrive_and_a_fault_is_told(
+    start: Callable[..., Process],
+) -> None:
+    endpoint = router(start)
+    start(
+        "bridge", "virtual", "--dir", "bus", "--ports", "3", "--write-config", "rig.toml",
+        "--scenario", "pose-collisions", "--fault", "silent:id=1",
+    ).ready()  # fmt: skip
+    refused = start("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
+    assert refused.wait(60) == 2
+    assert "missing servo 1 (lf coxa)" in "".join(refused.said)
+
+
+@pytest.mark.timeout(180)
+def test_samples_commands_and_status_pass(start: Callable[..., Process]) -> None:
+    endpoint = router(start)
+    start(
+        "bridge", "virtual", "--robot", "quadruped", "--dir", "bus", "--write-config", "rig.toml"
+    ).ready()
+    start(
+        "bridge", "dynamixel", "--config", "rig.toml", "--drive", "--connect", endpoint
+    ).ready()  # fmt: skip
+    samples: queue.Queue = queue.Queue()
+    statuses: queue.Queue = queue.Queue()
+    with Link.open(client_settings([endpoint])) as link:
+        link.subscribe(servo_key("fl"), samples.put)
+        link.subscribe("robot/bridge/*/status", statuses.put)
+        commands = link.publisher(command_key("fl"))
+
+        def arrived(received: Any) -> bool:
+            sample = decode(received.payload, ServoSample, received.encoding)
+            commands.put(Command(desired=[-0.9, -0.8]))
+            return sample.measured == pytest.approx([-0.9, -0.8], abs=0.12)
+
+        wait_for(samples, arrived, 30.0)
+        received = wait_for(statuses, lambda _: True, 5.0)
+        status = decode(received.payload, BridgeStatus, received.encoding)
+        assert (status.port, status.mode) == ("legs", "drive")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_chain_loses_at_most_a_point_of_recall(
+    start: Callable[..., Process], tmp_path: Path
+) -> None:
+    """Measured with --realtime, which needs the right to it, on two cores with other work."""
+    from adaptive_contact_sim.virtual.compare import compare
+
+    endpoint = router(start)
+    robot = start(
+        "bridge", "virtual", "--dir", "bus", "--ports", "3", "--write-config", "rig.toml",
+        "--scenario", "pose-collisions", "--record", "direct.mcap", "--seconds", "320",
+        "--realtime",
+    )  # fmt: skip
+    robot.ready()
+    bridge = start(
+        "bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint, "--realtime"
+    )
+    bridge.ready()
+    recorder = start("record", "bridged.mcap", "--connect", endpoint)
+    recorder.ready()
+    assert robot.wait(400) == 0
+    bridge.stop()
+    recorder.stop()
+    hexapod = shipped_robot()
+    baseline = shipped_baseline(hexapod.name)
+    assert baseline is not None
+    result = compare(
+        tmp_path / "direct.mcap", tmp_path / "bridged.mcap", hexapod, baseline, skip_s=3.0
+    )
+    for name, score in result._asdict().items():
+        counted = score.total.counted
+        print(
+            f"{name}: {counted.found} of {counted.touches}, recall {counted.recall:.4f}, "
+            f"false alarms {score.total.false_alarms}, latency {counted.latency}"
+        )
+    direct, live = result.direct.total.counted, result.live.total.counted
+    assert direct.touches >= 100
+    assert live.recall >= direct.recall - 0.01
