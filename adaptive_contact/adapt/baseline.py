@@ -111,9 +111,9 @@ class Baseline:
 
 
 def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Array:
-    """(windows,) thresholds from tails, see :meth:`Baseline.thresholds`."""
+    """(windows,) thresholds from tails, with 95 % confidence; see :meth:`Baseline.thresholds`."""
     per_tick = false_alarms_per_hour / ROBOT_HOUR_TICKS / len(tails)
-    return np.array([t.quantile(min(per_tick, t.rate)) for t in tails])
+    return np.array([t.cautious().quantile(min(per_tick, t.rate)) for t in tails])
 
 
 class _LegFile(msgspec.Struct, forbid_unknown_fields=True):

@@ -65,6 +65,8 @@ UNFIT_LIFTS: Final = 3
 # The baseline is taken up again when it has been this much better for so many lifts.
 RETURN_RATIO: Final = 0.6
 RETURN_SWINGS: Final = 3
+# Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
+CONFIRMED_TICKS: Final = 2048
 # A term never moves a tick by more than this; the fastest servos make 0.5 rad in one.
 MAX_TERM_RAD: Final = 2.0
 
@@ -95,7 +97,7 @@ class Follower:
         self.level = 1.0  # followed: squared whitened residual over J on free ticks
         self.status: Status = "valid"
         self.buffer = SlidingBuffer()
-        self.confirmed_ns: deque[int] = deque(maxlen=20_000)
+        self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
         self._baseline = known.model
         self._noise = known.noise.rms
@@ -247,6 +249,7 @@ class Follower:
             "coefficients": pack(self.model.coefficients),
             "version": self.model.version,
             "factor": pack(self._rls.factor),
+            "support": pack(self._rls.support.astype(np.float64)),
             "level": self.level,
             "status": self.status,
             "since_ns": self._since_ns,
@@ -263,7 +266,6 @@ class Follower:
             None when it is in force, else one line that says why it is not.
         """
         p, joints = self.model.coefficients.shape
-        q = len(self._rls.terms)
         try:
             if saved.get("format") != FORMAT:
                 raise Implausible(f"its format is {saved.get('format')!r}, this version's {FORMAT}")
@@ -276,6 +278,10 @@ class Follower:
             # A model that moves a typical tick by radians is none of a servo's.
             if np.abs(coefficients * self._scale[:, None]).max() > MAX_TERM_RAD:
                 raise Implausible("its model is implausible")
+            support = array_of(saved.get("support"), (p, joints), "its support") > 0.5
+            # A promoted model has a support of its own.
+            rls = RecursiveLeastSquares(coefficients, support, self._scale, self._noise)
+            q = len(rls.terms)
             factor = array_of(saved.get("factor"), (joints, q, q), "its covariance")
             segments = [unpack_segment(s, p, joints) for s in saved.get("segments", [])]
             version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
@@ -289,6 +295,7 @@ class Follower:
         except Implausible as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
         self.model = dataclasses.replace(self.model, coefficients=coefficients, version=version)
+        self._rls = rls
         self._rls.restore(coefficients, factor)
         self.level, self._era, self.status = level, era, status
         self._loose_swings = int(saved.get("loose_swings", 0))

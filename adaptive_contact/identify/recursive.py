@@ -95,6 +95,13 @@ class RecursiveLeastSquares:
         return self._terms
 
     @property
+    def support(self) -> NDArray[np.bool_]:
+        """(p, J) terms that may move, per joint."""
+        full = np.zeros((len(self._full), len(self._support)), dtype=bool)
+        full[self._terms] = self._support.T
+        return full
+
+    @property
     def factor(self) -> Array:
         """(J, q, q) square roots S of the covariance."""
         return self._s

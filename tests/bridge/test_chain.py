@@ -41,7 +41,8 @@ class Process:
         )
         self._lines: queue.Queue[str | None] = queue.Queue()
         self.said: list[str] = []
-        threading.Thread(target=self._pump, daemon=True).start()
+        self._reader = threading.Thread(target=self._pump, daemon=True)
+        self._reader.start()
 
     def _pump(self) -> None:
         assert self._process.stdout is not None
@@ -65,10 +66,14 @@ class Process:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
         try:
-            return self._process.wait(20)
+            self._process.wait(20)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            return self._process.wait()
+        code = self._process.wait()
+        self._reader.join(10)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+        return code
 
 
 @pytest.fixture

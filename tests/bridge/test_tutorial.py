@@ -34,6 +34,7 @@ class Shell:
     def __init__(self, cwd: Path) -> None:
         self.cwd = cwd
         self.jobs: list[subprocess.Popen[str]] = []
+        self.readers: list[threading.Thread] = []
         self.endpoint: str | None = None
 
     def run(self, line: str) -> str:
@@ -71,7 +72,8 @@ class Shell:
                 lines.put(line)
             lines.put(None)
 
-        threading.Thread(target=pump, daemon=True).start()
+        self.readers.append(threading.Thread(target=pump, daemon=True))
+        self.readers[-1].start()
         said = ""
         deadline = time.monotonic() + 90
         while READY not in said:
@@ -101,6 +103,11 @@ class Shell:
                 except subprocess.TimeoutExpired:
                     job.kill()
                     job.wait()
+        for reader in self.readers:
+            reader.join(10)
+        for job in self.jobs:
+            assert job.stdout is not None
+            job.stdout.close()
 
 
 @pytest.fixture

@@ -49,7 +49,7 @@ class Inbox:
             self.items.append(item[0] if len(item) == 1 else item)
             self._changed.notify_all()
 
-    def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 5.0) -> list[Any]:
+    def wait(self, enough: Callable[[list[Any]], bool] | int, timeout_s: float = 20.0) -> list[Any]:
         """Wait until there are so many items, or the items are enough; fails after the timeout."""
         test = enough if callable(enough) else lambda items: len(items) >= enough
         with self._changed:

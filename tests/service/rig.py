@@ -131,14 +131,14 @@ class Listener:
             self.statuses[status.leg] = status
             self._changed.notify_all()
 
-    def wait(self, test: Any, timeout_s: float = 10.0) -> None:
+    def wait(self, test: Any, timeout_s: float = 30.0) -> None:
         """Wait until ``test(self)`` holds; it is looked at whenever something arrives."""
         with self._changed:
             assert self._changed.wait_for(lambda: test(self), timeout_s), (
                 f"not in {timeout_s} s; {self.statuses}; last events {self.events[-3:]}"
             )
 
-    def wait_event(self, leg: str, *, after: float, timeout_s: float = 10.0) -> float:
+    def wait_event(self, leg: str, *, after: float, timeout_s: float = 30.0) -> float:
         """When the first event of a leg arrived after a moment; it must be right."""
         self.wait(
             lambda me: any(at > after and event.leg == leg for at, event in me.events), timeout_s

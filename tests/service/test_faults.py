@@ -56,7 +56,7 @@ def free_endpoint() -> str:
 def watched(link: Link) -> str:
     """What `watch` shows, after it has heard the service once."""
     feed = Feed(link)
-    until = time.monotonic() + 5
+    until = time.monotonic() + 20
     view = feed.view(time.monotonic_ns())
     while view.service is None or any(leg.status is None for leg in view.legs):
         assert time.monotonic() < until, "the service says nothing"
@@ -265,7 +265,7 @@ def test_a_subscriber_that_hangs(
         pouring = threading.Thread(target=pour)
         pouring.start()
         try:
-            listener.wait(lambda me: len(me.of("rf")) >= began + 30, 20.0)
+            listener.wait(lambda me: len(me.of("rf")) >= began + 30, 40.0)
         finally:
             stop.set()
             pouring.join(5)

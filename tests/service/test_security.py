@@ -62,7 +62,7 @@ def files(tmp_path: Path) -> Folder:
 
 def matched(link: Link, key: str) -> Any:
     publisher = link.publisher(key)
-    until = time.monotonic() + 5
+    until = time.monotonic() + 20
     while not publisher.matched:
         assert time.monotonic() < until, f"nobody subscribes to {key}"
         time.sleep(0.005)

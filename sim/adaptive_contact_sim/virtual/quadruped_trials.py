@@ -61,6 +61,15 @@ _ROBOT_SEED: Final = 0
 _KEPT_STEPS: Final = 200
 # A plate comes when the foot is this clear of it.
 _CLEAR_M: Final = 0.008
+_HEAD: Final = """# Scores of the quadruped
+
+Two-joint legs of XL330 on a stand; scenarios, rows and rules are those of
+`adaptive_contact_sim.virtual.quadruped_trials` and `docs/scoring.md`.  Four legs for 300 s each,
+from the shipped baseline, which was learned from 900 s of free swings.  Made with
+
+    python -m adaptive_contact_sim.virtual.quadruped_trials models/adaptive_contact_models/quadruped
+
+"""
 # Legs of the truth's tracker, made for six.
 _TRACKED: Final = 6
 
@@ -335,7 +344,7 @@ def main(directory: Path) -> None:
     for scenario in SCENARIOS:
         scores[scenario.name] = play(record(scenario), robot, training.baseline)
         print(_table({scenario.name: scores[scenario.name]}), flush=True)
-    (directory / "scores.md").write_text(_table(scores), encoding="utf-8")
+    (directory / "scores.md").write_text(_HEAD + _table(scores), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.survey import write_robot
@@ -17,19 +16,17 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactTruth, truth_key
 from adaptive_contact_sim.scenario import load_scenario
-from adaptive_contact_sim.simulation import Simulation, Tick
 from adaptive_contact_sim.virtual.assembly import VirtualSettings, assemble, with_ports
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.gaited import GaitedBackend
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend, order
+from adaptive_contact_sim.virtual.physics import ProcessSource
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
 
 __all__ = ["VirtualPlan", "run"]
-
-_SWITCH_S: Final = 0.0003
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,8 +99,6 @@ def run(
     plans = plan_ports(robot)
     if plan.write_config is not None:
         plan.write_config.write_text(write_robot(robot), encoding="utf-8")
-    # The physics' thread must not keep the bus waiting for the interpreter (5 ms by default).
-    sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as stack:
         publish = _truth(plan, stack, stop)
         backend, pairs = _backend(plan, plans, publish, stack)
@@ -126,7 +121,7 @@ def _truth(
     plan: VirtualPlan, stack: ExitStack, stop: threading.Event
 ) -> Callable[[str, ContactTruth], None]:
     """Where changes of contact go."""
-    if plan.link is None:
+    if plan.link is None or plan.scenario is not None:  # a scenario's physics publishes itself
         return lambda *_: None
     from adaptive_contact.service.link import Link
 
@@ -171,18 +166,6 @@ def _backend(
     if plan.robot_seed:
         settings = dataclasses.replace(settings, robot_seed=plan.robot_seed)
     settings = dataclasses.replace(settings, run=time.time_ns() // 1_000_000)
-    sim = Simulation(settings)
-    looks: list[Callable[[Tick], None]] = []
-    if plan.record is not None:
-        from adaptive_contact_sim.recorder import TickRecorder
-
-        recorder = stack.enter_context(TickRecorder(plan.record, sim))
-        looks.append(recorder.write)
-
-    def on_tick(tick: Tick) -> None:
-        for change in tick.truth:
-            publish(change.leg, change.message)
-        for look in looks:
-            look(tick)
-
-    return GaitedBackend(sim, horns, on_tick), pairs
+    source = stack.enter_context(ProcessSource(settings, plan.record, plan.link))
+    source.wait()
+    return GaitedBackend(source, horns, period_s=settings.period_s), pairs

@@ -1,0 +1,201 @@
+"""A simulation's ticks with every physics step kept; made in a process of its own.
+
+In one process the engine and the bus would wait for each other: the interpreter serves one at a
+time, and a reading that comes 5 ms late is no reading.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+from contextlib import ExitStack
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import SimulationDiverged
+from adaptive_contact.wire import truth_key
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.link import LinkSettings
+
+__all__ = ["LocalSource", "MadeTick", "ProcessSource"]
+
+Array = NDArray[np.float64]
+
+_END_S: Final = 5.0
+
+
+class MadeTick(NamedTuple):
+    """One control tick of a simulation.
+
+    Attributes:
+        angles, speeds: (20, 18) rad and rad/s in the servos' frames, after each physics step.
+        goals: (18,) rad, in force from the tick's start on.
+    """
+
+    angles: Array
+    speeds: Array
+    goals: Array
+
+
+class LocalSource:
+    """Makes ticks here and now.
+
+    Args:
+        settings: what is simulated.
+        on_tick: gets every tick.
+    """
+
+    def __init__(
+        self, settings: SimulationSettings, on_tick: Callable[[Tick], None] = lambda _: None
+    ) -> None:
+        self.sim = Simulation(settings)
+        self._on_tick = on_tick
+        self._rows: list[tuple[Array, Array]] = []
+        self._watch()
+
+    def begin(self, epoch_ns: int) -> None:
+        """Take up the time stamp of tick 0; the tick is made when it is taken."""
+        if epoch_ns != self.sim.settings.epoch_ns:
+            self.sim.settings = dataclasses.replace(self.sim.settings, epoch_ns=epoch_ns)
+
+    def take(self) -> MadeTick:
+        """Make the next tick."""
+        self._rows.clear()
+        self._on_tick(self.sim.tick())
+        offset = self.sim.plant.servos.offset_rad
+        angles = np.stack([row[0] for row in self._rows]) + offset
+        return MadeTick(angles, np.stack([row[1] for row in self._rows]), self.sim.desired.copy())
+
+    def _watch(self) -> None:
+        """Keep the joints' state after every physics step."""
+        plant = self.sim.plant
+        rub = plant.servos.rub
+
+        def after_step() -> None:
+            rub()
+            self._rows.append((plant.joint_angles.copy(), plant.joint_speeds.copy()))
+
+        plant.servos.rub = after_step  # type: ignore[method-assign]
+
+
+class ProcessSource:
+    """Has ticks made by another process; a context manager.
+
+    Args:
+        settings: what is simulated.
+        record: MCAP file of its samples and truth.
+        link: where its truth is published.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        record: Path | None = None,
+        link: LinkSettings | None = None,
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process: Any = context.Process(
+            target=_make_ticks, args=(theirs, settings, record, link), name="physics"
+        )
+        self._process.start()
+        theirs.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pipe.close()
+        self._process.join(_END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+    def wait(self) -> None:
+        """Wait until the simulation stands, which takes a second or two."""
+        self._receive()
+
+    def begin(self, epoch_ns: int) -> None:
+        """Ask for the next tick."""
+        with contextlib.suppress(BrokenPipeError):  # `take` tells what has become of it
+            self._pipe.send(epoch_ns)
+
+    def take(self) -> MadeTick:
+        """The tick that was asked for."""
+        made = self._receive()
+        assert isinstance(made, MadeTick)
+        return made
+
+    def _receive(self) -> object:
+        try:
+            got = self._pipe.recv()
+        except (EOFError, ConnectionResetError):
+            raise SimulationDiverged(
+                "the physics ended unexpectedly; see the lines above, and report them"
+            ) from None
+        if isinstance(got, Exception):
+            raise got
+        return got
+
+
+def _make_ticks(
+    pipe: Connection, settings: SimulationSettings, record: Path | None, link: LinkSettings | None
+) -> None:
+    """Make ticks as they are asked for; the target of the spawned process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the bus ends us, when it has ended
+    _stand_back()
+    with ExitStack() as stack:
+        looks: list[Callable[[Tick], None]] = []
+
+        def on_tick(tick: Tick) -> None:
+            for look in looks:
+                look(tick)
+
+        try:
+            source = LocalSource(settings, on_tick)
+            if record is not None:
+                from adaptive_contact_sim.recorder import TickRecorder
+
+                looks.append(stack.enter_context(TickRecorder(record, source.sim)).write)
+            if link is not None:
+                looks.append(_publishing(link, stack))
+            pipe.send("ready")
+            while True:
+                source.begin(pipe.recv())
+                pipe.send(source.take())
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            return  # the bus has ended
+        except Exception as error:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.send(error)
+
+
+def _publishing(settings: LinkSettings, stack: ExitStack) -> Callable[[Tick], None]:
+    from adaptive_contact.service.link import Link
+
+    link = stack.enter_context(Link.open(settings))
+    truth = {leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in LEGS}
+
+    def publish(tick: Tick) -> None:
+        for change in tick.truth:
+            truth[change.leg].put(change.message)
+
+    return publish
+
+
+def _stand_back() -> None:
+    """Let real-time physics never keep the bus from running."""
+    if os.sched_getscheduler(0) == os.SCHED_RR:
+        first = os.sched_getparam(0).sched_priority
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(max(first - 5, 1)))

@@ -1,0 +1,201 @@
+"""``robot init | check | learn`` and the survey behind them, on virtual servos."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adaptive_contact.bridge.freeswing import REST_TICKS, free_swings
+from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
+from adaptive_contact.cli import main as cli
+from adaptive_contact.cli._robot_picture import chain, draw
+from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
+from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
+from adaptive_contact.robot.phase import infer_phase
+
+AX = {"model": "AX-12A", "protocol": 1}
+XL = {"model": "XL330-M288", "protocol": 2}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _commands() -> None:
+    if not cli.app.registered_groups:
+        cli._register()
+
+
+def invoke(*words: str) -> str:
+    result = CliRunner().invoke(cli.app, list(words))
+    if isinstance(result.exception, AdaptiveContactError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
+    r = rig(**kind)
+    out = tmp_path / "robot.toml"
+    said = invoke(
+        "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out), "--legs", "l0,l1",
+        "--name", "rig", "--lengths", "0.05,0.06,0.1",
+    )  # fmt: skip
+    assert f"6 x {kind['model']}, ids 1-6" in said
+    robot = parse_robot(out.read_text(), source="written")
+    assert robot.leg_ids == ("l0", "l1")
+    assert robot.leg("l1").servos.ids == (4, 5, 6)
+    assert robot.leg("l1").lengths_m == (0.05, 0.06, 0.1)
+    assert robot.ports["p0"].protocol == kind["protocol"]
+    assert all(s.writes == 0 for s in r.ports[0].servos)
+    with pytest.raises(ConfigurationError, match="is there already"):
+        invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
+
+
+def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
+    r = rig(**AX)
+    r.ports[0].servos = r.ports[0].servos[:5]
+    found = find_servos("p0", str(tmp_path / "p0"))
+    assert describe([found])[0].endswith("1000000 baud, protocol 1")
+    with pytest.raises(BusError, match="5 servos do not make legs of 3"):
+        group([found], 3)
+    assert [leg.id for leg in group([found], 5).legs] == ["leg1"]
+    with pytest.raises(BusError, match="2 legs are named"):
+        group([found], 5, ("a", "b"))
+
+
+def test_an_unknown_model_is_named(rig: Callable, tmp_path: Path) -> None:
+    r = rig(**AX)
+    r.servo(3)._store("model_number", 999)
+    with pytest.raises(BusError, match=r"servo 3 \(model number 999\) is of no known model"):
+        group([find_servos("p0", str(tmp_path / "p0"))], 3)
+
+
+def test_nobody_answers(rig: Callable, tmp_path: Path) -> None:
+    r = rig(**AX)
+    r.fault("silent:")
+    with pytest.raises(BusError, match="no servo answers"):
+        find_servos("p0", str(tmp_path / "p0"), bauds=(1_000_000,))
+
+
+@pytest.mark.parametrize("name", ["hexapod", "quadruped"])
+def test_a_written_description_reads_back_the_same(name: str) -> None:
+    robot = shipped_robot(name)
+    again = parse_robot(write_robot(robot), source="written")
+    for one, other in zip(robot.legs, again.legs, strict=True):
+        assert one.joints == other.joints
+        assert one.lengths_m == other.lengths_m
+        assert one.joint_axes == other.joint_axes
+        assert one.servos.ids == other.servos.ids
+        assert one.servos.model == other.servos.model
+        assert one.mount.xyz_m == pytest.approx(other.mount.xyz_m)
+        assert one.limits.lower_rad == pytest.approx(other.limits.lower_rad)
+    assert again.ports == robot.ports
+    assert (again.name, again.period_s) == (robot.name, robot.period_s)
+
+
+def test_check_shows_and_moves_nothing(rig: Callable, tmp_path: Path) -> None:
+    r = rig(**AX)
+    r.backend.place(0, 0.5)
+    text = write_robot(
+        msgspec.structs.replace(
+            r.robot,
+            legs=tuple(
+                msgspec.structs.replace(leg, lengths_m=(0.05, 0.06, 0.1)) for leg in r.robot.legs
+            ),
+        )
+    )
+    (tmp_path / "robot.toml").write_text(text.replace("protocol = 1", "protocol = 1\n", 1))
+    said = invoke(
+        "robot", "check", "--config", str(tmp_path / "robot.toml"), "--seconds", "0.3",
+        "--picture", str(tmp_path / "legs.svg"),
+    )  # fmt: skip
+    assert "28.7°" in said.replace("28.6°", "28.7°")
+    picture = (tmp_path / "legs.svg").read_text()
+    assert picture.startswith("<svg")
+    assert ">l1</text>" in picture
+    assert all(s.writes == 0 for s in r.ports[0].servos)
+
+
+def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: Path) -> None:
+    r = rig(**AX)
+    path = tmp_path / "robot.toml"
+    path.write_text(write_robot(r.robot))
+    with pytest.raises(ConfigurationError, match="has no lengths_m"):
+        invoke("robot", "learn", "--config", str(path), "--drive", "--yes")
+    legs = tuple(msgspec.structs.replace(x, lengths_m=(0.05, 0.06, 0.1)) for x in r.robot.legs)
+    path.write_text(write_robot(msgspec.structs.replace(r.robot, legs=legs)))
+    result = CliRunner().invoke(
+        cli.app, ["robot", "learn", "--config", str(path), "--drive"], input="n\n"
+    )
+    assert result.exit_code == 1
+    assert all(s.writes == 0 for s in r.ports[0].servos)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("robot", "init"), "which port"),
+        (("robot", "init", "--device", "/nowhere"), "does not exist"),
+        (("robot", "init", "--device", "/x", "--baud", "250000"), "is not supported"),
+        (("bridge", "dynamixel"), "has no port; add"),
+        (("bridge", "dynamixel", "--device", "/nowhere"), "does not exist"),
+        (("bridge", "dynamixel", "--device", "/x", "--baud", "12"), "is not supported"),
+        (("bridge", "virtual", "--fault", "broken"), "expected one of silent"),
+        (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
+        (("bridge", "virtual", "--ports", "9"), "9 ports for 6 legs"),
+        (("bridge", "virtual", "--robot", "spider"), "no robot 'spider'"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_line(
+    words: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AdaptiveContactError, match=message) as caught:
+        invoke(*words)
+    assert "\n" not in str(caught.value)
+
+
+def leg(**changes: object) -> Leg:
+    base = Leg(id="l", joints=("a", "b", "c"), lengths_m=(0.05, 0.06, 0.1))
+    return msgspec.structs.replace(base, **changes)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_free_swings_keep_limits_and_steps_and_are_swings(seed: int) -> None:
+    limits = Limits((-0.5, -0.6, -0.7), (0.5, 0.6, 0.7))
+    one = leg(limits=limits)
+    goals = free_swings(
+        one, [0.0, 0.3, 0.5], np.random.default_rng(seed), amplitude_rad=0.4, max_step_rad=0.15
+    )
+    rows = np.array([next(goals) for _ in range(1500)])
+    assert np.abs(np.diff(rows, axis=0)).max() <= 0.15 + 1e-9
+    assert (rows >= np.array(limits.lower_rad)).all()
+    assert (rows <= np.array(limits.upper_rad)).all()
+    assert np.abs(rows - np.array([0.0, 0.3, 0.5])).max() <= 0.4 + 1e-9
+    swing = infer_phase(rows, one)
+    share = swing.mean()
+    assert 0.5 < share < 0.98
+    swings = int(np.sum(np.diff(swing.astype(int)) == 1))
+    assert swings > 1500 / (2 * 18 + REST_TICKS) * 0.8
+
+
+def test_a_leg_that_cannot_swing_says_so() -> None:
+    rng = np.random.default_rng(1)
+    with pytest.raises(ConfigurationError, match="has no lengths_m"):
+        free_swings(leg(lengths_m=None), [0, 0, 0], rng, amplitude_rad=0.3, max_step_rad=0.1)
+    goals = free_swings(leg(), [0, 0, 0], rng, amplitude_rad=0.01, max_step_rad=0.1)
+    with pytest.raises(ConfigurationError, match="cannot lift its foot"):
+        next(goals)
+
+
+def test_the_picture_ends_where_the_foot_is() -> None:
+    one = leg()
+    points = chain(one, [0.2, 0.4, -0.9])
+    assert points[-1] == pytest.approx(foot([0.2, 0.4, -0.9], one.lengths_m, one.joint_axes))
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(one.lengths_m)
+    text = draw(shipped_robot(), {x: [0.0, 0.1, -0.5] for x in shipped_robot().leg_ids})
+    assert text.count("<line") == 6 * 2 * 4

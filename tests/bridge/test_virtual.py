@@ -1,0 +1,229 @@
+"""What moves behind the virtual servos, and the faults of a bus."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.bridge.tables import models_named
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import foot, shipped_robot
+from adaptive_contact_sim import Simulation, load_scenario
+from adaptive_contact_sim.virtual import (
+    FaultSchedule,
+    KinematicBackend,
+    VirtualServo,
+    parse_fault,
+)
+from adaptive_contact_sim.virtual.assembly import with_ports
+from adaptive_contact_sim.virtual.gaited import GaitedBackend
+from adaptive_contact_sim.virtual.horns import Horns
+from adaptive_contact_sim.virtual.passive import PassiveBackend, order
+from adaptive_contact_sim.virtual.physics import LocalSource
+from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, QuadrupedPlant, quadruped_order
+from adaptive_contact_sim.virtual.quadruped_trials import SCENARIOS, play, record
+
+
+def horns(robot: str = "hexapod") -> Horns:
+    plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), 1))
+    return Horns.of(plans, order() if robot == "hexapod" else quadruped_order())
+
+
+def test_a_robot_with_a_gait_is_the_simulators_own() -> None:
+    settings = load_scenario("walk-rough").settings
+    offline = Simulation(settings)
+    expected = [offline.tick() for _ in range(40)]
+    got = []
+    backend = GaitedBackend(LocalSource(settings, got.append), horns())
+    for k in range(41):
+        backend.advance(1000.0 + 0.02 * k + 0.001)
+    for one, other in zip(expected, got, strict=False):
+        for leg, sample in one.samples.items():
+            assert other.samples[leg].measured == sample.measured
+            assert other.samples[leg].desired == sample.desired
+    assert len(got) >= 40
+
+
+def test_a_reading_sees_the_robot_between_two_ticks() -> None:
+    backend = GaitedBackend(LocalSource(load_scenario("walk-rough").settings), horns())
+    angles = []
+    for ms in range(1200):
+        backend.advance(5.0 + ms / 1000)
+        angles.append([backend.angle(i) for i in range(18)])
+    steps = np.abs(np.diff(np.array(angles), axis=0))
+    assert steps.max() < 0.02  # 12 rad/s at a kick, two steps at most: no jump where ticks meet
+    assert (steps > 0).mean() > 0.6
+    assert backend.goal(0) is not None
+
+
+def test_a_robot_on_a_stand_moves_only_with_torque() -> None:
+    backend = PassiveBackend(horns())
+    now = 3.0
+    for index in range(18):
+        backend.set_goal(index, 0.4)
+    for _ in range(700):
+        now += 0.001
+        backend.advance(now)
+    limp = [backend.angle(i) for i in range(18)]
+    assert np.abs(np.array(limp)[0::3]).max() < 0.1  # coxae hang where they were
+    for index in range(18):
+        backend.set_torque(index, True)
+    for _ in range(700):
+        now += 0.001
+        backend.advance(now)
+    assert [backend.angle(i) for i in range(18)] == pytest.approx([0.4] * 18, abs=0.12)
+
+
+def test_feet_reach_the_floor_of_a_low_stand() -> None:
+    told = []
+    backend = PassiveBackend(
+        horns(), height_m=0.10, on_truth=lambda leg, truth: told.append((leg, truth))
+    )
+    now = 3.0
+    for index in range(18):
+        backend.set_torque(index, True)
+        backend.set_goal(index, (0.0, 0.0, -1.2)[index % 3])
+    for _ in range(1500):
+        now += 0.001
+        backend.advance(now)
+    touched = {leg for leg, truth in told if truth.contact}
+    assert touched == set(shipped_robot().leg_ids)
+
+
+def test_time_that_was_lost_is_let_go() -> None:
+    backend = PassiveBackend(horns())
+    backend.advance(10.0)
+    backend.advance(10.002)
+    steps = backend.plant.steps
+    due = backend.advance(30.0)
+    assert backend.plant.steps == steps
+    assert due == pytest.approx(30.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("name", "protocol"), [("AX-12A", 1), ("XL330-M288", 2)])
+def test_mounting_is_undone_by_the_description(name: str, protocol: int) -> None:
+    text_horns = Horns(np.array([-1.0]), np.array([0.3]))
+    assert text_horns.joint(0, text_horns.horn(0, 0.77)) == pytest.approx(0.77)
+    servo = VirtualServo(1, models_named(name)[0], KinematicBackend(1), 0, np.random.default_rng(1))
+    assert servo.model.protocol == protocol
+
+
+def test_registers_refuse_what_real_ones_refuse() -> None:
+    backend = KinematicBackend(1)
+    model = models_named("XL330-M288")[0]
+    servo = VirtualServo(1, model, backend, 0, np.random.default_rng(1), noise_steps=0.0)
+    registers = model.registers
+    goal = registers["goal_position"]
+    assert servo.write(registers["present_position"].address, bytes(4)) is not None  # read only
+    assert servo.write(goal.address, (5000).to_bytes(4, "little")) is not None  # out of range
+    assert servo.write(registers["torque_enable"].address, b"\x01") is None
+    assert servo.write(registers["return_delay"].address, b"\x00") is not None  # EEPROM, driving
+    assert servo.read(660, 20) is not None
+
+
+def test_torque_on_an_x_servo_does_not_jump() -> None:
+    backend = KinematicBackend(1)
+    backend.place(0, 0.5)
+    model = models_named("XL330-M288")[0]
+    servo = VirtualServo(1, model, backend, 0, np.random.default_rng(1), noise_steps=0.0)
+    backend.place(0, -0.5)  # moved by hand
+    servo.write(model.registers["torque_enable"].address, b"\x01")
+    backend.advance(1.0)
+    backend.advance(2.0)
+    assert backend.angle(0) == pytest.approx(-0.5, abs=0.01)
+
+
+def test_the_light_backend_agrees_with_small_steps() -> None:
+    """Its closed form against the same law integrated slowly."""
+    fast, slow = KinematicBackend(1), 0.0
+    fast.set_goal(0, 1.0)
+    fast.advance(0.0)
+    fast.advance(0.3)
+    for _ in range(300_000):
+        slow += 1e-6 * np.clip((1.0 - slow) / 0.03, -5.0, 5.0)
+    assert fast.angle(0) == pytest.approx(slow, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("silent:id=3@5+2", {"kind": "silent", "servo": 3, "start_s": 5.0, "end_s": 7.0}),
+        ("flip:p=0.25", {"kind": "flip", "probability": 0.25, "servo": None}),
+        ("hangup@1", {"kind": "hangup", "start_s": 1.0, "end_s": 2.0}),
+        ("error:bits=overload|overheating", {"error1": 0x24, "error2": 0x24}),
+    ],
+)
+def test_faults_are_read(text: str, expected: dict) -> None:
+    spec = parse_fault(text)
+    assert {name: getattr(spec, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["", "quiet", "silent:id=x", "flip:p=2", "error:bits=sad", "late:z=1"]
+)
+def test_faults_that_cannot_be_read(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="fault '"):
+        parse_fault(text)
+
+
+def test_faults_strike_when_and_whom_they_should() -> None:
+    schedule = FaultSchedule([parse_fault("silent:id=3@5+2")], np.random.default_rng(1))
+    assert schedule.strike("silent", 3, 4.9) is None
+    assert schedule.strike("silent", 4, 6.0) is None
+    assert schedule.strike("silent", 3, 6.0) is not None
+    assert schedule.strike("silent", 3, 7.0) is None
+
+
+def test_the_quadrupeds_description_fits_its_model() -> None:
+    robot = shipped_robot("quadruped")
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        angles = rng.uniform(-1.0, 0.2, 8)
+        plant = QuadrupedPlant(start_rad=angles)
+        for i, leg in enumerate(robot.legs):
+            point = foot(angles[2 * i : 2 * i + 2], leg.lengths_m, leg.joint_axes)
+            turn = np.cos(leg.mount.yaw_rad)
+            out = np.array([turn * point[0], turn * point[1], point[2] + 0.3])
+            world = np.array(leg.mount.xyz_m) + out
+            assert plant.feet_m[i] == pytest.approx(world, abs=1e-6)
+
+
+def test_the_quadruped_follows_its_bus() -> None:
+    backend = QuadrupedBackend(horns("quadruped"))
+    now = 1.0
+    backend.advance(now)
+    for index in range(8):
+        backend.set_torque(index, True)
+        backend.set_goal(index, -0.8)
+    for _ in range(800):
+        now += 0.001
+        backend.advance(now)
+    assert [backend.angle(i) for i in range(8)] == pytest.approx([-0.8] * 8, abs=0.1)
+
+
+def test_quadruped_scenarios_are_permanent_and_repeat() -> None:
+    assert [s.name for s in SCENARIOS] == [
+        "quadruped-free",
+        "quadruped-collisions",
+        "quadruped-soft",
+        "quadruped-worn",
+        "quadruped-battery",
+    ]
+    short = dataclasses.replace(SCENARIOS[1], seconds=3.0)
+    assert record(short) == record(short)
+
+
+def test_the_shipped_quadruped_baseline_detects() -> None:
+    from adaptive_contact.adapt import shipped_baseline
+
+    robot = shipped_robot("quadruped")
+    baseline = shipped_baseline(robot.name)
+    assert baseline is not None
+    recorded = record(dataclasses.replace(SCENARIOS[1], seconds=25.0))
+    counted = play(recorded, robot, baseline).total.counted
+    assert counted.touches >= 20
+    assert counted.recall >= 0.9
