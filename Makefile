@@ -9,7 +9,7 @@ SEED   ?= 1
 MINUTES ?= 30
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test check bench scenarios baseline soak fuzz lock wheel clean
+.PHONY: help env demo test test-all check bench scenarios baseline soak fuzz lock wheel clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -32,6 +32,9 @@ demo: env  ## service and simulator as two processes, a drift, a report in out/d
 	$(BIN)/python -m adaptive_contact demo --out out/demo
 
 test: env  ## unit, property and end-to-end tests
+	$(BIN)/python -m pytest -m "not slow"
+
+test-all: env  ## the same with the slow ones: chains in real time, recovery, a million rows
 	$(BIN)/python -m pytest
 
 check: env  ## ruff, types, import contracts

@@ -22,7 +22,8 @@ from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Command, ServoSample, command_key, decode, servo_key
 
-pytestmark = pytest.mark.e2e
+# Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
+pytestmark = [pytest.mark.e2e, pytest.mark.slow]
 
 READY = "stop with Ctrl-C"
 
