@@ -18,6 +18,9 @@ from adaptive_contact.errors import AdaptiveContactError, BusError, Configuratio
 from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.phase import infer_phase
 
+# Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
+pytestmark = pytest.mark.slow
+
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL330-M288", "protocol": 2}
 
