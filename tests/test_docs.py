@@ -70,6 +70,8 @@ def quotes(name: str) -> list[Quote]:
         for line, whole in lines:
             line = re.sub(r"^(\$ |[A-Z_]+=\S+ |\.venv/bin/)+", "", line.strip())
             line = re.sub(r"^python3? -m adaptive_contact\b", "adaptive-contact", line)
+            if re.match(r"adaptive-contact( [a-z]+)*:", line):
+                continue  # what a command said, not one
             if re.match(rf"{name}(\s|$)", line):
                 words = shlex.split(re.split(r" [|>&;]", line)[0], comments=True)
                 found.append(Quote(where, tuple(words), whole))

@@ -142,7 +142,8 @@ def test_tokens_live_as_long_as_they_are_held(router: Link, join: Join, inbox: A
     seen = inbox()
     client.watch_tokens("robot/**", seen)
     assert seen.wait(1) == [("robot/leg/rf", True)]
-    assert client.alive("robot/**") == {"robot/leg/rf"}
+    # A get may overtake the declaration on a busy machine: ask until it is answered.
+    assert any(client.alive("robot/**") == {"robot/leg/rf"} for _ in range(20))
     token.close()
     assert seen.wait(2)[1] == ("robot/leg/rf", False)
 
