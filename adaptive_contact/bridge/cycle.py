@@ -26,7 +26,7 @@ _RETRY_SHARE: Final = 0.4
 
 @dataclasses.dataclass
 class _Servo:
-    """What is known of a servo."""
+    """What is known of a servo; ``awake`` once it has torque and goals from us."""
 
     joint: JointPlan
     steps: int | None = None
@@ -34,6 +34,7 @@ class _Servo:
     goal: int | None = None
     last_goal: int | None = None
     valid: bool = False
+    awake: bool = False
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
     @property
@@ -93,6 +94,7 @@ class Cycle:
         """Forget positions and goals after an outage: servos may have lost theirs."""
         for servo in self._servos.values():
             servo.steps = servo.goal = servo.last_goal = None
+            servo.awake = False
         for record in self.health.values():
             record.misses = 0
         for driver in self._drivers.values():
@@ -194,17 +196,27 @@ class Cycle:
             driver = self._drivers[leg.id]
             self._hear(leg, driver)
             servos = [self._servos[joint.servo] for joint in leg.joints]
-            waking = driver.goal is None
+            for j, servo in enumerate(servos):
+                if self.health[servo.joint.servo].silent:
+                    # Nobody knows where it is, so it is not moved, and not woken by a goal.
+                    servo.awake = False
+                elif not servo.awake and servo.valid and servo.angle is not None:
+                    driver.found(j, servo.angle)
             goal = driver.step([s.angle if s.valid else None for s in servos], now_ns)
             if goal is None:
                 continue
-            if waking:
-                # Torque comes on with the goal where the leg is, so that nothing jumps.
-                here = {s.joint.servo: s.steps for s in servos if s.steps is not None}
-                self.bus.put_all(registers["goal_position"], here)
-                self.bus.put_all(registers["torque_enable"], dict.fromkeys(here, 1))
+            # Torque comes on with the goal where the servo is, so that nothing jumps.
+            here = {
+                s.joint.servo: s.steps
+                for s in servos
+                if not s.awake and s.valid and s.steps is not None
+            }
+            self.bus.put_all(registers["goal_position"], here)
+            self.bus.put_all(registers["torque_enable"], dict.fromkeys(here, 1))
             for servo, angle in zip(servos, goal, strict=True):
-                servo.goal = goals[servo.joint.servo] = servo.joint.steps(angle)
+                servo.awake |= servo.joint.servo in here
+                if servo.awake:
+                    servo.goal = goals[servo.joint.servo] = servo.joint.steps(angle)
         self.bus.put_all(registers["goal_position"], goals)
 
     def _hear(self, leg: LegPlan, driver: Driver) -> None:

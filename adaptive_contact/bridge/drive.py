@@ -58,6 +58,18 @@ class Driver:
         self.goal = None
         self._command = None
 
+    def found(self, joint: int, angle_rad: float) -> None:
+        """A servo that was silent is back, and here is where it was found: go on from there.
+
+        It may have lost its power and its place meanwhile; the whole leg comes to its command at
+        an easy pace again.
+        """
+        if self.goal is None:
+            return
+        self.goal[joint] = angle_rad
+        if self.mode is Mode.FOLLOWING:
+            self.mode = Mode.APPROACHING
+
     def hear(self, command: Command, arrival_ns: int) -> None:
         """Take in a command that :func:`complaint` has nothing to say of."""
         self._command = list(command.desired)

@@ -18,7 +18,7 @@ from adaptive_contact.bridge.port import latency_advice
 from adaptive_contact.bridge.tables import model_of_number
 from adaptive_contact.errors import BusError
 
-__all__ = ["Findings", "check_ports", "scan"]
+__all__ = ["Findings", "check_ports", "scan", "scan_again"]
 
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
@@ -92,6 +92,31 @@ def scan(bus: Bus, ids: Iterable[int] = range(MAX_ID + 1)) -> dict[int, Pong]:
     return found
 
 
+def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int, Pong]:
+    """Ask those again, patiently, who were not heard or not heard well.
+
+    One lost or late packet is neither a missing servo nor a second one of the same id.
+
+    Args:
+        bus: the port; its time for answers is longer afterwards.
+        found: what a scan has heard.
+        ids: who else may be there.
+
+    Returns:
+        Who answers, by id in order.
+
+    Raises:
+        PortLostError: the port is gone.
+    """
+    bus.timeout_ms = max(bus.timeout_ms, _PATIENT_MS)
+    heard = dict(found)
+    asked = {*ids, *found}
+    for _ in range(_MORE_TRIES):
+        sure = [s for s, pong in heard.items() if pong.model_number is not None]
+        heard |= scan(bus, sorted(s for s in asked if s not in sure or heard[s].doubled))
+    return dict(sorted(heard.items()))
+
+
 def _check(plan: PortPlan, configure: bool, full: bool) -> Findings:
     findings = Findings()
     bus = Bus(plan.name, plan.port)
@@ -102,14 +127,9 @@ def _check(plan: PortPlan, configure: bool, full: bool) -> Findings:
         return findings
     try:
         expected = {joint.servo: joint for joint in plan.joints}
-        ids = range(MAX_ID + 1) if full else expected
-        found = scan(bus, ids)
-        # Nothing is in a hurry from here on, and no servo is to be missed for a busy moment.
-        bus.timeout_ms = max(bus.timeout_ms, _PATIENT_MS)
-        for _ in range(_MORE_TRIES):
-            # One lost packet is no missing servo; a bus where nobody answers is asked once.
-            known = [s for s, pong in found.items() if pong.model_number is not None]
-            found |= scan(bus, [servo for servo in expected if found and servo not in known])
+        found = scan(bus, range(MAX_ID + 1) if full else expected)
+        if found:  # a bus where nobody answers is asked once
+            found = scan_again(bus, found, expected)
         _compare(plan, bus, expected, found, findings)
         present = [] if findings.errors else list(plan.joints)
         for joint in present:

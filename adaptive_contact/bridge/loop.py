@@ -223,6 +223,7 @@ class PortLoop:
             missed=self._pulse.counts["missed"],
             reconnects=self._reconnects,
             commands_refused=self._mailbox.rejected,
+            commands_limited=self.cycle.limited,
             holding=holding,
             servos=self.cycle.counts,
             note=note,

@@ -55,6 +55,7 @@ class BridgeStatus(Message, frozen=True, kw_only=True):
         cycles, missed: control ticks made and not made, since the start.
         reconnects: times the port was lost and found again.
         commands_refused: commands that could not be used, and ``note`` names the last.
+        commands_limited: commands that joint limits or the largest step have cut down.
         servos: those with something to tell, by id.
     """
 
@@ -70,6 +71,7 @@ class BridgeStatus(Message, frozen=True, kw_only=True):
     missed: int
     reconnects: int = 0
     commands_refused: int = 0
+    commands_limited: int = 0
     holding: list[str] = msgspec.field(default_factory=list)
     servos: dict[str, ServoCounts] = msgspec.field(default_factory=dict)
     note: str | None = None

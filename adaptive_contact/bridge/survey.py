@@ -9,7 +9,8 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.bridge.bus import Bus
-from adaptive_contact.bridge.handshake import scan
+from adaptive_contact.bridge.handshake import scan, scan_again
+from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus
@@ -18,6 +19,8 @@ __all__ = ["Found", "describe", "find_servos", "group", "write_robot"]
 
 # Rates tried where none is given, those that servos are delivered with first.
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
+# Servos are numbered one after the other: so far beyond the last heard, all are asked again.
+_BEYOND: Final = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +53,9 @@ def find_servos(name: str, device: str, bauds: Sequence[int] = USUAL_BAUDS) -> F
             bus.open()
             try:
                 pongs = scan(bus)
+                if pongs:
+                    last = min(max(pongs) + _BEYOND, MAX_ID)
+                    pongs = scan_again(bus, pongs, range(last + 1))
             finally:
                 bus.close()
             if not pongs:

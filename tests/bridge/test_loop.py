@@ -11,10 +11,12 @@ import pytest
 
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.outlet import Mailbox
+from adaptive_contact.bridge.status import ServoCounts
 from adaptive_contact.wire import MSGPACK, Command, encode
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
+SPEAKS = ServoCounts()
 
 
 class Running:
@@ -164,6 +166,40 @@ def test_a_silent_servo_harms_no_other_and_comes_back(run: Callable, kind: dict)
     began = time.monotonic()
     r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid is None, 2.0)
     assert time.monotonic() - began < 1.0
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_servo_that_was_silent_is_not_driven_blindly_and_wakes_gently(
+    run: Callable, kind: dict
+) -> None:
+    r = run("drive", **kind)
+
+    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def check(c: Any) -> Any:
+            r.command("l0", 0.4, 0.4, 0.4)
+            return true(c)
+
+        return check
+
+    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    r.rig.fault("silent:id=2")
+    r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent))
+    r.rig.backend.place(1, -0.6)  # moved by hand
+    writes, others, ticks = r.rig.servo(2).writes, r.rig.servo(1).writes, len(r.catcher.ticks)
+    r.catcher.wait(feed(lambda c: len(c.ticks) >= ticks + 20))
+    assert r.rig.servo(2).writes == writes
+    assert r.rig.servo(1).writes > others
+    r.rig.fault()
+    ticks = len(r.catcher.ticks)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured[1] < -0.5))
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    goals = [t["l0"].desired[1] for t in r.catcher.ticks[ticks:]]
+    back = next(k for k, goal in enumerate(goals) if goal < 0.0)
+    assert goals[back] == pytest.approx(-0.6, abs=0.05)
+    assert (
+        max(b - a for a, b in zip(goals[back:], goals[back + 1 :], strict=False)) < 0.15 / 5 + 0.006
+    )
 
 
 @pytest.mark.parametrize("mode", ["observe", "drive"])
