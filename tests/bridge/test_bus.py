@@ -237,3 +237,53 @@ def test_reading_sleeps_instead_of_spinning(rig: Callable) -> None:
     assert wall > 40 * 0.005
     assert cpu < 0.35 * wall
     bus.close()
+
+
+def test_the_sdks_own_group_reads_and_writes_work(rig: Callable) -> None:
+    """Others' software on the virtual bus: the SDK as it comes, without a line of ours."""
+    import dynamixel_sdk as sdk
+
+    r = rig(**XL)
+    for i in range(6):
+        r.backend.place(i, 0.1 * i)
+    port, packets = sdk.PortHandler(r.plans[0].port.device), sdk.PacketHandler(2.0)
+    port.setBaudRate(1_000_000)
+    try:
+        assert {k: v[0] for k, v in packets.broadcastPing(port)[0].items()} == dict.fromkeys(
+            range(1, 7), 1200
+        )
+        registers = r.plans[0].joints[0].model.registers
+        torque, goal, present = (
+            registers[name] for name in ("torque_enable", "goal_position", "present_position")
+        )
+        write = sdk.GroupBulkWrite(port, packets)
+        for i in range(1, 7):
+            packets.write1ByteTxRx(port, i, torque.address, 1)
+            write.addParam(i, goal.address, goal.size, list((2048 + i).to_bytes(4, "little")))
+        assert write.txPacket() == sdk.COMM_SUCCESS
+        read = sdk.GroupBulkRead(port, packets)
+        for i in range(1, 7):
+            read.addParam(i, *((goal if i % 2 else present)[:2]))
+        assert read.txRxPacket() == sdk.COMM_SUCCESS
+        assert read.getData(3, goal.address, 4) == 2048 + 3
+        assert read.isAvailable(4, present.address, 4)
+        together = sdk.GroupSyncRead(port, packets, goal.address, goal.size)
+        for i in range(1, 7):
+            together.addParam(i)
+        for ask in (together.txRxPacket, together.fastSyncRead):
+            assert ask() == sdk.COMM_SUCCESS
+            assert [together.getData(i, goal.address, 4) - 2048 for i in range(1, 7)] == [
+                *range(1, 7)
+            ]
+    finally:
+        port.closePort()
+
+
+def test_a_late_common_answer_is_asked_for_again(rig: Callable) -> None:
+    r = rig(**FAST)
+    bus, joints = opened(r), r.plans[0].joints
+    ids = [j.servo for j in joints]
+    r.fault("late:id=3,ms=25")
+    assert bus.read(ids, joints[0].model.motion)[1].data is not None  # alone, in time
+    assert r.faults.struck["late"] >= 1
+    bus.close()

@@ -33,6 +33,13 @@ __all__ = ["VirtualPort", "VirtualServer"]
 _ALERT: Final = 0x80
 _INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
 _BITS_PER_BYTE: Final = 10
+_READS_OF_MANY: Final = (
+    Instruction.SYNC_READ,
+    Instruction.FAST_SYNC_READ,
+    Instruction.BULK_READ,
+)
+# Id, address and length, before a bulk write's data.
+_BULK_ROW: Final = 5
 
 
 class VirtualPort:
@@ -131,11 +138,14 @@ class VirtualPort:
 
     def _answer(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
         version = self._codec.version
-        if version == 2 and frame.code in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
-            self._sync_read(frame, now_s, elapsed_s)
+        if version == 2 and frame.code in _READS_OF_MANY:
+            self._read_many(frame, now_s, elapsed_s)
             return
         if frame.code == Instruction.SYNC_WRITE:
             self._sync_write(frame)
+            return
+        if version == 2 and frame.code == Instruction.BULK_WRITE:
+            self._bulk_write(frame)
             return
         everyone = frame.id == BROADCAST_ID
         for servo in self.servos:
@@ -189,12 +199,26 @@ class VirtualPort:
                 if servo.id == rows[at]:
                     servo.write(address, rows[at + 1 : at + 1 + size])
 
-    def _sync_read(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
+    def _bulk_write(self, frame: Frame) -> None:
+        rows = frame.parameters
+        while len(rows) > _BULK_ROW:
+            address, size = _number(rows[1:3]), _number(rows[3:5])
+            for servo in self.servos:
+                if servo.id == rows[0]:
+                    servo.write(address, rows[_BULK_ROW : _BULK_ROW + size])
+            rows = rows[_BULK_ROW + size :]
+
+    def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
+        """Sync, fast sync and bulk read: servos answer one after the other."""
         p = frame.parameters
-        address, size = int.from_bytes(p[:2], "little"), int.from_bytes(p[2:4], "little")
+        if frame.code == Instruction.BULK_READ:
+            rows = [p[at : at + _BULK_ROW] for at in range(0, len(p), _BULK_ROW)]
+            asked = [(row[0], _number(row[1:3]), _number(row[3:5])) for row in rows]
+        else:
+            asked = [(wanted, _number(p[:2]), _number(p[2:4])) for wanted in p[4:]]
         by_id = {servo.id: servo for servo in self.servos}
-        joint: list[Status] = []
-        for wanted in p[4:]:
+        joint: list[tuple[VirtualServo, Status]] = []
+        for wanted, address, size in asked:
             servo = by_id.get(wanted)
             mute = servo is None or self.faults.strike("silent", wanted, elapsed_s) is not None
             if servo is None or mute:
@@ -204,14 +228,22 @@ class VirtualPort:
             error = data.error if isinstance(data, Refusal) else 0
             status = Status(servo.id, error, b"" if isinstance(data, Refusal) else data)
             if frame.code == Instruction.FAST_SYNC_READ:
-                joint.append(self._troubled(servo, status, elapsed_s))
+                joint.append((servo, self._troubled(servo, status, elapsed_s)))
             else:
                 now_s = self._reply(servo, status, now_s, elapsed_s, asked=True)
-        if joint and len(joint) == len(p) - 4:
-            packet = fast_sync_status(joint)
-            if self.faults.strike("flip", joint[0].id, elapsed_s):
-                packet = self.faults.flip(packet)
-            self._send(packet, now_s + self._spent(by_id[joint[0].id], packet))
+        if joint and len(joint) == len(asked):
+            packet = fast_sync_status([status for _, status in joint])
+            due_s = now_s + self._spent(joint[0][0], packet)
+            self._send(*self._spoiled([servo.id for servo, _ in joint], packet, due_s, elapsed_s))
+
+    def _spoiled(
+        self, ids: Sequence[int], packet: bytes, due_s: float, elapsed_s: float
+    ) -> tuple[bytes, float]:
+        """A packet of these servos as it comes, and when: flipped, late."""
+        if any(self.faults.strike("flip", servo, elapsed_s) for servo in ids):
+            packet = self.faults.flip(packet)
+        late = [self.faults.strike("late", servo, elapsed_s) for servo in ids]
+        return packet, due_s + max((x.ms for x in late if x is not None), default=0.0) / 1000.0
 
     def _troubled(self, servo: VirtualServo, status: Status, elapsed_s: float) -> Status:
         """A status as faults make it: stale data, error bits."""
@@ -243,10 +275,7 @@ class VirtualPort:
         status = self._troubled(servo, status, elapsed_s)
         packet = self._codec.status(status.id, status.error, status.data)
         due_s = now_s + self._spent(servo, packet)
-        if self.faults.strike("flip", servo.id, elapsed_s):
-            packet = self.faults.flip(packet)
-        late = self.faults.strike("late", servo.id, elapsed_s)
-        self._send(packet, due_s if late is None else due_s + late.ms / 1000.0)
+        self._send(*self._spoiled([servo.id], packet, due_s, elapsed_s))
         return due_s
 
     def _spent(self, servo: VirtualServo, packet: bytes) -> float:
@@ -319,3 +348,7 @@ class VirtualServer:
                 port.close()
             elif not out and not port.is_up:
                 port.open()
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data, "little")
