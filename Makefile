@@ -7,9 +7,10 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SEED   ?= 1
 MINUTES ?= 30
+BRIDGE_MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench scenarios baseline soak fuzz lock wheel clean
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz lock wheel clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
@@ -46,6 +47,9 @@ check: env  ## ruff, types, import contracts
 bench: env  ## the design's figures and speeds, in out/bench (about ten minutes)
 	$(BIN)/python -m adaptive_contact bench --out out/bench
 	$(BIN)/python tests/service/bench_echo.py
+
+bench-bridge: env  ## the bridge on three virtual ports: cycle, jitter, a silent servo, reconnects
+	$(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES)
 
 scenarios: env  ## every drift through every learner; docs/adaptation.md (two hours, resumable)
 	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios
