@@ -8,6 +8,7 @@ import numpy as np
 import pysindy as ps
 import pytest
 from pysindy.feature_library.base import BaseFeatureLibrary
+from sklearn.linear_model import LinearRegression
 
 from adaptive_contact.identify import (
     Factor,
@@ -18,15 +19,18 @@ from adaptive_contact.identify import (
     fit_sparse,
     leg_library,
 )
+from adaptive_contact.identify.regression import RANK_CUTOFF
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments.compression import compare
 from adaptive_contact_sim.experiments.data import Stream
+from adaptive_contact_sim.experiments.identification import PAPER_WINDOW
 from adaptive_contact_sim.experiments.rows import factor_of, free_rows
 from adaptive_contact_sim.experiments.stlsq import paper_fit
 
-# N, N', M of which the paper's library keeps full rank in PySINDy's eyes: its unbiased refit cuts
-# singular values below 1e-6 of the largest.
-PAPER = Window(past_measured=1, past_desired=1, preview=1)
+# N, N', M of the study, and a smaller one.  The larger has singular values below 1e-6 of the
+# largest, which PySINDy's unbiased refit cuts off; the smaller keeps full rank in its eyes.
+PAPER = PAPER_WINDOW
+SMALL = Window(past_measured=1, past_desired=1, preview=1)
 
 
 class OurLibrary(BaseFeatureLibrary):
@@ -87,10 +91,25 @@ def system(robot: Robot, stream: Stream, name: str, window: Window):
     return library, windows, state, control
 
 
-@pytest.mark.parametrize(("name", "window"), [("servo", Window()), ("paper", PAPER)])
-@pytest.mark.parametrize("threshold", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize(
+    ("name", "window", "threshold", "sparse"),
+    [
+        ("servo", Window(), 0.0, False),
+        ("servo", Window(), 0.1, True),
+        ("servo", Window(), 0.5, True),
+        ("paper", SMALL, 0.1, False),
+        ("paper", SMALL, 10.0, True),
+        ("paper", PAPER, 0.0, False),
+        ("paper", PAPER, 10.0, True),
+    ],
+)
 def test_our_fit_equals_discrete_sindy(
-    robot: Robot, free_stream: Stream, name: str, window: Window, threshold: float
+    robot: Robot,
+    free_stream: Stream,
+    name: str,
+    window: Window,
+    threshold: float,
+    sparse: bool,
 ) -> None:
     """Increments over their residual as next state, columns over their root mean square."""
     library, windows, state, control = system(robot, free_stream, name, window)
@@ -113,9 +132,37 @@ def test_our_fit_equals_discrete_sindy(
     assert fit.status is FitStatus.OK
     np.testing.assert_array_equal(fit.support, expected != 0)
     np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
+    # No agreement of two empty models, of models that keep everything, or of tiny numbers.
+    kept = fit.support.sum(axis=0)
+    assert (kept > 3).all()
+    assert not sparse or (kept < 0.8 * library.size).all()
+    assert np.abs(expected).max(axis=0).min() > 0.01
+    assert (fit.rms < 0.2 * np.sqrt(np.square(windows.increment).mean(axis=0))).all()
 
 
-@pytest.mark.parametrize("window", [PAPER, Window(past_measured=2, past_desired=2, preview=1)])
+def test_the_refit_cuts_singular_values_where_pysindy_cuts_them(
+    robot: Robot, free_stream: Stream
+) -> None:
+    """Of the paper's library some lie beyond the cut: without it the coefficients are others."""
+    library, windows, *_ = system(robot, free_stream, "paper", PAPER)
+    factor = factor_of(library, windows, windows.increment)
+    theta = library.evaluate(windows.measured, windows.desired, windows.preview)
+    scaled = theta / factor.scale()
+    raw = np.linalg.svd(scaled, compute_uv=False)
+    held = np.linalg.svd(factor.system[0] / factor.scale(), compute_uv=False)
+    np.testing.assert_allclose(held, raw, rtol=0, atol=1e-12 * raw[0])
+    assert 0 < np.count_nonzero(raw < RANK_CUTOFF * raw[0]) < 20
+    # None lies so near the cut that rounding decides.
+    assert np.abs(raw / raw[0] / RANK_CUTOFF - 1.0).min() > 1e-5
+    fit = fit_sparse(factor, FitSettings())
+    cut = LinearRegression(fit_intercept=False).fit(scaled, windows.increment)
+    whole = np.linalg.lstsq(scaled, windows.increment, rcond=1e-12)[0]
+    scale = factor.scale()[:, None]
+    np.testing.assert_allclose(fit.coefficients, cut.coef_.T / scale, rtol=0, atol=1e-8)
+    assert np.abs(fit.coefficients - whole / scale).max() > 1e-3
+
+
+@pytest.mark.parametrize("window", [SMALL, PAPER])
 @pytest.mark.parametrize("threshold", [0.0, 0.01, 0.1])
 def test_the_papers_fit_equals_discrete_sindy_with_its_own_library(
     robot: Robot, free_stream: Stream, window: Window, threshold: float
@@ -179,9 +226,16 @@ def test_bad_problems_end_with_a_status(normalised: bool) -> None:
     assert np.abs(same.coefficients).max() < 10.0
 
 
-def test_the_comparison_tells_both_times(robot: Robot, free_stream: Stream) -> None:
-    result = compare(free_stream, leg_library(robot, robot.leg("rf"), "servo"), 0.1, repeats=1)
+@pytest.mark.parametrize(
+    ("name", "window", "threshold"), [("servo", Window(), 0.1), ("paper", PAPER, 10.0)]
+)
+def test_the_comparison_tells_both_times(
+    robot: Robot, free_stream: Stream, name: str, window: Window, threshold: float
+) -> None:
+    library = leg_library(robot, robot.leg("rf"), name, window)
+    result = compare(free_stream, library, threshold, repeats=1)
     assert result.same_support
+    assert all(3 < n < library.size for n in result.kept)
     assert result.difference < 1e-8
     assert result.speed_up > 1.0
     assert result.rows > 4000

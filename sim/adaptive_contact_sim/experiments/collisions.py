@@ -42,7 +42,9 @@ _SEED: Final = 13
 # λ of both models, in units of the residual: the plateau of the identification study.
 _THRESHOLD: Final = 0.1
 _LONGEST_S: Final = 60.0
-# Before the swing's first tick, and from its last on, what a drawing shows, ticks.
+# What a drawing shows, ticks: the hold before the swing (no more, or the collision before would
+# be drawn), and some ticks from its last on.
+_BEFORE: Final = 3
 _MARGIN: Final = 10
 
 
@@ -223,7 +225,7 @@ def _trace(
     """One collision's swing, in ms from the start of what is drawn."""
     at = int(touch["onset_ms"] // 20.0)
     inside = np.flatnonzero(number == number[at])
-    first, last = max(inside[0] - _MARGIN, 0), min(inside[-1] + _MARGIN, len(number) - 1)
+    first, last = max(inside[0] - _BEFORE, 0), min(inside[-1] + _MARGIN, len(number) - 1)
     ticks = np.arange(first, last + 1)
     start_ms = 20.0 * first
     t_ms = np.array(heard.t_s) * 1e3

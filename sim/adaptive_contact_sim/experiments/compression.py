@@ -6,18 +6,37 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable
-from typing import TypeVar
+from pathlib import Path
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import Factor, FitSettings, Library, fit_sparse
-from adaptive_contact_sim.experiments.data import Stream
-from adaptive_contact_sim.experiments.rows import free_rows
+from adaptive_contact.identify import (
+    Factor,
+    FitSettings,
+    Library,
+    LibraryName,
+    Window,
+    fit_sparse,
+    leg_library,
+)
+from adaptive_contact.robot import Robot
+from adaptive_contact_sim.experiments.data import Stream, join, load, record_all
+from adaptive_contact_sim.experiments.identification import PAPER_WINDOW
+from adaptive_contact_sim.experiments.plan import FULL
+from adaptive_contact_sim.experiments.rows import free_rows, residual_unit
+from adaptive_contact_sim.experiments.store import Store
 
-__all__ = ["Comparison", "compare"]
+__all__ = ["Comparison", "compare", "compare_all", "compare_full"]
 
 Array = NDArray[np.float64]
+_COMPARED: Final[tuple[tuple[LibraryName, Window, float], ...]] = (
+    ("servo", Window(), 0.05),
+    ("servo", Window(), 0.3),
+    ("paper", PAPER_WINDOW, 0.1),
+    ("paper", PAPER_WINDOW, 10.0),
+)
 R = TypeVar("R")
 
 
@@ -27,6 +46,7 @@ class Comparison:
 
     Attributes:
         library, terms, rows, threshold: what was fitted.
+        kept: (J,) terms left to each joint.
         raw_s: PySINDy's STLSQ on the raw rows, Θ given.
         compressed_s: the same fit with the factor held.
         factor_s: building the factor from Θ.
@@ -40,6 +60,7 @@ class Comparison:
     terms: int
     rows: int
     threshold: float
+    kept: list[int]
     raw_s: float
     compressed_s: float
     factor_s: float
@@ -62,7 +83,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
 
     windows = free_rows(stream, library).windows
     theta, library_s = _timed(
-        lambda: library.evaluate(windows.measured, windows.desired, windows.preview), 1
+        lambda: library.evaluate(windows.measured, windows.desired, windows.preview), repeats
     )
     target = windows.increment
 
@@ -72,7 +93,7 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
         return factor
 
     factor, factor_s = _timed(build, repeats)
-    unit = fit_sparse(factor, FitSettings()).rms
+    unit: Array = np.array(residual_unit(factor))
     settings = FitSettings(threshold=threshold, unit=tuple(unit.tolist()))
     fit, compressed_s = _timed(lambda: fit_sparse(factor, settings), repeats)
     scale = factor.scale()
@@ -85,14 +106,16 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
             warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
             warnings.filterwarnings("ignore", message=".*did not converge")
             optimizer.fit(scaled, wanted)
-        return np.asarray(optimizer.coef_, dtype=np.float64).T / scale[:, None] * unit
+        scaled_back: Array = np.asarray(optimizer.coef_, dtype=np.float64).T / scale[:, None]
+        return scaled_back * unit
 
-    coefficients, raw_s = _timed(raw, 1)
+    coefficients, raw_s = _timed(raw, repeats)
     return Comparison(
         library=library.name,
         terms=library.size,
         rows=len(theta),
         threshold=threshold,
+        kept=[int(n) for n in fit.support.sum(axis=0)],
         raw_s=raw_s,
         compressed_s=compressed_s,
         factor_s=factor_s,
@@ -101,6 +124,38 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
         same_support=bool(((coefficients != 0) == fit.support).all()),
         difference=float(np.abs(coefficients - fit.coefficients).max()),
     )
+
+
+def compare_all(robot: Robot, stream: Stream) -> list[Comparison]:
+    """Both libraries, at a λ that keeps nearly every term and at one that leaves the sparse model.
+
+    Args:
+        robot: whose leg it is.
+        stream: the paper's training segments.
+    """
+    leg = robot.leg(stream.leg)
+    return [
+        compare(stream, leg_library(robot, leg, name, window), threshold)
+        for name, window, threshold in _COMPARED
+    ]
+
+
+def compare_full(
+    root: Path, robot: Robot, workers: int, progress: Callable[[float], None] = lambda _: None
+) -> list[Comparison]:
+    """The same on the full plan's 5,000 training segments, simulated unless they are there.
+
+    Args:
+        root: folder of what later calls reuse.
+        robot: whose leg it is.
+        workers: processes that simulate.
+        progress: told the share of the segments that each process adds.
+    """
+    store = Store(root)
+    pieces = FULL.paper_pieces("train")
+    seconds = sum(piece.seconds for piece in pieces)
+    record_all(store, pieces, workers, lambda done: progress(done / seconds))
+    return compare_all(robot, join([load(store, piece) for piece in pieces]))
 
 
 def _timed(work: Callable[[], R], repeats: int) -> tuple[R, float]:

@@ -10,7 +10,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
@@ -34,7 +34,7 @@ from adaptive_contact_sim.experiments.store import (
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.training import stretch_of
 
-__all__ = ["Stream", "load", "parallel", "record_all"]
+__all__ = ["Stream", "join", "load", "parallel", "record_all"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -43,6 +43,9 @@ R = TypeVar("R")
 _Job = list[tuple[Piece, Path]]
 
 TICK_NS = 20_000_000
+# At the start of every stream that is joined to another, ticks that are no swing's: more than any
+# window looks back.
+SEAM_TICKS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +175,42 @@ def load(store: Store, piece: Piece) -> Stream:
         releases_ns=tuple(arrays["releases_ns"].tolist()),
     )
     return Stream(piece, leg)
+
+
+def join(streams: Sequence[Stream]) -> Stream:
+    """One stream of several of the same leg, one after the other.
+
+    Every part begins with the leg standing, so that no window of swing ticks reaches back over a
+    seam.
+
+    Args:
+        streams: at least one.
+    """
+    first = streams[0]
+    starts = np.cumsum([0, *(len(s.swing) for s in streams[:-1])]).tolist()
+    assert all(not s.swing[:SEAM_TICKS].any() for s in streams)
+    parts = [s.arrays for s in streams]
+    arrays = LegArrays(
+        measured=np.concatenate([a.measured for a in parts]),
+        desired=np.concatenate([a.desired for a in parts]),
+        valid=np.concatenate([a.valid for a in parts]),
+        swing=np.concatenate([a.swing for a in parts]),
+        contact=np.concatenate([a.contact for a in parts]),
+        force_n=np.concatenate([a.force_n for a in parts]),
+        angle=np.concatenate([a.angle for a in parts]),
+        onsets=tuple(
+            replace(o, t_ns=o.t_ns + start * TICK_NS, tick=o.tick + start)
+            for start, a in zip(starts, parts, strict=True)
+            for o in a.onsets
+        ),
+        releases_ns=tuple(
+            t + start * TICK_NS
+            for start, a in zip(starts, parts, strict=True)
+            for t in a.releases_ns
+        ),
+    )
+    piece = replace(first.piece, seconds=sum(s.piece.seconds for s in streams))
+    return Stream(piece, arrays)
 
 
 def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterator[tuple[T, R]]:

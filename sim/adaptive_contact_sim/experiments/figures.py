@@ -87,7 +87,7 @@ def _figure(width: float, height: float) -> Figure:
 def _workspace(data: Any) -> Figure:
     """Figure 3: the grid of 1 cm that the leg reaches, both subspaces, the feet's places."""
     del data
-    figure = _figure(8.0, 3.9)
+    figure = _figure(8.0, 4.6)
     top, side = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     geometry = LegGeometry.of()
     lower, upper = WORKSPACES["paper"]
@@ -107,13 +107,19 @@ def _workspace(data: Any) -> Figure:
         for space, colour, label in ((lower, _BLUE, "lower subspace"), (upper, "#E6C800", "upper")):
             inside = _inside(space, own)
             axes.plot(shown[inside, 0], shown[inside, 1], "s", color=colour, ms=4, label=label)
-    side.plot([0.115], [-0.165], "o", color=_GREEN, label="stance of the others")
-    side.set(xlabel="from the coxa axis (m)", ylabel="over it (m)", title="side", aspect="equal")
-    side.legend(loc="upper left", fontsize=6.5)
+    side.plot([0.115], [-0.165], "o", color=_GREEN, label="feet of the others")
+    side.set(
+        xlabel="from the coxa axis (m)",
+        ylabel="over the coxa (m)",
+        title="from the side",
+        aspect="equal",
+    )
+    handles, labels = side.get_legend_handles_labels()
+    handles += top.plot(geometry.mounts_m[:, 0], geometry.mounts_m[:, 1], "s", color=_GREY, ms=4)
+    figure.legend(handles, [*labels, "coxa axes"], fontsize=7, loc="outside lower center", ncols=5)
     feet = geometry.to_body(np.tile(np.array([0.115, 0.0, -0.165]), (len(LEGS), 1)))
     others = [i for i in range(len(LEGS)) if i != index]
     top.plot(feet[others, 0], feet[others, 1], "o", color=_GREEN)
-    top.plot(geometry.mounts_m[:, 0], geometry.mounts_m[:, 1], "s", color=_GREY, ms=4)
     top.set(
         xlabel="forward (m)",
         ylabel="left (m)",
@@ -193,7 +199,8 @@ def _sweep(data: Any) -> Figure:
             below.loglog(lam, [p["terms"][joint] for p in points], color=colour)
         below.set(xlabel="λ")
         for axes in (above, middle, below):
-            axes.axvline(sweep["picked"], color=_PURPLE, lw=1)
+            if sweep["picked"] is not None:
+                axes.axvline(sweep["picked"], color=_PURPLE, lw=1)
             if sweep["emptied_at"] is not None:
                 axes.axvspan(sweep["emptied_at"], 20.0, color="black", alpha=0.12, lw=0)
             axes.axvline(5.0, color="black", lw=0.8, ls="--")
@@ -234,7 +241,7 @@ def _collision(data: Any) -> Figure:
         one.axvline(trace["moves_ms"], color="black", lw=0.8, ls=":")
         one.axvline(trace["onset_ms"], color="black", lw=1.2)
         for when in trace["paper_ms"]:
-            one.axvline(when, color=_RED, lw=1.2)
+            one.axvline(when, color=_RED, lw=3.0, alpha=0.6)
         for when in trace["default_ms"]:
             one.axvline(when, color=_BLUE, lw=1.2, ls="--")
     axes[0].legend(fontsize=7, loc="upper left", ncols=3)
@@ -321,7 +328,7 @@ def _maps(data: Any) -> Figure:
     import matplotlib as mpl
 
     names = list(data["libraries"])
-    figure = _figure(8.0, 3.3 * len(names))
+    figure = _figure(7.0, 3.4 * len(names))
     grid = figure.subplots(len(names), 2, sharex=True, sharey=True, squeeze=False)
     extent = (*data["reach_m"], *data["height_m"])
     norm = mpl.colors.LogNorm(1.0, 10.0)
@@ -336,17 +343,20 @@ def _maps(data: Any) -> Figure:
             )
             axes.grid(visible=False)
             made = "model of the paper's subspaces" if column == 0 else "one model of the whole"
-            axes.set_title(f"{name} library, {made}", fontsize=8)
+            axes.set_title(f"{name} library,\n{made}", fontsize=8)
             for space in WORKSPACES["paper"]:
                 low, high = space.reach_m
                 axes.plot(
                     [low, high, high, low, low],
                     [*np.repeat(space.height_m, 2), space.height_m[0]],
-                    color="white", lw=1,
+                    color=_RED, lw=1.2, ls="--",
                 )  # fmt: skip
         grid[line][0].set_ylabel("height (m)")
     for axes in grid[-1]:
         axes.set_xlabel("reach (m)")
     assert image is not None
-    figure.colorbar(image, ax=grid, label="RMS residual over the noise floor", shrink=0.8)
+    figure.colorbar(
+        image, ax=grid, label="RMS residual over the noise floor", shrink=0.8, extend="max",
+        ticks=(1, 1.5, 2, 3, 5, 10), format="%g",
+    )  # fmt: skip
     return figure

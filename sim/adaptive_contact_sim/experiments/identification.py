@@ -36,6 +36,7 @@ from adaptive_contact_sim.experiments.rows import (
     free_rows,
     noise_floor,
     pick,
+    residual_unit,
     rms_deg,
 )
 from adaptive_contact_sim.experiments.stlsq import RIDGE, paper_fit
@@ -152,7 +153,7 @@ def _sweep(
         "window": dataclasses.asdict(library.window),
         "size": library.size,
         "ridge": RIDGE,
-        "condition": float(np.linalg.cond(r)),
+        "condition": _condition(r),
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
         "picked": picked,
@@ -182,7 +183,7 @@ def _next_state(windows: Rows) -> Array:
     """(n, (N + 1) J) the next state: the new positions, then the older ones moved up."""
     new = windows.measured[:, :1] + windows.increment[:, None]
     state = np.concatenate([new, windows.measured[:, :-1]], axis=1)
-    return np.asarray(state.reshape(len(windows.tick), -1))
+    return np.asarray(state.reshape(len(state), state.shape[1] * state.shape[2]))
 
 
 def _scores(windows: Rows, position: Array, states: Array | None) -> dict[str, Any]:
@@ -206,15 +207,18 @@ def _scores(windows: Rows, position: Array, states: Array | None) -> dict[str, A
         before = windows.measured[:, 1]
         figures["acceleration"] = _r2(position - 2 * now + before, actual - 2 * now + before)
         wanted = _next_state(windows)
-        told = windows.measured.reshape(len(now), -1) if states is None else states
+        told = windows.measured.reshape(wanted.shape) if states is None else states
         figures["all"] = _r2(told, wanted)
     return figures
 
 
 def _r2(predicted: Array, actual: Array) -> float:
-    """Share of the variance explained, all columns together."""
+    """Share of the variance explained, all columns together; NaN where nothing varies."""
+    if not len(actual):
+        return float("nan")
     left = np.square(predicted - actual).sum()
-    return float(1.0 - left / np.square(actual - actual.mean(axis=0)).sum())
+    whole = np.square(actual - actual.mean(axis=0)).sum()
+    return float(1.0 - left / whole) if whole > 0.0 else float("nan")
 
 
 def _sensitivity(library: Library, windows: Rows, coefficients: Array) -> list[float]:
@@ -222,6 +226,8 @@ def _sensitivity(library: Library, windows: Rows, coefficients: Array) -> list[f
 
     A difference quotient; the library and the command may be in any unit of angle.
     """
+    if not len(windows.tick):
+        return [float("nan")] * len(library.joints)
     some = slice(0, None, max(1, len(windows.tick) // 4000))
     measured, desired, preview = (part[some] for part in windows[:3])
     base = library.evaluate(measured, desired, preview) @ coefficients
@@ -242,8 +248,16 @@ def _support_condition(r: Array, coefficients: Array) -> list[float | None]:
         if kept.shape[1] == 0:
             values.append(None)
             continue
-        values.append(float(np.linalg.cond(kept / np.linalg.norm(kept, axis=0))))
+        values.append(_condition(kept / np.linalg.norm(kept, axis=0)))
     return values
+
+
+def _condition(matrix: Array) -> float:
+    """Largest over smallest singular value; infinite where rows or columns do not tell apart."""
+    if len(matrix) < matrix.shape[1]:
+        return float("inf")
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
 
 
 def _fold_factors(library: Library, windows: Rows, swing: NDArray[np.int64]) -> list[Factor]:
@@ -262,7 +276,7 @@ def _held_out(
     for f, inside in enumerate(folds):
         others = Factor.merged((o for i, o in enumerate(folds) if i != f), terms, outputs)
         fit = paper_fit(others, threshold, normalised=normalised)
-        if fit.status is not FitStatus.OK:
+        if fit.status is not FitStatus.OK or inside.rows <= 0:
             return None
         squares += np.square(inside.rms(fit.coefficients)) * inside.rows
         count += inside.rows
@@ -282,32 +296,24 @@ def _selection(
         factor_of(library, pick(rows.windows, fold == f), target[fold == f]) for f in range(FOLDS)
     ]
     whole = Factor.merged(folds, library.size, target.shape[1])
-    unit = tuple(fit_sparse(whole, FitSettings()).rms.tolist())
+    unit = residual_unit(whole)
     points = []
     for threshold in OUR_LAMBDAS:
         settings = FitSettings(threshold=threshold, unit=unit)
         fit = fit_sparse(whole, settings)
-        squares = np.zeros(target.shape[1])
-        for f, inside in enumerate(folds):
-            others = Factor.merged(
-                (o for i, o in enumerate(folds) if i != f), library.size, target.shape[1]
-            )
-            squares += (
-                np.square(inside.rms(fit_sparse(others, settings).coefficients)) * inside.rows
-            )
         residual = held.windows.increment - blockwise(library, held.windows, fit.coefficients)
         points.append(
             {
                 "lambda": threshold,
                 "status": fit.status.value,
                 "terms": [int(n) for n in fit.support.sum(axis=0)],
-                "held_out_rms": np.degrees(np.sqrt(squares / whole.rows)).tolist(),
+                "held_out_rms": _ours_held_out(folds, settings),
                 "test_rms_deg": rms_deg(residual),
                 "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(residual)],
                 "sensitivity": _sensitivity(library, held.windows, fit.coefficients),
             }
         )
-    picked = _sparsest([p for p in points if p["status"] == "ok"])
+    picked = _sparsest([p for p in points if p["status"] == "ok" and p["held_out_rms"] is not None])
     return {
         "library": name,
         "window": dataclasses.asdict(window),
@@ -315,6 +321,20 @@ def _selection(
         "points": points,
         "picked": picked,
     }
+
+
+def _ours_held_out(folds: Sequence[Factor], settings: FitSettings) -> list[float] | None:
+    """(J,) degrees on swings a fit has not seen; None where some fit has no rows to stand on."""
+    terms, outputs = folds[0].terms, folds[0].outputs
+    squares, count = np.zeros(outputs), 0.0
+    for f, inside in enumerate(folds):
+        others = Factor.merged((o for i, o in enumerate(folds) if i != f), terms, outputs)
+        fit = fit_sparse(others, settings)
+        if fit.status not in (FitStatus.OK, FitStatus.EMPTIED) or inside.rows <= 0:
+            return None
+        squares += np.square(inside.rms(fit.coefficients)) * inside.rows
+        count += inside.rows
+    return [float(v) for v in np.degrees(np.sqrt(squares / count))]
 
 
 def _window_row(

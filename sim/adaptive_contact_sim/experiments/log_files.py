@@ -15,6 +15,7 @@ import dataclasses
 import itertools
 import json
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -35,6 +36,16 @@ _RATE_TOLERANCE: Final = 0.05
 _MIN_ROWS: Final = 50
 # A hole in the time stamps ends a stretch.
 _GAP_S: Final = 0.1
+# More joints make the paper's library larger than memory.
+_MAX_JOINTS: Final = 12
+# How much of an error's own words is told, and of how many files where none is of use.
+_SAID: Final = 160
+_TOLD: Final = 3
+# What reading a file that is something else, or is damaged, may end with.
+_UNREADABLE: Final = (
+    ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, EOFError,
+    NotImplementedError, RecursionError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 # Buses that return -π for "no answer", and readings no servo could have made in a tick.
 _MAX_STEP_RAD: Final = 0.6
 
@@ -76,7 +87,7 @@ def load_logs(path: Path) -> LogSet:
     """Read a file, or all files of both formats below a folder.
 
     Raises:
-        RecordingError: there is no such path, or no file of either format.
+        RecordingError: there is no such path, no file of either format, or none of use.
     """
     if path.is_dir():
         files = sorted(p for p in path.rglob("*") if p.suffix in (".npz", ".json") and p.is_file())
@@ -91,15 +102,22 @@ def load_logs(path: Path) -> LogSet:
         name = str(file.relative_to(path)) if path.is_dir() else file.name
         try:
             parts = list(_arm(file) if file.suffix == ".npz" else _pendulum(file))
-        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-            reason = f"not a recording in this format ({type(error).__name__}: {error})"
-            found.skipped.append((name, reason))
+        except _UNREADABLE as error:
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            found.skipped.append((name, f"not a recording in this format ({said[:_SAID]})"))
             continue
         for part in parts:
             if isinstance(part, str):
                 found.skipped.append((name, part))
             else:
                 found.recordings.append(part)
+    if not found.recordings:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in found.skipped[:_TOLD])
+        more = f"; and {len(found.skipped) - _TOLD} more" if len(found.skipped) > _TOLD else ""
+        raise RecordingError(
+            f"{path}: no recording that can be used ({reasons}{more}); docs/paper.md describes "
+            "both formats"
+        )
     return found
 
 
@@ -115,8 +133,14 @@ def _arm(file: Path) -> Iterator[Recording | str]:
                 yield f"motion '{motion}' lacks {', '.join(missing)}"
                 continue
             t, goal, pos = (np.asarray(data[key], dtype=np.float64) for key in keys)
-            if goal.shape != pos.shape or goal.ndim != 2 or len(t) != len(goal):
-                yield f"motion '{motion}': shapes {t.shape}, {goal.shape}, {pos.shape} differ"
+            if t.ndim != 1 or goal.ndim != 2 or goal.shape != pos.shape or len(t) != len(goal):
+                yield (
+                    f"motion '{motion}': t, goal and pos have shapes {t.shape}, {goal.shape} and "
+                    f"{pos.shape}; expected (n,), (n, J) and (n, J)"
+                )
+                continue
+            if not 1 <= goal.shape[1] <= _MAX_JOINTS:
+                yield f"motion '{motion}': {goal.shape[1]} joints; expected 1 to {_MAX_JOINTS}"
                 continue
             yield from _stretches(motion, "arm", t, pos, goal, None)
 
@@ -158,14 +182,20 @@ def _stretches(
         yield f"'{name}': {np.count_nonzero(~forward)} rows whose time does not advance left out"
         t, pos, goal = t[forward], pos[forward], goal[forward]
     begins = np.concatenate(([0], np.flatnonzero(np.diff(t) > _GAP_S) + 1, [len(t)]))
+    short: list[int] = []
     for first, last in itertools.pairwise(begins):
         part = slice(int(first), int(last))
         pos_part, repaired = _repair(np.unwrap(pos[part], axis=0))
         measured, desired = _resample(t[part], pos_part, np.unwrap(goal[part], axis=0))
         if len(measured) < _MIN_ROWS:
-            yield f"'{name}': a stretch of {len(measured)} ticks is too short"
+            short.append(len(measured))
             continue
         yield Recording(name, kind, measured, desired, gain, repaired)
+    if short:
+        yield (
+            f"'{name}': {len(short)} of {len(begins) - 1} stretches without a gap of {_GAP_S} s "
+            f"are too short (the longest has {max(short)} ticks; expected {_MIN_ROWS}, time in s)"
+        )
 
 
 def _repair(pos: Array) -> tuple[Array, int]:

@@ -23,12 +23,12 @@ _CAPTIONS: Final = {
     "paper-responses": "Figure 2 of the paper: femur command, response, predictions; shaded: hold.",
     "paper-sweep": "Figure 4 of the paper (top), and what R² does not show. Violet: the λ picked "
     "on held-out swings; dashed: λ = 5; grey: some state has lost all its terms.",
-    "paper-collision": "Figure 5 of the paper: one collision.",
+    "paper-collision": "Figure 5 of the paper: one collision (the one drawn in the table).",
     "paper-roc": "Thresholds swept; circles: the aim of one false alarm per hour; star: the "
     "default detector as it runs.",
     "paper-limits": "Recall against speed and force.",
-    "paper-residual-map": "Residual over the workspace, before and after; white: the paper's "
-    "subspaces.",
+    "paper-residual-map": "Residual over the workspace, before and after; dashed: the paper's "
+    "subspaces; white: not enough held-out swings, or out of reach.",
 }
 _STYLE: Final = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem;

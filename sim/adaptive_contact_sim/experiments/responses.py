@@ -19,7 +19,7 @@ from adaptive_contact.identify import (
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.identification import PAPER_WINDOW
-from adaptive_contact_sim.experiments.rows import factor_of, free_rows
+from adaptive_contact_sim.experiments.rows import factor_of, free_rows, residual_unit
 
 __all__ = ["fitted", "predictions", "responses"]
 
@@ -37,8 +37,7 @@ def fitted(
     library = leg_library(robot, robot.leg(stream.piece.leg_run.leg), name, window)
     rows = free_rows(stream, library)
     factor = factor_of(library, rows.windows, rows.windows.increment)
-    unit = tuple(fit_sparse(factor, FitSettings()).rms.tolist())
-    fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
+    fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=residual_unit(factor)))
     return LegModel(library, fit.coefficients)
 
 

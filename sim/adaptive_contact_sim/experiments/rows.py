@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import Factor, Library, Rows, stack
+from adaptive_contact.identify import Factor, FitSettings, Library, Rows, fit_sparse, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -20,6 +20,7 @@ __all__ = [
     "free_rows",
     "noise_floor",
     "pick",
+    "residual_unit",
     "rms_deg",
 ]
 
@@ -28,6 +29,8 @@ Ints = NDArray[np.int64]
 
 # Rows whose regressors are held at once: 295 doubles each, some tens of megabytes.
 BLOCK: Final = 20_000
+# What a joint that never moves leaves as its residual, rad.
+_LEAST: Final = 1e-9
 
 
 class FreeRows(NamedTuple):
@@ -43,7 +46,7 @@ class FreeRows(NamedTuple):
 
 
 def free_rows(stream: Stream, library: Library) -> FreeRows:
-    """Windows whose tick and successor are free swing ticks.
+    """Windows whose tick and successor are free swing ticks, of finite values throughout.
 
     Args:
         stream: one leg's.
@@ -51,9 +54,18 @@ def free_rows(stream: Stream, library: Library) -> FreeRows:
     """
     cut = stack(stream.measured, stream.desired, library.window)
     use = stream.swing & stream.stretch.free
-    rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1])
+    rows = np.flatnonzero(use[cut.tick] & use[cut.tick + 1] & _finite(cut))
     number = np.cumsum(np.diff(stream.swing.astype(int), prepend=0) == 1)
     return FreeRows(pick(cut, rows), number[cut.tick[rows]])
+
+
+def _finite(windows: Rows) -> NDArray[np.bool_]:
+    """Mask of windows without a value that is not finite."""
+    parts = (windows.measured, windows.desired, windows.preview, windows.increment)
+    finite = np.ones(len(windows.tick), dtype=np.bool_)
+    for part in parts:
+        finite &= np.isfinite(part).all(axis=tuple(range(1, part.ndim)))
+    return finite
 
 
 def pick(windows: Rows, which: NDArray[Any]) -> Rows:
@@ -100,6 +112,11 @@ def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
     return factor
 
 
+def residual_unit(factor: Factor) -> tuple[float, ...]:
+    """(J,) the least-squares residual that λ is measured in, where there is one."""
+    return tuple(np.maximum(fit_sparse(factor, FitSettings()).rms, _LEAST).tolist())
+
+
 def noise_floor(encoder: EncoderSettings | None = None) -> float:
     r"""Standard deviation of a reading about the true angle, rad.
 
@@ -112,5 +129,7 @@ def noise_floor(encoder: EncoderSettings | None = None) -> float:
 
 
 def rms_deg(residual: Array) -> list[float]:
-    """Root mean square of every column, degrees."""
+    """Root mean square of every column, degrees; NaN without rows."""
+    if not len(residual):
+        return [float("nan")] * residual.shape[1]
     return [float(v) for v in np.degrees(np.sqrt(np.square(residual).mean(axis=0)))]

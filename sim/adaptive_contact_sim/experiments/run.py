@@ -13,20 +13,21 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from adaptive_contact.identify import leg_library
+from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.experiments.collisions import ten_collisions
-from adaptive_contact_sim.experiments.compression import compare
-from adaptive_contact_sim.experiments.data import load, parallel, record_all
+from adaptive_contact_sim.experiments.compression import compare_all
+from adaptive_contact_sim.experiments.data import Stream, join, load, parallel, record_all
 from adaptive_contact_sim.experiments.detection import detection
 from adaptive_contact_sim.experiments.detectors import DETECTORS
 from adaptive_contact_sim.experiments.evaluation import evaluate, jobs_of
-from adaptive_contact_sim.experiments.identification import PAPER_WINDOW, identification
+from adaptive_contact_sim.experiments.identification import identification
 from adaptive_contact_sim.experiments.logs import run_logs
 from adaptive_contact_sim.experiments.models import learn_robot, learned
 from adaptive_contact_sim.experiments.plan import LegRun, Piece, Plan, Role
@@ -51,9 +52,8 @@ STAGES: Final = (
     "workspace",
     "logs",
 )
+_PAPER_ROLES: Final[tuple[Literal["train", "tune"], ...]] = ("train", "tune")
 _ROLES: Final[tuple[Role, ...]] = ("train", "tune", "touch", "stand", "free")
-# λ at which fits are timed, in units of the residual.
-_TIMED_THRESHOLD: Final = 0.1
 # Console lines without a terminal, at most one per stage and so many seconds.
 _LINE_S: Final = 20.0
 _PIPE_WIDTH: Final = 100
@@ -124,15 +124,15 @@ class _Runner:
 
     def dataset(self) -> dict[str, Any]:
         """The paper's two datasets (4.1)."""
-        pieces = [self.plan.paper_piece(role) for role in ("train", "tune")]
-        self._record("the paper's dataset", pieces)
-        train, test = (load(self.store, piece) for piece in pieces)
+        parts = self._paper_parts()
         return {
-            "leg": train.leg,
+            "leg": parts[0][0].leg,
             "segments": [self.plan.train_segments, self.plan.test_segments],
-            "ticks": [len(train.swing), len(test.swing)],
+            # As recorded: two to a swing, an ascent and a descent.
+            "recorded": [2 * sum(_swings(s) for s in own) for own in parts],
+            "ticks": [sum(len(s.swing) for s in own) for own in parts],
             # At time 0 the leg stands: that is where it comes from, no touch.
-            "touches": sum(o.t_ns > 0 for s in (train, test) for o in s.arrays.onsets),
+            "touches": sum(o.t_ns > 0 for own in parts for s in own for o in s.arrays.onsets),
         }
 
     def identification(self) -> Any:
@@ -157,18 +157,12 @@ class _Runner:
     def compression(self) -> Any:
         """The compressed fit against PySINDy's own."""
         train, _ = self._paper_streams()
-        leg = self.robot.leg(train.leg)
-        key = [self._paper_key(), source_fingerprint(), _TIMED_THRESHOLD]
+        key = [self._paper_key(), source_fingerprint()]
         with self._told("compressed regression against raw rows"):
             return self.store.tree(
                 "compression",
                 key,
-                lambda: [
-                    compare(train, leg_library(self.robot, leg, "servo"), _TIMED_THRESHOLD),
-                    compare(
-                        train, leg_library(self.robot, leg, "paper", PAPER_WINDOW), _TIMED_THRESHOLD
-                    ),
-                ],
+                lambda: compare_all(self.robot, train),
             )
 
     def collisions(self) -> Any:
@@ -243,23 +237,35 @@ class _Runner:
             return {"skipped_stage": reason}
         path = self.logs_path
         stamps = [
-            [str(p.relative_to(path)) if path.is_dir() else p.name, p.stat().st_size]
+            [
+                str(p.relative_to(path)) if path.is_dir() else p.name,
+                p.stat().st_size,
+                p.stat().st_mtime_ns,
+            ]
             for p in sorted(path.rglob("*") if path.is_dir() else [path])
             if p.is_file()
         ]
         with self._told("recordings of real servos"):
-            return self.store.tree("logs", [source_fingerprint(), stamps], lambda: run_logs(path))
+            try:
+                return self.store.tree(
+                    "logs", [source_fingerprint(), str(path), stamps], lambda: run_logs(path)
+                )
+            except RecordingError as error:
+                return {"skipped_stage": str(error)}
 
     # -- private -------------------------------------------------------------------------------
 
     def _paper_key(self) -> list[Any]:
-        pieces = [plain(self.plan.paper_piece(role)) for role in ("train", "tune")]
+        pieces = [plain(self.plan.paper_pieces(role)) for role in _PAPER_ROLES]
         return [physics_fingerprint(), pieces]
 
-    def _paper_streams(self) -> tuple[Any, Any]:
-        pieces = [self.plan.paper_piece(role) for role in ("train", "tune")]
-        self._record("the paper's dataset", pieces)
-        train, test = (load(self.store, piece) for piece in pieces)
+    def _paper_parts(self) -> list[list[Stream]]:
+        pieces = [self.plan.paper_pieces(role) for role in _PAPER_ROLES]
+        self._record("the paper's dataset", [p for own in pieces for p in own])
+        return [[load(self.store, piece) for piece in own] for own in pieces]
+
+    def _paper_streams(self) -> tuple[Stream, Stream]:
+        train, test = (join(own) for own in self._paper_parts())
         return train, test
 
     def _record(self, what: str, pieces: Sequence[Piece]) -> None:
@@ -302,3 +308,8 @@ class _Runner:
 
             yield tell
         self.console.print(f"{what}: {time.monotonic() - start:.0f} s")
+
+
+def _swings(stream: Stream) -> int:
+    """How many swings a stream holds."""
+    return int(np.count_nonzero(np.diff(stream.swing.astype(np.int8), prepend=0) == 1))

@@ -32,6 +32,8 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT: Final = 1
 # Packages whose source decides what an evaluation gives.
 _EVALUATING: Final = ("identify", "detect", "adapt", "score", "robot")
+# Of the simulator, what turns recordings into samples, rows and truth.
+_MATCHING: Final = ("evaluate.py", "training.py", "truth.py")
 
 
 class Store:
@@ -118,6 +120,8 @@ def plain(value: Any) -> Any:
 @functools.cache
 def physics_fingerprint() -> str:
     """Hash of a second of every kind of motion: what the simulator does, not how it is written."""
+    from adaptive_contact_sim.experiments.gantry import record_gantry
+    from adaptive_contact_sim.experiments.plan import GantrySettings
     from adaptive_contact_sim.experiments.recording import record_leg
     from adaptive_contact_sim.obstacles import ObstacleSettings
     from adaptive_contact_sim.pose import PoseSettings
@@ -135,6 +139,9 @@ def physics_fingerprint() -> str:
         for part in (leg.measured, leg.desired, leg.swing, leg.force_n):
             digest.update(np.ascontiguousarray(part).tobytes())
         digest.update(repr(leg.onsets).encode())
+    for leg in record_gantry(GantrySettings(seed=12345), 1.0).values():
+        for part in (leg.measured, leg.desired, leg.swing):
+            digest.update(np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()[:16]
 
 
@@ -144,10 +151,11 @@ def source_fingerprint() -> str:
     product = Path(adaptive_contact.__file__).parent
     simulator = Path(adaptive_contact_sim.__file__).parent
     folders = [product / name for name in _EVALUATING] + [simulator / "experiments"]
+    files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
+    files += [simulator / name for name in _MATCHING]
     digest = hashlib.sha256()
-    for folder in folders:
-        for file in sorted(folder.glob("*.py")):
-            digest.update(file.name.encode() + file.read_bytes())
+    for file in files:
+        digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
 

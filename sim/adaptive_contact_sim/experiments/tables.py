@@ -5,9 +5,11 @@ Nothing here is a number of its own: every figure is read from the results' tree
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
+from adaptive_contact_sim.experiments.rows import noise_floor
 from adaptive_contact_sim.experiments.tables_detection import detection_sections
 from adaptive_contact_sim.experiments.tables_format import (
     Section,
@@ -25,7 +27,10 @@ _ASKED_ROWS: Final = 45_000
 
 
 class Headline(NamedTuple):
-    """One of the run's promises, and what was measured."""
+    """One of the run's promises, and what was measured.
+
+    ``kept`` is None where nothing speaks against it, but less was measured than was asked for.
+    """
 
     what: str
     wanted: str
@@ -34,7 +39,7 @@ class Headline(NamedTuple):
 
 
 def headline(results: Mapping[str, Any]) -> list[Headline]:
-    """The numbers asked for, with what was measured; None where a stage was left out."""
+    """The numbers asked for, with what was measured, of the stages that ran."""
     lines: list[Headline] = []
     found = results.get("detection")
     if found:
@@ -48,7 +53,7 @@ def headline(results: Mapping[str, Any]) -> list[Headline]:
                 "≥ 99 % of ≥ 1,000",
                 f"{percent(row['recall'])} of {row['touches']} "
                 f"(95 % {percent(low)} to {percent(high)})",
-                None if row["recall"] is None else row["recall"] >= 0.99 and row["touches"] >= 1000,
+                _verdict(row["recall"], 0.99, row["touches"] >= 1000, at_least=True),
             ),
             Headline(
                 "latency of those",
@@ -56,7 +61,9 @@ def headline(results: Mapping[str, Any]) -> list[Headline]:
                 f"median {number(row['median_ms'], 1)} ms, p95 {number(row['p95_ms'], 1)} ms",
                 None
                 if row["median_ms"] is None
-                else row["median_ms"] <= 20.0 and row["p95_ms"] <= 40.0,
+                else _verdict(
+                    max(row["median_ms"] / 20.0, row["p95_ms"] / 40.0), 1.0, row["touches"] >= 1000
+                ),
             ),
             Headline(
                 "false alarms per robot-hour",
@@ -64,36 +71,63 @@ def headline(results: Mapping[str, Any]) -> list[Headline]:
                 f"{number(alarms['per_hour'], 2)} "
                 f"(95 % {number(alarms['interval'][0], 2)} to {number(alarms['interval'][1], 2)}) "
                 f"over {number(alarms['hours'], 1)} h",
-                alarms["per_hour"] <= 5.0 and alarms["hours"] >= 10.0,
+                _verdict(alarms["per_hour"], 5.0, alarms["hours"] >= 10.0),
             ),
+            _over_floor("whole workspace, swings of every leg-run", _whole_over_floor(found)),
         ]
     identified = results.get("identification")
     if identified:
         servo = next(s for s in identified["selection"] if s["library"] == "servo")
-        point = next(p for p in servo["points"] if p["lambda"] == servo["picked"])
-        worst = max(point["over_floor"])
-        lines.append(
-            Headline(
-                "one-step RMS of the default over the noise floor",
-                "≤ 1.5 ×",
-                f"{per_joint(point['over_floor'])} ×",
-                worst <= 1.5,
-            )
-        )
+        point = next((p for p in servo["points"] if p["lambda"] == servo["picked"]), None)
+        if point is not None:
+            lines.append(_over_floor("the paper's test segments", point["over_floor"]))
     for row in results.get("compression") or ():
         lines.append(
             Headline(
-                f"refit with the factor held, {row['library']} library, {row['rows']:,} rows",
+                f"refit with the factor held, {row['library']} library, "
+                f"{sum(row['kept']) / len(row['kept']):.0f} of {row['terms']} terms kept, "
+                f"{row['rows']:,} rows",
                 "≥ 20 × PySINDy's own on 5,000 segments, same support",
                 f"{number(row['speed_up'], 0)} ×, "
                 f"{'same' if row['same_support'] else 'another'} support, "
                 f"largest difference {row['difference']:.1e}",
-                (row["speed_up"] >= 20.0 and row["same_support"] and row["difference"] <= 1e-8)
-                if row["rows"] >= _ASKED_ROWS
-                else None,
+                _speed_verdict(row),
             )
         )
     return lines
+
+
+def _verdict(
+    value: float | None, limit: float, enough: bool, *, at_least: bool = False
+) -> bool | None:
+    """No where the limit is broken, yes where it is kept and enough was measured, else None."""
+    if value is None:
+        return None
+    kept = value >= limit if at_least else value <= limit
+    return (True if enough else None) if kept else False
+
+
+def _speed_verdict(row: Mapping[str, Any]) -> bool | None:
+    if not row["same_support"] or row["difference"] > 1e-8:
+        return False
+    # Fewer rows are slower to gain on: nothing is said of 5,000 segments by less.
+    enough = row["rows"] >= _ASKED_ROWS
+    return _verdict(row["speed_up"], 20.0, True, at_least=True) if enough else None
+
+
+def _over_floor(where: str, over: Sequence[float]) -> Headline:
+    return Headline(
+        f"one-step RMS of the default's model over the noise floor, {where}",
+        "≤ 1.5 ×",
+        f"{per_joint(over)} ×",
+        max(over) <= 1.5,
+    )
+
+
+def _whole_over_floor(found: Mapping[str, Any]) -> list[float]:
+    """Of the servo law's models on the report's free swings, standing."""
+    floor = math.degrees(noise_floor())
+    return [v / floor for v in found["residual_deg"]["stand"]["servo"]]
 
 
 def sections(results: Mapping[str, Any]) -> list[Section]:
@@ -191,7 +225,7 @@ def _identification(data: Any) -> list[Section]:
             s["library"],
             number(p["lambda"], 2) + (" *" if p["lambda"] == s["picked"] else ""),
             " ".join(str(n) for n in p["terms"]) + f" of {s['size']}",
-            per_joint(p["held_out_rms"], 3),
+            per_joint(p["held_out_rms"], 3) if p["held_out_rms"] else p["status"],
             per_joint(p["test_rms_deg"], 3),
             per_joint(p["over_floor"]),
             per_joint(p["sensitivity"], 3),
@@ -204,7 +238,7 @@ def _identification(data: Any) -> list[Section]:
             w["library"],
             " ".join(str(n) for n in w["window"]),
             str(w["terms"]),
-            f"{w['condition']:.0e}",
+            "-" if w["condition"] is None else f"{w['condition']:.0e}",
             per_joint(w["test_rms_deg"], 3),
             per_joint(w["over_floor"]),
         ]
@@ -247,6 +281,8 @@ def _compression(data: Any) -> list[Section]:
             r["library"],
             f"{r['terms']}",
             f"{r['rows']:,}",
+            number(r["threshold"], 2),
+            " ".join(str(n) for n in r["kept"]),
             number(r["raw_s"], 2),
             number(1e3 * r["compressed_s"], 1),
             number(r["speed_up"], 0),
@@ -258,14 +294,16 @@ def _compression(data: Any) -> list[Section]:
         for r in data
     ]
     header = [
-        "library", "terms", "rows", "PySINDy s", "factor held ms", "×", "building s", "Θ s",
-        "same support", "difference",
+        "library", "terms", "rows", "λ", "kept", "PySINDy s", "factor held ms", "×", "building s",
+        "Θ s", "same support", "difference",
     ]  # fmt: skip
     return [
         Section(
             "Compressed regression",
             "The same STLSQ fit from the triangle of the QR factorisation and from the raw rows, "
-            "CPU time of one core.",
+            "CPU time of one core; λ in units of the residual. `building` is the factor's, once, "
+            "and Θ's evaluation is what both need; `difference` is the largest of any "
+            "coefficient, in raw units. `adaptive-contact bench` measures the same.",
             [Table("Both fits of the training segments", header, rows)],
             [],
         )
