@@ -90,7 +90,36 @@ def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text("[1, 2]")
     (tmp_path / "empty.json").write_text('{"entries": []}')
     (tmp_path / "lacks.json").write_text('{"entries": [{"position": 1}]}')
+    (tmp_path / "rows.json").write_text('{"kp": 1, "entries": [1, 2]}')
+    (tmp_path / "huge.json").write_text(
+        '{"kp": 1, "entries": [{"timestamp": 1%s, "position": 0, "goal_position": 0}]}'
+        % ("0" * 400)
+    )
+    (tmp_path / "gain.json").write_text('{"entries": [{"timestamp": 0}]}')
+    (tmp_path / "millis.json").write_text(
+        json.dumps(
+            {
+                "kp": 1,
+                "entries": [
+                    {"timestamp": 20.0 * i, "position": 0.0, "goal_position": 0.0}
+                    for i in range(300)
+                ],
+            }
+        )
+    )
     (tmp_path / "noise.npz").write_bytes(b"\x00" * 100)
+    write_arm(tmp_path / "cut.npz", motions=1, n=200)
+    damaged = bytearray((tmp_path / "cut.npz").read_bytes())
+    damaged[len(damaged) // 2] ^= 0xFF
+    (tmp_path / "cut.npz").write_bytes(bytes(damaged))
+    np.savez(
+        tmp_path / "column.npz",
+        **{"m/t": np.zeros((9, 1)), "m/goal": np.zeros((9, 2)), "m/pos": np.zeros((9, 2))},
+    )
+    np.savez(
+        tmp_path / "unread.npz",
+        **{"m/t": np.arange(99.0), "m/goal": np.zeros((99, 2)), "m/pos": np.full((99, 2), np.nan)},
+    )
     np.savez(tmp_path / "keys.npz", a=np.zeros(3))
     np.savez(
         tmp_path / "shapes.npz",
@@ -106,8 +135,12 @@ def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
     told = {name for name, _ in logs.skipped}
     assert told == {
         "text.json", "list.json", "empty.json", "lacks.json", "noise.npz", "keys.npz",
-        "shapes.npz", "nan.npz",
+        "shapes.npz", "nan.npz", "rows.json", "huge.json", "gain.json", "millis.json", "cut.npz",
+        "column.npz", "unread.npz",
     }  # fmt: skip
+    # One line each, however many stretches.
+    assert all("\n" not in reason and len(reason) < 300 for _, reason in logs.skipped)
+    assert sum(name == "millis.json" for name, _ in logs.skipped) == 1
     tree = run_logs(tmp_path)
     assert tree["recordings"] == 3
     assert "expected at least" in tree["arms"][0]["unseen motions"]["status"]
@@ -123,6 +156,23 @@ def test_single_wild_readings_are_repaired(tmp_path: Path) -> None:
     recording = load_logs(tmp_path / "arm.npz").recordings[0]
     assert recording.repaired == 1
     assert np.abs(np.diff(recording.measured, axis=0)).max() < 0.2
+
+
+def test_a_file_of_no_use_ends_the_command_in_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "a.json"
+    file.write_text('{"kp": 1, "entries": [1]}')
+    with pytest.raises(RecordingError, match=r"a\.json: no recording that can be used") as told:
+        run_logs(file)
+    assert "\n" not in str(told.value)
+
+
+def test_a_servo_that_never_moves_has_figures(tmp_path: Path) -> None:
+    n = 3000
+    still = {"t": np.arange(n) * 0.02, "goal": np.zeros((n, 2)), "pos": np.full((n, 2), 0.1)}
+    np.savez(tmp_path / "arm.npz", **{f"m{i}/{k}": v for i in range(5) for k, v in still.items()})
+    arm = run_logs(tmp_path)["arms"][0]
+    assert arm["unseen motions"]["rms_deg"]["servo"] == [0.0, 0.0]
+    assert all(len(s.tables) == 2 for s in sections({"logs": run_logs(tmp_path)}))
 
 
 def test_paths_that_hold_nothing(tmp_path: Path) -> None:

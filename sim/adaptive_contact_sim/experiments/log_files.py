@@ -112,7 +112,10 @@ def load_logs(path: Path) -> LogSet:
             else:
                 found.recordings.append(part)
     if not found.recordings:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in found.skipped[:_TOLD])
+        reasons = "; ".join(
+            f"{name}: {reason}" if path.is_dir() else reason
+            for name, reason in found.skipped[:_TOLD]
+        )
         more = f"; and {len(found.skipped) - _TOLD} more" if len(found.skipped) > _TOLD else ""
         raise RecordingError(
             f"{path}: no recording that can be used ({reasons}{more}); docs/paper.md describes "
@@ -155,10 +158,12 @@ def _pendulum(file: Path) -> Iterator[Recording | str]:
     pos = np.array([[e["position"]] for e in entries], dtype=np.float64)
     goal = np.array([[e["goal_position"]] for e in entries], dtype=np.float64)
     gain = table.get("kp")
+    if gain is None:
+        raise ValueError("no 'kp'")
     name = f"{table.get('trajectory', file.stem)}, kp {gain}"
     if left_out:
         yield f"{left_out} of {len(table['entries'])} rows without torque left out"
-    yield from _stretches(name, "pendulum", t, pos, goal, None if gain is None else float(gain))
+    yield from _stretches(name, "pendulum", t, pos, goal, float(gain))
 
 
 def _stretches(
@@ -181,9 +186,15 @@ def _stretches(
     if not forward.all():
         yield f"'{name}': {np.count_nonzero(~forward)} rows whose time does not advance left out"
         t, pos, goal = t[forward], pos[forward], goal[forward]
+    if len(t) < _MIN_ROWS:
+        yield f"'{name}': {len(t)} sound rows; expected at least {_MIN_ROWS}"
+        return
     begins = np.concatenate(([0], np.flatnonzero(np.diff(t) > _GAP_S) + 1, [len(t)]))
     short: list[int] = []
     for first, last in itertools.pairwise(begins):
+        if last - first < 2:
+            short.append(int(last - first))
+            continue
         part = slice(int(first), int(last))
         pos_part, repaired = _repair(np.unwrap(pos[part], axis=0))
         measured, desired = _resample(t[part], pos_part, np.unwrap(goal[part], axis=0))

@@ -102,7 +102,7 @@ def _pendulum(data: Any) -> Table:
         cells = [number(library["refitted_deg"].get(g), 3) for g in gains]
         rows.append([name, "refitted, run held out", *cells])
     return Table(
-        "XL-330 pendulum: RMS ° at each gain, of a model fixed at another and refitted",
+        "One servo with a pendulum: RMS ° at each gain, of a model fixed at another and refitted",
         ["library", "model", *(f"kp {g}" for g in gains)],
         rows,
     )
