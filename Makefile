@@ -13,7 +13,7 @@ BRIDGE_MINUTES ?= 10
 .PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz lock wheel clean
 
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
 
 env: $(STAMP)  ## the virtual environment, from the lock file
 

@@ -12,6 +12,7 @@ What the SDK's packet handlers get wrong (4.1.0) is worked around here:
 from __future__ import annotations
 
 import enum
+import math
 import termios
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -36,6 +37,8 @@ _ALERT: Final = 0x80
 _MODEL_NUMBER: Final = Block(0, 2)
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
+# What an answer takes at the least, with some wire and a computer in between.
+_ASK_S: Final = 0.0005
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
 _ID2, _ERROR2, _DATA2 = 4, 8, 9
 
@@ -129,7 +132,11 @@ class Bus:
         return self._guarded(lambda: self._ping(servo))
 
     def read(
-        self, servos: Sequence[int], block: Block, until: float | None = None
+        self,
+        servos: Sequence[int],
+        block: Block,
+        until: float | None = None,
+        end: float = math.inf,
     ) -> dict[int, Reading]:
         """Read the same registers of several servos.
 
@@ -137,9 +144,10 @@ class Bus:
             servos: ids.
             block: the registers.
             until: monotonic seconds after which nothing is tried a second time.
+            end: monotonic seconds at which nobody is waited for any more.
 
         Returns:
-            A reading for every id.
+            A reading for every id that there was time to ask.
 
         Raises:
             PortLostError: the port is gone.
@@ -152,6 +160,8 @@ class Bus:
             for servo in servos:
                 first = found.get(servo)
                 if first is None:
+                    if time.monotonic() > end - _ASK_S:
+                        continue
                     # Not heard in the common answer, or protocol 1: ask it alone.
                     first = found[servo] = self._read_one(servo, block)
                 if first.fault is Fault.CORRUPT and (until is None or time.monotonic() < until):
@@ -161,7 +171,11 @@ class Bus:
                         found[servo] = again._replace(fault=Fault.CORRUPT)
             return found
 
-        return self._guarded(work)
+        self._port.latest_s = end
+        try:
+            return self._guarded(work)
+        finally:
+            self._port.latest_s = math.inf
 
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not tell it within some tries."""

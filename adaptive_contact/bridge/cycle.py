@@ -22,6 +22,9 @@ __all__ = ["Cycle"]
 
 # A second try after a wrong checksum has to begin within this share of the control period.
 _RETRY_SHARE: Final = 0.4
+# Readings end this share of the period after the tick was due, whoever is silent, so that goals
+# and samples go out in time; a tick that began late has the other share at the least.
+_END_SHARE, _LEAST_SHARE = 0.9, 0.4
 
 
 @dataclasses.dataclass
@@ -154,11 +157,13 @@ class Cycle:
         block = self._model.motion if known else self._model.goal_and_motion
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
         until = now_ns / 1e9 + _RETRY_SHARE * self.plan.period_s
-        readings = self.bus.read(asked, block, until)
+        period_s = self.plan.period_s
+        end = max(due_ns / 1e9 + _END_SHARE * period_s, now_ns / 1e9 + _LEAST_SHARE * period_s)
+        readings = self.bus.read(asked, block, until, end)
         for number, servo in self._servos.items():
             servo.last_goal = servo.goal
             reading = readings.get(number)
-            if reading is None:
+            if reading is None:  # not asked, or no time was left
                 servo.valid = False
                 continue
             was_silent = self.health[number].silent

@@ -57,6 +57,8 @@ class PortLoop:
         outlet: where samples and status go.
         mailbox: where commands come from.
         run: the ``run`` of the samples, new at each start.
+        phase: where in the control period of the monotonic clock ticks begin, 0 to 1; ports that
+            take turns do not wait for each other's processor.  An observer finds its own.
     """
 
     def __init__(
@@ -66,6 +68,8 @@ class PortLoop:
         outlet: Outlet,
         mailbox: Mailbox,
         run: int,
+        *,
+        phase: float = 0.0,
     ) -> None:
         self.plan = plan
         self.mode = mode
@@ -76,6 +80,7 @@ class PortLoop:
         self._pulse = Pulse(plan.period_s)
         self._lock = PhaseLock(plan.period_s) if mode == "observe" else None
         self._period_ns = round(plan.period_s * _NS)
+        self._phase_ns = round(phase * self._period_ns)
         self._reconnects = 0
         self._lost = False
         self._returning = False
@@ -103,7 +108,8 @@ class PortLoop:
     def _run(self, stop: threading.Event) -> None:
         mono_ns = time.monotonic_ns()
         wall_ns = time.time_ns() - mono_ns
-        due_ns, seq = mono_ns + self._period_ns, 0
+        turns = (mono_ns - self._phase_ns) // self._period_ns
+        due_ns, seq = (turns + 2) * self._period_ns + self._phase_ns, 0
         self._status_ns = mono_ns + _STATUS_NS
         while not stop.is_set():
             if self._lost and not self._reopen(stop):

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import select
 import termios
@@ -45,6 +46,9 @@ class SdkPort(PortHandler):  # type: ignore[misc]
     Args:
         name: of the port in ``robot.toml``.
         port: its settings.
+
+    Attributes:
+        latest_s: monotonic time at which any wait for an answer ends.
     """
 
     def __init__(self, name: str, port: Port) -> None:
@@ -55,6 +59,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         self._timeout_s = port.timeout_ms / 1000.0
         self._byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
+        self.latest_s = math.inf
         self._fd = -1
 
     @property
@@ -138,7 +143,8 @@ class SdkPort(PortHandler):  # type: ignore[misc]
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Begin to wait for so many bytes."""
-        self._deadline = time.monotonic() + packet_length * self._byte_s + self._timeout_s
+        usual = time.monotonic() + packet_length * self._byte_s + self._timeout_s
+        self._deadline = min(usual, self.latest_s)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
         """Begin to wait for so long."""

@@ -61,6 +61,7 @@ def work(
     settings: LinkSettings,
     run: int,
     realtime: bool = False,
+    phase: float = 0.0,
 ) -> None:
     """Run a port until SIGTERM or SIGINT; the target of a spawned process.
 
@@ -70,6 +71,7 @@ def work(
         settings: how to join the network.
         run: the ``run`` of the samples.
         realtime: run before all ordinary processes.
+        phase: share of the control period by which ticks begin later.
     """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -84,7 +86,7 @@ def work(
                 listen(link, plan, mailbox)
             if refused is not None:
                 outlet.say(f"port {plan.name}: {refused}")
-            PortLoop(plan, mode, outlet, mailbox, run).run(stop)
+            PortLoop(plan, mode, outlet, mailbox, run, phase=phase).run(stop)
     except LinkError as error:
         if not stop.is_set():
             print(f"adaptive-contact bridge: {error}", file=sys.stderr, flush=True)

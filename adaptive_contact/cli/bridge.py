@@ -178,7 +178,14 @@ class _Crew:
 
         worker = self._context.Process(
             target=work,
-            args=(plan, self._mode, self._settings, self._run, self._realtime),
+            args=(
+                plan,
+                self._mode,
+                self._settings,
+                self._run,
+                self._realtime,
+                self._plans.index(plan) / len(self._plans),  # ports take turns
+            ),
             name=f"bridge-{plan.name}",
         )
         worker.start()

@@ -103,7 +103,9 @@ def init(
     try:
         out.write_text(write_robot(robot, slope_rad=slope), encoding="utf-8")
     except OSError as error:
-        raise ConfigurationError(f"{out}: cannot be written ({error.strerror})") from error
+        raise ConfigurationError(
+            f"{out}: cannot be written ({error.strerror}); give another --out"
+        ) from error
     todo = "" if lengths is not None else "fill in lengths_m, then "
     typer.echo(
         f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "

@@ -104,6 +104,21 @@ def test_flipped_bits_are_never_taken_for_data(rig: Callable, kind: dict) -> Non
     bus.close()
 
 
+@pytest.mark.parametrize("kind", [AX, XL, FAST])
+def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    bus, joints = opened(r), r.plans[0].joints
+    r.fault("silent:")
+    began = time.monotonic()
+    readings = bus.read([j.servo for j in joints], joints[0].model.motion, end=began + 0.025)
+    assert 1 <= len(readings) < 6  # at 10 ms each there is no time to ask them all
+    assert all(reading.fault is Fault.NO_ANSWER for reading in readings.values())
+    r.fault()
+    readings = bus.read([j.servo for j in joints], joints[0].model.motion)
+    assert all(reading.data is not None for reading in readings.values())
+    bus.close()
+
+
 def test_error_bits_are_named(rig: Callable) -> None:
     r = rig(**AX)
     bus, joints = opened(r), r.plans[0].joints
