@@ -69,7 +69,7 @@ def collect(
     scripts: Mapping[str, Script] | None = None,
     stop: threading.Event | None = None,
     say: Callable[[str], None] = lambda _: None,
-    progress: Callable[[float], None] = lambda _: None,
+    look: Callable[[dict[str, list[ServoSample]]], None] = lambda _: None,
 ) -> dict[str, list[ServoSample]]:
     """Run all ports for some time, a thread each.
 
@@ -79,7 +79,7 @@ def collect(
         scripts: goals by leg; with them the servos are driven, without them nothing is written.
         stop: ends it early when set.
         say: told of what happens.
-        progress: told of the share that is done, now and then.
+        look: shown what there is so far, ten times a second; not to be changed.
 
     Returns:
         Samples by leg, in order.
@@ -109,8 +109,8 @@ def collect(
     for thread in threads:
         thread.start()
     try:
-        while (elapsed := time.monotonic() - began) < seconds and not end.wait(_LOOK_S):
-            progress(min(elapsed / seconds, 1.0))
+        while time.monotonic() - began < seconds and not end.wait(_LOOK_S):
+            look(_all(baskets))
             if any(basket.error is not None for basket in baskets):
                 break
     finally:
@@ -120,4 +120,9 @@ def collect(
     for basket in baskets:
         if basket.error is not None:
             raise basket.error
-    return {leg: samples for basket in baskets for leg, samples in basket.kept.items()}
+    return _all(baskets)
+
+
+def _all(baskets: Sequence[_Basket]) -> dict[str, list[ServoSample]]:
+    # Copies first: the ports' threads go on adding.
+    return {leg: rows for basket in baskets for leg, rows in [*basket.kept.items()]}

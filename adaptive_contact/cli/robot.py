@@ -15,6 +15,8 @@ from adaptive_contact.cli.bridge import DeviceOption, devices_of, needs_sdk, rob
 from adaptive_contact.errors import ConfigurationError, IdentificationError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from adaptive_contact.adapt.training import Training
     from adaptive_contact.bridge.collect import Script
     from adaptive_contact.bridge.plan import PortPlan
@@ -33,6 +35,8 @@ _GOOD, _FAIR = 2.5, 4.0
 _ENOUGH_ROWS: Final = 12
 _LEAST_TICKS: Final = 12
 _PIPE_WIDTH: Final = 110
+# The live table looks back so far.
+_LIVE_TICKS: Final = 500
 
 
 @app.command()
@@ -145,21 +149,32 @@ def check(
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
 
-    Move a joint by hand meanwhile (or between two checks): the angle of a pitch joint grows as
-    the leg is raised, that of a yaw joint as it is turned to the left.
+    Move joints by hand meanwhile (--seconds gives time for it, Ctrl-C ends it): the angle of a
+    pitch joint grows as the leg is raised, that of a yaw joint as it is turned to the left.
     """
     stop = stoppable()
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
 
+    from rich.console import Console
+    from rich.live import Live
+
     robot, plans = _shake_hands(config, device)
-    samples = collect(plans, seconds, stop=stop, say=_say)
+    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    with Live(console=console, refresh_per_second=10, transient=True) as live:
+
+        def look(so_far: dict[str, list[ServoSample]]) -> None:
+            if console.is_terminal:
+                recent = {leg: rows[-_LIVE_TICKS:] for leg, rows in so_far.items()}
+                live.update(_joints(plans, recent))
+
+        samples = collect(plans, seconds, stop=stop, say=_say, look=look)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
     if silent:
         raise ConfigurationError(
             f"leg {', '.join(silent)}: not all of its servos answered; see the lines above"
         )
-    _print_joints(plans, samples)
+    console.print(_joints(plans, samples))
     if picture is not None:
         from adaptive_contact.cli._robot_picture import draw
 
@@ -326,19 +341,20 @@ def _verdict(robot: Robot, training: Training) -> list[str]:
     return lines
 
 
-def _print_joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> None:
+def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> Table:
+    """Every joint as it is now, and how far it was moved."""
     import numpy as np
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("leg", "joint", "id", "angle", "moved", "goal", "sign", "offset", "limits"):
         table.add_column(column, justify="left" if column in ("leg", "joint") else "right")
     for plan in plans:
         for leg in plan.legs:
-            rows = samples[leg.id]
+            rows = samples.get(leg.id)
+            if not rows:
+                continue
             measured = np.degrees(np.array([row.measured for row in rows]))
             for j, joint in enumerate(leg.joints):
                 limits = f"{np.degrees(joint.lower_rad):.0f}..{np.degrees(joint.upper_rad):.0f}"
@@ -354,7 +370,7 @@ def _print_joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSam
                     f"{np.degrees(joint.offset_rad):.1f}°",
                     f"{limits}°" + (" !" if outside else ""),
                 )
-    console.print(table)
+    return table
 
 
 def _say(line: str) -> None:
