@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.identify import leg_library
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.experiments import data
 from adaptive_contact_sim.experiments.plan import FULL, QUICK, Plan
+from adaptive_contact_sim.experiments.rows import free_rows
 from adaptive_contact_sim.experiments.store import Store, plain
 
 SMALL = dataclasses.replace(
@@ -129,6 +132,54 @@ def test_damaged_results_are_made_anew(tmp_path: Path) -> None:
     store.tree("t", [1], lambda: made.append(3) or {})
     assert made == [1, 2]
     assert store.path("t", [1], ".json") != store.path("t", [2], ".json")
+
+
+def test_source_that_changes_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from adaptive_contact_sim.experiments import store
+
+    store.source_fingerprint()
+    store.require_unchanged_source()
+    monkeypatch.setattr(store, "_source_now", lambda: "other")
+    with pytest.raises(ConfigurationError, match="start the same command again"):
+        data.record_all(Store(tmp_path), SMALL.pieces("stand"), 2, lambda _: None)
+
+
+def test_the_papers_segments_come_in_parts_that_join(tmp_path: Path) -> None:
+    plan = dataclasses.replace(QUICK, train_segments=2000, test_segments=40)
+    pieces = plan.paper_pieces("train")
+    assert len(pieces) == 4
+    trial = 23 * 0.02
+    assert sum(p.seconds for p in pieces) == pytest.approx(1000 * trial + 4 * 1.0)
+    seeds = [p.settings.seed for role in ("train", "tune") for p in plan.paper_pieces(role)]
+    assert len(set(seeds)) == 5
+    short = [dataclasses.replace(p, seconds=8.0) for p in pieces[:3]]
+    store = Store(tmp_path)
+    streams = [data.load(store, p) for p in short]
+    joined = data.join(streams)
+    assert len(joined.swing) == 3 * 400
+    assert joined.piece.seconds == 24.0
+    # Windows of the whole are those of the parts: none reaches over a seam.
+    robot = shipped_robot()
+    for name in ("servo", "paper"):
+        library = leg_library(robot, robot.leg("rf"), name)
+        whole = free_rows(joined, library)
+        parts = [free_rows(s, library) for s in streams]
+        assert len(whole.swing) > 500
+        # All but the last of a part that was cut within a swing: the next part begins in touch.
+        tick = np.concatenate([p.windows.tick + 400 * i for i, p in enumerate(parts)])
+        assert len(tick) - len(whole.swing) <= 2
+        kept = np.isin(tick, whole.windows.tick)
+        for mine, theirs in zip(
+            whole.windows[:4], zip(*(p.windows[:4] for p in parts), strict=True), strict=True
+        ):
+            np.testing.assert_array_equal(mine, np.concatenate(theirs)[kept])
+        assert len(np.unique(whole.swing)) == sum(len(np.unique(p.swing)) for p in parts)
+    last = streams[2].arrays
+    assert [o.t_ns for o in joined.arrays.onsets[-len(last.onsets) :]] == [
+        o.t_ns + 800 * data.TICK_NS for o in last.onsets
+    ]
 
 
 def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:

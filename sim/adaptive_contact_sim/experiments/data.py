@@ -29,6 +29,7 @@ from adaptive_contact_sim.experiments.store import (
     physics_fingerprint,
     plain,
     read_arrays,
+    require_unchanged_source,
     write_arrays,
 )
 from adaptive_contact_sim.servo import QUANTUM_RAD
@@ -225,11 +226,15 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
 
     Yields:
         Items with their results.
+
+    Raises:
+        ConfigurationError: the source was changed since this process began.
     """
     if workers <= 1 or len(items) <= 1:
         for item in items:
             yield item, work(item)
         return
+    require_unchanged_source()
     # Spawned, never forked; one BLAS thread each, told before numpy is loaded there.
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))

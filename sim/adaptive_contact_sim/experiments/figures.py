@@ -244,8 +244,8 @@ def _collision(data: Any) -> Figure:
             one.axvline(when, color=_RED, lw=3.0, alpha=0.6)
         for when in trace["default_ms"]:
             one.axvline(when, color=_BLUE, lw=1.2, ls="--")
-    axes[0].legend(fontsize=7, loc="upper left", ncols=3)
-    axes[1].legend(fontsize=7, loc="upper left", ncols=3)
+    axes[0].legend(fontsize=7, loc="upper right", ncols=3)
+    axes[1].legend(fontsize=7, loc="upper right", ncols=3)
     axes[4].set_xlabel(
         "time (ms); black: leg moves (dotted), touch; red: the paper's rule; "
         "blue dashed: the default detector"

@@ -25,7 +25,13 @@ import adaptive_contact
 import adaptive_contact_sim
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["Store", "physics_fingerprint", "plain", "source_fingerprint"]
+__all__ = [
+    "Store",
+    "physics_fingerprint",
+    "plain",
+    "require_unchanged_source",
+    "source_fingerprint",
+]
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -147,7 +153,27 @@ def physics_fingerprint() -> str:
 
 @functools.cache
 def source_fingerprint() -> str:
-    """Hash of the source that evaluates: identification, detection, learner, score, experiments."""
+    """Hash of the source that evaluates, as this process found it first."""
+    return _source_now()
+
+
+def require_unchanged_source() -> None:
+    """Refuse to go on with other source than the run began with.
+
+    A process started now would load what is on disk now, and keep its results under another key.
+
+    Raises:
+        ConfigurationError: a file was changed meanwhile.
+    """
+    if _source_now() != source_fingerprint():
+        raise ConfigurationError(
+            "the source of adaptive-contact was changed while the run was going on; start the same "
+            "command again (what still holds is kept)"
+        )
+
+
+def _source_now() -> str:
+    """Of identification, detection, learner, score, experiments."""
     product = Path(adaptive_contact.__file__).parent
     simulator = Path(adaptive_contact_sim.__file__).parent
     folders = [product / name for name in _EVALUATING] + [simulator / "experiments"]
