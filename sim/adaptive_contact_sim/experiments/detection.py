@@ -183,8 +183,9 @@ def _figures(
     for role, total in quiet.items():
         count = total["alarms"][name] if name == DEFAULT else total["alarms"][name][AIM]
         alarms[role] = _rate(int(count), total["ticks"])
+    counts = [alarms[role]["count"] for role in quiet]
     alarms["all"] = _rate(
-        sum(alarms[r]["count"] for r in quiet), sum(t["ticks"] for t in quiet.values())
+        -1 if min(counts) < 0 else sum(counts), sum(t["ticks"] for t in quiet.values())
     )
     alarms["touch"] = _rate(summary.false_alarms, summary.judged_ticks)
     figures: dict[str, Any] = {
@@ -239,13 +240,14 @@ def _row(summary: Summary, kind: str) -> dict[str, Any]:
 
 
 def _rate(count: int, ticks: int) -> dict[str, Any]:
+    """Alarms per robot-hour; a count of -1 means a threshold too low to be counted."""
     hours = ticks / ROBOT_HOUR_TICKS
     low, high = poisson_mean(count) if count >= 0 else (float("nan"), float("nan"))
     return {
         "count": count,
         "hours": hours,
-        "per_hour": count / hours if hours else None,
-        "interval": [low / hours, high / hours] if hours else None,
+        "per_hour": count / hours if hours and count >= 0 else None,
+        "interval": [low / hours, high / hours] if hours else [None, None],
     }
 
 

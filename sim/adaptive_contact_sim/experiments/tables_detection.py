@@ -39,7 +39,9 @@ def _main(data: Any) -> Section:
                 number(row["p95_ms"], 0),
                 number(row["p99_ms"], 0),
                 percent(figures["summary"]["precision"]),
-                f"{alarms['count']} in {number(alarms['hours'], 2)} h",
+                "not counted"
+                if alarms["count"] < 0
+                else f"{alarms['count']} in {number(alarms['hours'], 2)} h",
                 number(alarms["per_hour"], 2),
                 "-"
                 if alarms["interval"][0] is None
@@ -57,7 +59,7 @@ def _main(data: Any) -> Section:
         "(same code and constants, the body fixed), and "
         f"{number(stood['hours'], 2)} h standing on five legs; the "
         f"default raised {hung['count']} and {stood['count']} false alarms there. "
-        "A row whose alarms read -1 has a threshold too low to be counted."
+        "`not counted`: a threshold so low that more than 3 % of the ticks of some stream pass it."
     )
     header = [
         "detector", "found", "recall", "95 %", "median ms", "p95", "p99", "precision",
