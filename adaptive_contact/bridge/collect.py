@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
-from adaptive_contact.bridge.loop import PortLoop
+from adaptive_contact.bridge.loop import PortLoop, take_priority
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.status import BridgeStatus
@@ -67,6 +67,7 @@ def collect(
     seconds: float,
     *,
     scripts: Mapping[str, Script] | None = None,
+    realtime: bool = False,
     stop: threading.Event | None = None,
     say: Callable[[str], None] = lambda _: None,
     look: Callable[[dict[str, list[ServoSample]]], None] = lambda _: None,
@@ -77,6 +78,7 @@ def collect(
         plans: the ports; handshakes have been made.
         seconds: how long.
         scripts: goals by leg; with them the servos are driven, without them nothing is written.
+        realtime: let the ports' threads run before all ordinary ones.
         stop: ends it early when set.
         say: told of what happens.
         look: shown what there is so far, ten times a second; not to be changed.
@@ -93,6 +95,9 @@ def collect(
     run = time.time_ns() // 1_000_000
 
     def work(plan: PortPlan, basket: _Basket) -> None:
+        refused = take_priority() if realtime else None
+        if refused is not None:
+            say(refused)
         try:
             loop = PortLoop(
                 plan, "drive" if mode == "drive" else "observe", basket, basket.mailbox, run

@@ -54,7 +54,7 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
         f'viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
         f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
         f'<text x="8" y="18" font-size="14">{escape(robot.name)}: legs from the side (above) and '
-        "from above (below)</text>",
+        "from above (below), body on the left, foot red</text>",
     ]
     for i, leg in enumerate(legs):
         points = chain(leg, angles[leg.id])
@@ -89,7 +89,7 @@ def _panel(
     ]
     if named:
         parts.append(f'<text x="{left + 10}" y="{top + 20}" font-weight="bold">{leg.id}</text>')
-    for j, name in enumerate(leg.joints):
+    for j in range(len(leg.joints)):
         colour = _COLOURS[j % len(_COLOURS)]
         parts.append(
             f'<line x1="{x[j]:.1f}" y1="{y[j]:.1f}" x2="{x[j + 1]:.1f}" y2="{y[j + 1]:.1f}" '
@@ -98,7 +98,7 @@ def _panel(
         if named:
             parts.append(
                 f'<text x="{left + 10}" y="{top + _CELL - 12 - 14 * (len(leg.joints) - 1 - j)}" '
-                f'fill="{colour}">{escape(name)} {np.degrees(angles[j]):+.1f}°</text>'
+                f'fill="{colour}">{escape(_label(leg, j, angles[j]))}</text>'
             )
     parts += [
         f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4" fill="#2c3e50"/>'
@@ -106,3 +106,17 @@ def _panel(
     ]
     parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="5" fill="#e74c3c"/>')
     return parts
+
+
+def _label(leg: Leg, joint: int, angle_rad: float) -> str:
+    """A joint's name, angle, length, and how its servo is mounted."""
+    assert leg.lengths_m is not None
+    told = (
+        f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, {1000 * leg.lengths_m[joint]:.0f} mm"
+    )
+    servos = leg.servos
+    if servos is not None:
+        sign = 1 if servos.directions is None else servos.directions[joint]
+        offset = 0.0 if servos.offsets_rad is None else servos.offsets_rad[joint]
+        told += f", sign {sign:+d}, offset {np.degrees(offset):.0f}°"
+    return told

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
 
-__all__ = ["DeviceOption", "app", "devices_of", "needs_sdk", "robot_of"]
+__all__ = ["DeviceOption", "RealtimeOption", "app", "devices_of", "needs_sdk", "robot_of"]
 
 app = typer.Typer(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
 

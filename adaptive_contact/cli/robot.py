@@ -11,7 +11,13 @@ import typer
 
 from adaptive_contact.cli._options import ConfigOption
 from adaptive_contact.cli._sim_options import stoppable
-from adaptive_contact.cli.bridge import DeviceOption, devices_of, needs_sdk, robot_of
+from adaptive_contact.cli.bridge import (
+    DeviceOption,
+    RealtimeOption,
+    devices_of,
+    needs_sdk,
+    robot_of,
+)
 from adaptive_contact.errors import ConfigurationError, IdentificationError
 
 if TYPE_CHECKING:
@@ -34,6 +40,8 @@ _GOOD, _FAIR = 2.5, 4.0
 # Free ticks per term of the library at which held-out error has settled.
 _ENOUGH_ROWS: Final = 12
 _LEAST_TICKS: Final = 12
+# Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
+_ENOUGH_READ: Final = 0.97
 _PIPE_WIDTH: Final = 110
 # The live table looks back so far.
 _LIVE_TICKS: Final = 500
@@ -214,6 +222,7 @@ def learn_(
         typer.Option("--amplitude", min=0.05, max=1.5, help="Of driven swings, rad, each way."),
     ] = 0.4,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    realtime: RealtimeOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
@@ -239,7 +248,9 @@ def learn_(
             err=True,
         )
     scripts = _scripts(robot, plans, amplitude, seed) if drive else None
-    samples = collect(plans, seconds, scripts=scripts, stop=stop, say=_say)
+    samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
+    for line in _losses(samples):
+        _say(line)
     training = _fit(robot, samples, out.name)
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
@@ -317,6 +328,21 @@ def _fit(robot: Robot, samples: Mapping[str, list[ServoSample]], name: str) -> T
             "no leg was swung; swing them in free air while this runs, or let --drive do it"
         )
     return learn(robot, streams, origin=f"adaptive-contact robot learn ({name})")
+
+
+def _losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
+    """Legs of which too little was read to learn from, and what to do about it."""
+    lines = []
+    for leg, rows in samples.items():
+        if not rows:
+            continue
+        whole = sum(row.valid is None for row in rows) / (rows[-1].seq - rows[0].seq + 1)
+        if whole < _ENOUGH_READ:
+            lines.append(
+                f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
+                "end other work on this computer, give --realtime, or check cable and power"
+            )
+    return lines
 
 
 def _verdict(robot: Robot, training: Training) -> list[str]:

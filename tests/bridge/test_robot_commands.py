@@ -14,9 +14,11 @@ from adaptive_contact.bridge.freeswing import REST_TICKS, free_swings
 from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_picture import chain, draw
+from adaptive_contact.cli.robot import _losses
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.phase import infer_phase
+from adaptive_contact.wire import ServoSample
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
 pytestmark = pytest.mark.slow
@@ -146,6 +148,18 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
     assert all(s.writes == 0 for s in r.ports[0].servos)
 
 
+def test_lost_ticks_are_told_with_what_to_do() -> None:
+    def rows(valid: int, lost: int) -> list[ServoSample]:
+        marks = [None] * valid + [[True, False, True]] * lost
+        return [
+            ServoSample(t_ns=k, seq=k, measured=[0.0] * 3, desired=[0.0] * 3, valid=mark)
+            for k, mark in enumerate(marks)
+        ]
+
+    [line] = _losses({"good": rows(99, 1), "bad": rows(60, 40), "none": []})
+    assert line.startswith("leg bad: only 60 % of its ticks were read in whole and in time; end")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -210,3 +224,4 @@ def test_the_picture_ends_where_the_foot_is() -> None:
     assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(one.lengths_m)
     text = draw(shipped_robot(), {x: [0.0, 0.1, -0.5] for x in shipped_robot().leg_ids})
     assert text.count("<line") == 6 * 2 * 4
+    assert "coxa +0.0°, 52 mm, sign +1, offset 0°" in text
