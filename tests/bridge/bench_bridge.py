@@ -55,7 +55,8 @@ PERIOD_S = 0.02
 # Of a status' quantiles; after so long they are of what is to be measured alone.
 WINDOW_S = 10.0
 SILENT = 3
-OUT_S, OUTAGES = 2.0, 5
+# Of different lengths, so that they end at different moments of the tries to open the port again.
+OUTAGES_S = (1.5, 1.63, 1.76, 1.89, 2.02)
 LEGS = shipped_robot().leg_ids
 
 CYCLE_MS, SILENT_MS, JITTER_MS, RECONNECT_S = 12.0, 20.0, 2.0, 2.0
@@ -245,21 +246,24 @@ def bridge_silent_servo(options: Options) -> list[Verdict]:
         key = str(SILENT)
         ears.until(lambda status: key in status.servos and status.servos[key].silent, 90)
         settle(ears)
-        return report(ears, min(options.seconds, 60.0), SILENT_MS)[:3]
+        cycle, _, missed, _ = report(ears, min(options.seconds, 60.0), SILENT_MS)
+        return [cycle, missed]  # each time it is asked, its time runs out: publication waits
 
 
 def bridge_reconnect(options: Options) -> list[Verdict]:
     faults = []
-    for k in range(OUTAGES):
-        faults += ["--fault", f"hangup:port=port1@{30 + 6 * k}+{OUT_S:g}"]
+    for k, out_s in enumerate(OUTAGES_S):
+        faults += ["--fault", f"hangup:port=port1@{30 + 6 * k}+{out_s:g}"]
     with chain(options, *faults) as ears:
         ears.until(
-            lambda s: s.port == "port1" and s.reconnects == OUTAGES and s.state != "lost", 120
+            lambda s: s.port == "port1" and s.reconnects == len(OUTAGES_S) and s.state != "lost",
+            120,
         )
         at = np.array([at for at, leg, *_ in ears.samples if leg == "lr"])
-    gaps = np.sort(np.diff(at))[-OUTAGES:] - OUT_S
-    print(f"  after {OUTAGES} cables put back: {', '.join(f'{gap:.2f}' for gap in gaps)} s")
-    return [Verdict("back after a cable is put back, worst", float(gaps[-1]), RECONNECT_S, "s")]
+    gaps = np.diff(at)
+    back = gaps[gaps > min(OUTAGES_S)][: len(OUTAGES_S)] - np.array(OUTAGES_S)
+    print(f"  after each cable put back: {', '.join(f'{gap:.2f}' for gap in back)} s")
+    return [Verdict("back after a cable is put back, worst", back.max(), RECONNECT_S, "s")]
 
 
 def settle(ears: Ears) -> None:
