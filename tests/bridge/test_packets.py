@@ -5,10 +5,17 @@ Examples marked P1 are of the ROBOTIS e-manual "DYNAMIXEL Protocol 1.0", P2 of "
 
 from __future__ import annotations
 
+import os
+import pty
+import threading
+import tty
+from pathlib import Path
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Frame, Instruction, Status
 from adaptive_contact.bridge.protocol1 import Protocol1
 from adaptive_contact.bridge.protocol2 import (
@@ -19,6 +26,8 @@ from adaptive_contact.bridge.protocol2 import (
     stuff,
     unstuff,
 )
+from adaptive_contact.bridge.tables import Block, Register
+from adaptive_contact.robot import Port
 
 I = Instruction
 ALL = BROADCAST_ID
@@ -205,3 +214,91 @@ def test_noise_never_raises_and_is_not_kept(codec: Codec, noise: bytes) -> None:
 def test_too_long_a_packet_is_refused(codec: Codec) -> None:
     with pytest.raises(ValueError, match="do not fit"):
         codec.instruction(1, I.WRITE, bytes(1100))
+
+
+class Wire:
+    """The far end of a pseudo-terminal: keeps what is sent, answers with what it is given."""
+
+    def __init__(self, path: str, answers: list[bytes]) -> None:
+        self.sent: list[bytes] = []
+        self._answers = answers
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        Path(path).symlink_to(os.ttyname(self._slave))
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        for answer in self._answers:
+            self.sent.append(os.read(self._master, 1000))
+            os.write(self._master, answer)
+
+    def heard(self) -> list[str]:
+        self._thread.join(10.0)
+        os.close(self._slave)
+        os.close(self._master)
+        return [packet.hex(" ").upper() for packet in self.sent]
+
+
+P1_READ = ("FF FF 01 04 02 2B 01 CC", "FF FF 01 03 00 20 DB")
+P1_SYNC = (
+    "FF FF FE 18 83 1E 04 00 10 00 50 01 01 20 02 60 03 02 30 00 70 01 03 20 02 80 03 12",
+    {0: "10 00 50 01", 1: "20 02 60 03", 2: "30 00 70 01", 3: "20 02 80 03"},
+)
+P2_SYNC = (
+    "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87",
+    {1: "96 00 00 00", 2: "AA 00 00 00"},
+)
+P2_READ = (
+    "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA",
+    "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0 FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE",
+)
+
+
+def test_the_bridge_reads_an_ax_as_in_the_document(tmp_path: Path) -> None:
+    request, answer = P1_READ
+    wire = Wire(f"{tmp_path}/p", [bytes.fromhex(answer)])
+    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=1, timeout_ms=2000))
+    bus.open()
+    reading = bus.read([1], Block(0x2B, 1))[1]
+    bus.close()
+    assert reading.data == b"\x20"
+    assert wire.heard() == [request]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "address", "example"), [(1, 0x1E, P1_SYNC), (2, 0x74, P2_SYNC)]
+)
+def test_the_bridge_writes_to_all_as_in_the_documents(
+    tmp_path: Path, protocol: int, address: int, example: tuple[str, dict[int, str]]
+) -> None:
+    packet, rows = example
+    wire = Wire(f"{tmp_path}/p", [b""])
+    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=protocol))
+    bus.open()
+    values = {i: int.from_bytes(bytes.fromhex(row), "little") for i, row in rows.items()}
+    assert bus.put_all(Register(address, 4), values)
+    assert wire.heard() == [packet]
+    bus.close()
+
+
+def test_the_bridge_reads_xs_together_as_in_the_document(tmp_path: Path) -> None:
+    request, answers = P2_READ
+    wire = Wire(f"{tmp_path}/p", [bytes.fromhex(answers)])
+    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=2, timeout_ms=2000))
+    bus.open()
+    found = bus.read([1, 2], Block(0x84, 4))
+    bus.close()
+    assert [int.from_bytes(found[i].data, "little") for i in (1, 2)] == [166, 2079]
+    assert wire.heard() == [request]
+
+
+def test_the_bridge_reads_xs_fast_as_in_the_document(tmp_path: Path) -> None:
+    answers = [Status(i, 0, p.to_bytes(4, "little")) for i, p in ((3, 166), (7, 2079), (4, 1023))]
+    wire = Wire(f"{tmp_path}/p", [fast_sync_status(answers)])
+    bus = Bus("p", Port(device=f"{tmp_path}/p", protocol=2, fast=True, timeout_ms=2000))
+    bus.open()
+    found = bus.read([3, 7, 4], Block(0x84, 4))
+    bus.close()
+    assert [found[i].data for i in (3, 7, 4)] == [answer.data for answer in answers]
+    assert wire.heard() == ["FF FF FD 00 FE 0A 00 8A 84 00 04 00 03 07 04 20 F2"]
