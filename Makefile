@@ -49,7 +49,7 @@ bench: env  ## the design's figures and speeds, in out/bench (about ten minutes)
 	$(BIN)/python tests/service/bench_echo.py
 
 bench-bridge: env  ## the bridge on three virtual ports: cycle, jitter, a silent servo, reconnects
-	$(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES)
+	$(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES) $(BRIDGE_OPTIONS)
 
 scenarios: env  ## every drift through every learner; docs/adaptation.md (two hours, resumable)
 	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios

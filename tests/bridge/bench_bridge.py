@@ -22,7 +22,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import math
+import multiprocessing
 import os
 import queue
 import resource
@@ -33,6 +35,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,6 +57,8 @@ from adaptive_contact.wire import (
 PERIOD_S = 0.02
 # Of a status' quantiles; after so long they are of what is to be measured alone.
 WINDOW_S = 10.0
+# Half of a control period: with less, a cycle is late but not missed.
+STALL_MS = 10.0
 SILENT = 3
 # Of different lengths, so that they end at different moments of the tries to open the port again.
 OUTAGES_S = (1.5, 1.63, 1.76, 1.89, 2.02)
@@ -199,15 +204,68 @@ class Computer:
         return f"computer: {share[3] + share[4]:.0f} % idle, {share[7]:.1f} % taken by its host"
 
 
+class Stalls:
+    """Times at which a processor stood still for everybody: its host had taken it.
+
+    A sleeper on each processor, before everything else there is, wakes every 5 ms; where it wakes
+    late, nobody on that processor could have run.
+    """
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipes = []
+        self._sleepers = []
+        for processor in sorted(os.sched_getaffinity(0)):
+            ours, theirs = context.Pipe()
+            self._pipes.append(ours)
+            self._sleepers.append(context.Process(target=sleep_and_wake, args=(theirs, processor)))
+            self._sleepers[-1].start()
+            theirs.close()
+        for pipe in self._pipes:
+            pipe.recv()
+
+    def told(self) -> str:
+        """End the sleepers, and tell what they saw."""
+        for pipe in self._pipes:
+            pipe.send("end")
+        late = [pipe.recv() for pipe in self._pipes]
+        for sleeper in self._sleepers:
+            sleeper.join()
+        counts = ", ".join(str(len(times)) for times in late)
+        longest = max((max(times, default=0.0) for times in late), default=0.0)
+        return (
+            f"processors stood still for over {STALL_MS:g} ms {counts} times, at most "
+            f"{1000 * longest:.0f} ms"
+        )
+
+
+def sleep_and_wake(pipe: Connection, processor: int) -> None:
+    """Wake every 5 ms until told to end; the target of a spawned process."""
+    os.sched_setaffinity(0, {processor})
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(60))
+    gc.disable()
+    pipe.send("up")
+    late: list[float] = []
+    while not pipe.poll(0):
+        before = time.monotonic()
+        time.sleep(0.005)
+        over = time.monotonic() - before - 0.005
+        if over > STALL_MS / 1000:
+            late.append(over)
+    pipe.send(late)
+
+
 def watch(ears: Ears, seconds: float) -> tuple[Windows, float]:
     """Follow the ports for some time."""
-    began, windows, computer = time.monotonic(), Windows(), Computer()
+    stalls, computer = Stalls(), Computer()
+    began, windows = time.monotonic(), Windows()
     while (left := began + seconds - time.monotonic()) > 0:
         with contextlib.suppress(queue.Empty):
             windows.take(ears.statuses.get(timeout=left))
         if ears.workers is not None:
             ears.workers.raise_all()
-    print(f"  {computer}")
+    print(f"  {computer}; {stalls.told()}")
     return windows, began
 
 
