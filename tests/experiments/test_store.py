@@ -12,6 +12,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.identify import leg_library
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.experiments import data
+from adaptive_contact_sim.experiments.evaluation import jobs_of
 from adaptive_contact_sim.experiments.plan import FULL, QUICK, Plan
 from adaptive_contact_sim.experiments.rows import free_rows
 from adaptive_contact_sim.experiments.store import Store, plain
@@ -180,6 +181,18 @@ def test_the_papers_segments_come_in_parts_that_join(tmp_path: Path) -> None:
     assert [o.t_ns for o in joined.arrays.onsets[-len(last.onsets) :]] == [
         o.t_ns + 800 * data.TICK_NS for o in last.onsets
     ]
+
+
+@pytest.mark.parametrize("plan", [FULL, QUICK], ids=lambda p: p.name)
+@pytest.mark.parametrize("role", ["free", "stand", "touch"])
+def test_every_piece_is_evaluated_once(plan: Plan, role: str, tmp_path: Path) -> None:
+    pieces = plan.pieces(role)
+    jobs = jobs_of(tmp_path, plan, pieces)
+    assert sorted(repr(p) for job in jobs for p in job.pieces) == sorted(map(repr, pieces))
+    for job in jobs:
+        assert len({p.leg_run.robot_seed for p in job.pieces}) == 1
+        # No more samples at once than two processes can hold.
+        assert sum(p.seconds for p in job.pieces) < 6000.0
 
 
 def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
