@@ -58,13 +58,15 @@ class Reading(NamedTuple):
         data: the block's bytes, None with a fault.
         alarms: names of the error bits.
         fault: what went wrong.
-        at_s: monotonic time at which the servo was asked.
+        at_s, till_s: monotonic times at which the servo was asked and had answered; the reading is
+            of a moment between the two.
     """
 
     data: bytes | None
     alarms: tuple[str, ...] = ()
     fault: Fault | None = None
     at_s: float = 0.0
+    till_s: float = 0.0
 
 
 class Pong(NamedTuple):
@@ -290,7 +292,7 @@ class Bus:
         alarms = self.alarms(error)
         if len(data) != block.size:
             return Reading(None, alarms, Fault.REFUSED)
-        return Reading(bytes(data), alarms, None, at_s)
+        return Reading(bytes(data), alarms, None, at_s, time.monotonic())
 
     def _sync_read(self, servos: Sequence[int], block: Block) -> dict[int, Reading]:
         found: dict[int, Reading] = {}

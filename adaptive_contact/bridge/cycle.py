@@ -189,7 +189,10 @@ class Cycle:
         faults = self.health[servo.joint.servo].faults
         if stale:
             faults["stale"] += 1
-        punctual = servo.punctual.judge(reading.at_s - due_ns / 1e9, speed, model.step_rad)
+        due_s = due_ns / 1e9
+        punctual = servo.punctual.judge(
+            reading.at_s - due_s, reading.till_s - due_s, speed, model.step_rad
+        )
         if not punctual:
             faults["unpunctual"] += 1
         return punctual and not stale

@@ -88,7 +88,7 @@ class ServoHealth:
 
 
 def due(health: dict[int, ServoHealth], cycle: int, *, hurry: bool = False) -> list[int]:
-    """Servos to ask in this cycle: all that answer, and at most one silent one.
+    """Servos to ask in this cycle: all that answer, and at most one silent one, last.
 
     Args:
         health: by id, in the order they are asked.
@@ -97,11 +97,10 @@ def due(health: dict[int, ServoHealth], cycle: int, *, hurry: bool = False) -> l
     """
     silent = [servo for servo, record in health.items() if record.silent]
     # Silent ones take turns, so that many of them cost no more time than one.
-    turn = None
     every = 1 if hurry else ASK_EVERY
-    if silent and cycle % every == 0:
-        turn = silent[(cycle // every) % len(silent)]
-    return [servo for servo, record in health.items() if not record.silent or servo == turn]
+    turn = [silent[(cycle // every) % len(silent)]] if silent and cycle % every == 0 else []
+    # Last, so that waiting for it puts no other off its usual moment.
+    return [servo for servo, record in health.items() if not record.silent] + turn
 
 
 def is_stale(
@@ -127,25 +126,29 @@ class Punctuality:
     """Whether a servo is read at its usual moment of the tick.
 
     A model predicts from tick to tick: a joint at 4 rad/s read 5 ms late is 20 mrad, four steps of
-    an AX-12A, beside where it belongs.  On a computer with other work that happens.
+    an AX-12A, beside where it belongs.  On a computer with other work that happens.  When between
+    question and answer a servo looked is not known, so both have to be in time.
     """
 
-    _usual_s: float | None = None
+    _usual_s: list[float] | None = None
 
-    def judge(self, offset_s: float, speed_rad_s: float, step_rad: float) -> bool:
+    def judge(self, asked_s: float, answered_s: float, speed_rad_s: float, step_rad: float) -> bool:
         """Take in a reading.
 
         Args:
-            offset_s: when the servo was asked, after the moment the tick was due.
+            asked_s: when the servo was asked, after the moment the tick was due.
+            answered_s: when it had answered, the same.
             speed_rad_s: how fast it moves.
             step_rad: one position step.
 
         Returns:
             Whether it can stand for its tick.
         """
+        times = (asked_s, answered_s)
         if self._usual_s is None:
-            self._usual_s = offset_s
-        off_s = offset_s - self._usual_s
-        # Robust against outliers: they move the usual place by no more than 1 ms * _SETTLE.
-        self._usual_s += _SETTLE * min(max(off_s, -0.001), 0.001)
-        return abs(off_s * speed_rad_s) <= UNPUNCTUAL_STEPS * step_rad
+            self._usual_s = [*times]
+        off_s = [now - usual for now, usual in zip(times, self._usual_s, strict=True)]
+        for k, off in enumerate(off_s):
+            # Robust against outliers: they move the usual place by no more than 1 ms * _SETTLE.
+            self._usual_s[k] += _SETTLE * min(max(off, -0.001), 0.001)
+        return max(map(abs, off_s)) * abs(speed_rad_s) <= UNPUNCTUAL_STEPS * step_rad

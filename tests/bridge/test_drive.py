@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 
 from adaptive_contact.bridge.bus import Fault, Reading
 from adaptive_contact.bridge.drive import EASY_SHARE, HOLD_AFTER_NS, Driver, Mode, complaint
-from adaptive_contact.bridge.health import ASK_EVERY, SILENT_AFTER, ServoHealth, due, is_stale
+from adaptive_contact.bridge.health import (
+    ASK_EVERY,
+    SILENT_AFTER,
+    Punctuality,
+    ServoHealth,
+    due,
+    is_stale,
+)
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.phaselock import FAR_SHARE, PhaseLock
 from adaptive_contact.bridge.plan import LegPlan, plan_ports
@@ -150,11 +157,32 @@ def test_silent_servos_are_asked_in_turn_and_come_back() -> None:
             health[i].note(Reading(None, (), Fault.NO_ANSWER))
     asked = [due(health, k) for k in range(4 * ASK_EVERY)]
     assert all({0, 3} <= set(a) for a in asked)
+    assert all(a[:2] == [0, 3] for a in asked)  # a silent one comes last
     extra = [set(a) - {0, 3} for a in asked]
     assert [e for e in extra if e] == [{1}, {2}, {1}, {2}]
     assert len([1 for k in range(4) if len(due(health, k, hurry=True)) == 3]) == 4
     health[1].note(Reading(b"\0"))
     assert not health[1].silent
+
+
+@pytest.mark.parametrize(
+    ("asked_ms", "answered_ms", "speed", "good"),
+    [
+        (2.0, 2.5, 4.0, True),
+        (5.0, 5.5, 4.0, False),  # asked late
+        (2.0, 5.5, 4.0, False),  # answered late: nobody knows when it looked
+        (5.0, 5.5, -4.0, False),
+        (5.0, 5.5, 0.5, True),  # hardly moves
+    ],
+)
+def test_a_reading_off_its_moment_cannot_stand_for_its_tick(
+    asked_ms: float, answered_ms: float, speed: float, good: bool
+) -> None:
+    punctual = Punctuality()
+    for _ in range(50):
+        assert punctual.judge(0.002, 0.0025, 4.0, 0.005)
+    assert punctual.judge(asked_ms / 1000, answered_ms / 1000, speed, 0.005) is good
+    assert punctual.judge(0.002, 0.0025, 4.0, 0.005)
 
 
 def test_alarms_are_shown_and_fade() -> None:

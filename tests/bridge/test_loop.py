@@ -46,7 +46,8 @@ def run(rig: Callable, catcher: Callable) -> Iterator[Callable[..., Running]]:
     running: list[Running] = []
 
     def start(mode: str, **kind: Any) -> Running:
-        running.append(Running(rig(**kind), mode, catcher()))
+        made = rig(**kind)
+        running.append(Running(made, mode, catcher(len(made.plans[0].legs))))
         return running[-1]
 
     yield start
