@@ -117,7 +117,8 @@ def group(
                 )
             name = legs[len(made)] if len(made) < len(legs) else f"leg{len(made) + 1}"
             servos = ServoBus(ids=tuple(part), model=models.pop(), port=one.name)
-            made.append(Leg(id=name, joints=tuple(names), servos=servos))
+            leg = Leg(id=name, joints=tuple(names), servos=servos)
+            made.append(msgspec.structs.replace(leg, axes=leg.joint_axes))
     if legs and len(legs) != len(made):
         raise BusError(
             f"{len(legs)} legs are named, but the servos make {len(made)}; correct --legs, --joints"
@@ -209,7 +210,8 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
     joints = ", ".join(_text(name) for name in leg.joints)
     say.line(f"joints = [{joints}]", "from the body outwards" if first else None)
     if leg.axes is not None:
-        say.line(f"axes = [{', '.join(_text(axis) for axis in leg.axes)}]")
+        axes = ", ".join(_text(axis) for axis in leg.axes)
+        say.line(f"axes = [{axes}]", "yaw turns left and right, pitch up" if first else None)
     if leg.lengths_m is not None:
         say.line(f"lengths_m = {_numbers(leg.lengths_m)}")
     else:
@@ -226,7 +228,8 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
         say.line(f"limits = {{ lower_rad = {lower}, upper_rad = {upper} }}")
     elif first:
         say.note("How far the bridge may ever drive the joints, rad:")
-        say.note(f"limits = {{ lower_rad = {[-1.0] * len(leg.joints)}, upper_rad = ... }}")
+        most = len(leg.joints)
+        say.note(f"limits = {{ lower_rad = {[-1.0] * most}, upper_rad = {[1.0] * most} }}")
     servos = leg.servos
     if servos is None:
         return

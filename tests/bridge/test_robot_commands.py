@@ -56,6 +56,9 @@ def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> 
     assert robot.leg("l1").lengths_m == (0.05, 0.06, 0.1)
     assert robot.ports["p0"].protocol == kind["protocol"]
     assert all(s.writes == 0 for s in r.ports[0].servos)
+    # What is commented out can be used as it stands, and filled in.
+    filled = out.read_text().replace("# limits = {", "limits = {")
+    assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
     with pytest.raises(ConfigurationError, match="is there already"):
         invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
 
