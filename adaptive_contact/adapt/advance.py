@@ -27,14 +27,19 @@ class Verdict(NamedTuple):
     """What the statistic says of a tick.
 
     Attributes:
-        score: the largest statistic over its threshold.
-        width: ticks of the window that gave it.
+        scores: statistic over threshold for each window, NaN where it reaches too far back.
         distance: of the last residual from zero, whitened and squared, in any direction.
     """
 
-    score: float
-    width: int
+    scores: list[float]
     distance: float
+
+    @property
+    def score(self) -> float:
+        """The largest."""
+        # The window of one tick is always usable; longer ones may be NaN, which `max` passes over
+        # when it does not come first.
+        return max(self.scores)
 
 
 def advance(
@@ -81,14 +86,9 @@ def _verdicts(learners: Sequence[ContactLearner]) -> list[Verdict]:
         np.array([t.usable for t in trackers if t is not None]),
     )
     scores = said.value / np.array([learner.thresholds for learner in learners])
-    # The window of one tick is always usable; longer ones may be NaN.
-    best = np.nanargmax(scores, axis=1)
-    top = scores[np.arange(len(best)), best]
     return [
-        Verdict(score, width, distance)
-        for score, width, distance in zip(
-            top.tolist(), (best + 1).tolist(), said.distance.tolist(), strict=True
-        )
+        Verdict(row, distance)
+        for row, distance in zip(scores.tolist(), said.distance.tolist(), strict=True)
     ]
 
 

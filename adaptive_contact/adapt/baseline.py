@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from adaptive_contact.detect import NoiseModel, Tail
 from adaptive_contact.detect.noise import CONTEXTS, WINDOWS
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
-from adaptive_contact.identify import LegModel, Library, LibraryName, Window
+from adaptive_contact.identify import Domain, LegModel, Library, LibraryName, Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Leg, Robot
 
 __all__ = [
@@ -49,12 +49,14 @@ class LegBaseline:
         noise: residuals on free ticks.
         scale: (p,) root mean square of every regressor on free ticks.
         rows: ticks the model was fitted to.
+        domain: where these have been; None for what was learned before it was kept.
     """
 
     model: LegModel
     noise: NoiseModel
     scale: Array
     rows: int
+    domain: Domain | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,6 +126,7 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     scale: dict[str, float]
     covariance: list[list[list[list[float]]]]
     ticks: list[float]
+    domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
 
 
 class _LibraryFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -173,12 +176,7 @@ def dump_baseline(baseline: Baseline) -> str:
         robot=baseline.robot,
         origin=baseline.origin,
         quantum_rad=baseline.quantum_rad,
-        library=_LibraryFile(
-            name=library.name,
-            **dataclasses.asdict(library.window),
-            slope_rad=library.slope_rad,
-            period_s=library.period_s,
-        ),
+        library=_library_file(library),
         tails=[_TailFile(**dataclasses.asdict(t)) for t in baseline.tails],
         legs={leg: _leg_file(known) for leg, known in baseline.legs.items()},
     )
@@ -253,6 +251,46 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         raise BaselineError(f"{source}: {error}") from error
 
 
+def leg_tree(known: LegBaseline) -> dict[str, object]:
+    """One leg's baseline as plain maps, lists, numbers and texts, for a snapshot."""
+    library = known.model.library
+    return {
+        "library": msgspec.to_builtins(_library_file(library)),
+        "leg": msgspec.to_builtins(_leg_file(known)),
+    }
+
+
+def leg_of_tree(tree: object, library: Library) -> LegBaseline:
+    """A leg's baseline from :func:`leg_tree`.
+
+    Args:
+        tree: as it was read.
+        library: that the leg's model must be of.
+
+    Raises:
+        BaselineError: it is no such tree, or of another library.
+    """
+    try:
+        if not isinstance(tree, dict):
+            raise BaselineError("what it started from is missing")
+        of = msgspec.convert(tree.get("library"), _LibraryFile)
+        known = _leg("?", msgspec.convert(tree.get("leg"), _LegFile), of)
+    except (msgspec.ValidationError, ConfigurationError, IdentificationError) as error:
+        raise BaselineError(f"what it started from cannot be read: {error}") from error
+    if known.model.library != library:
+        raise BaselineError("it belongs to another library, other joints or another rate")
+    return known
+
+
+def _library_file(library: Library) -> _LibraryFile:
+    return _LibraryFile(
+        name=library.name,
+        **dataclasses.asdict(library.window),
+        slope_rad=library.slope_rad,
+        period_s=library.period_s,
+    )
+
+
 def leg_library_of(
     file_library: _LibraryFile, joints: tuple[str, ...], axes: tuple[str, ...]
 ) -> Library:
@@ -285,32 +323,31 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         scale=dict(zip(library.names, known.scale.tolist(), strict=True)),
         covariance=known.noise.covariance.tolist(),
         ticks=known.noise.ticks.tolist(),
+        domain=None if known.domain is None else _rows_of(known.domain.triangle),
     )
 
 
+def _rows_of(triangle: Array) -> list[str]:
+    return [" ".join(f"{value:.4g}" for value in row[i:]) for i, row in enumerate(triangle)]
+
+
+def _domain(rows: list[str] | None, scale: Array) -> Domain | None:
+    if rows is None:
+        return None
+    p = len(scale)
+    triangle = np.zeros((p, p))
+    try:
+        for i, row in enumerate(rows):
+            triangle[i, i:] = np.array(row.split(), dtype=np.float64)
+    except (ValueError, IndexError) as error:
+        raise IdentificationError(
+            f"its domain is no triangle of {p} rows; learn it anew"
+        ) from error
+    return Domain(triangle, scale)
+
+
 def _baseline(file: _File) -> Baseline:
-    legs = {}
-    for leg, entry in file.legs.items():
-        library = leg_library_of(file.library, entry.joints, entry.axes)
-        coefficients = np.zeros((library.size, len(library.joints)))
-        row = {name: i for i, name in enumerate(library.names)}
-        for j, joint in enumerate(library.joints):
-            for term, value in entry.terms.get(joint, {}).items():
-                if term not in row:
-                    raise IdentificationError(
-                        f"leg '{leg}' has a term '{term}' that the library "
-                        f"'{library.name}' has not; learn it anew"
-                    )
-                coefficients[row[term], j] = value
-        joints = len(library.joints)
-        shape = (CONTEXTS, len(WINDOWS), joints, joints)
-        covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
-        ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
-        scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
-        if not (np.isfinite(scale).all() and (scale > 0).all()):
-            raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
-        model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
-        legs[leg] = LegBaseline(model, noise, scale, entry.rows)
+    legs = {leg: _leg(leg, entry, file.library) for leg, entry in file.legs.items()}
     if not legs:
         raise IdentificationError("it has no legs; learn it anew")
     if len(file.tails) != len(WINDOWS):
@@ -321,6 +358,29 @@ def _baseline(file: _File) -> Baseline:
             raise IdentificationError("a tail is implausible; learn it anew")
     tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
     return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
+
+
+def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
+    library = leg_library_of(of, entry.joints, entry.axes)
+    coefficients = np.zeros((library.size, len(library.joints)))
+    row = {name: i for i, name in enumerate(library.names)}
+    for j, joint in enumerate(library.joints):
+        for term, value in entry.terms.get(joint, {}).items():
+            if term not in row:
+                raise IdentificationError(
+                    f"leg '{leg}' has a term '{term}' that the library "
+                    f"'{library.name}' has not; learn it anew"
+                )
+            coefficients[row[term], j] = value
+    joints = len(library.joints)
+    shape = (CONTEXTS, len(WINDOWS), joints, joints)
+    covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
+    ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
+    scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
+    if not (np.isfinite(scale).all() and (scale > 0).all()):
+        raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
+    model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
+    return LegBaseline(model, noise, scale, entry.rows, _domain(entry.domain, scale))
 
 
 def _array(values: object, shape: tuple[int, ...], what: str) -> Array:

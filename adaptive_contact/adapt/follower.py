@@ -345,6 +345,7 @@ class Follower:
         self._confirm(rows, region)
 
     def _confirm(self, rows: list[Row], region: int) -> None:
+        rows = [row for row in rows if row.cleared]
         self.confirmed_ns.extend(row.t_ns for row in rows)
         self.buffer.add(rows, region, self._era)
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):

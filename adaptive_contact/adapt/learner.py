@@ -12,13 +12,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, deque
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.advance import Verdict, advance
-from adaptive_contact.adapt.baseline import Baseline, LegBaseline, thresholds_of, unlike
+from adaptive_contact.adapt.baseline import (
+    Baseline,
+    LegBaseline,
+    leg_of_tree,
+    leg_tree,
+    thresholds_of,
+    unlike,
+)
 from adaptive_contact.adapt.coldstart import ColdResult, ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
@@ -34,6 +42,7 @@ from adaptive_contact.detect import (
     context_of,
     onset_fraction,
 )
+from adaptive_contact.errors import BaselineError
 from adaptive_contact.identify import LegModel, leg_library
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import (
@@ -112,6 +121,7 @@ class ContactLearner:
         self._swing_open = False
         self._cold: ColdStart | None = None
         self._cold_job: int | None = None
+        self._started_cold = False
         if self._known is not None:
             assert baseline is not None
             self._begin(self._known, baseline.tails)
@@ -196,12 +206,16 @@ class ContactLearner:
         """What has been learned, as a tree that msgpack can write; None without a model."""
         if self._follower is None:
             return None
-        return {
+        tree = {
             "follower": self._follower.snapshot(),
             "counts": dict(self._counts),
             "rejects": {str(reason): n for reason, n in self._rejects.items()},
             "missed": self._guard.missed,
         }
+        if self._started_cold:  # no file holds what it started from
+            assert self._known is not None
+            tree["start"] = {"known": leg_tree(self._known), "origin": self._origin}
+        return tree
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -209,15 +223,44 @@ class ContactLearner:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
-        inner = saved.get("follower")
-        if self._follower is None or self.tracker is None:
-            return f"snapshot of leg '{self.leg.id}' not used: there is no baseline to go with it"
+        inner, start = saved.get("follower"), saved.get("start")
         if not isinstance(inner, dict):
             return f"snapshot of leg '{self.leg.id}' not used: it holds no model"
-        refused = self._follower.restore(inner)
+        if start is not None:
+            refused = self._restore_cold(inner, start)
+        elif self._follower is None:
+            return f"snapshot of leg '{self.leg.id}' not used: there is no baseline to go with it"
+        else:
+            refused = self._follower.restore(inner)
         if refused is not None:
             return refused
+        assert self._follower is not None
+        assert self.tracker is not None
         self.tracker.model = self._follower.model
+        self._restore_counts(saved)
+        return None
+
+    def _restore_cold(self, inner: dict[str, Any], start: object) -> str | None:
+        """Take over what a leg started cold had found, and what it learned since."""
+        if self._mode is LearnerMode.FROZEN:
+            return f"snapshot of leg '{self.leg.id}' not used: a frozen learner starts from files"
+        library = leg_library(self.robot, self.leg)
+        try:
+            known = leg_of_tree(start.get("known") if isinstance(start, dict) else None, library)
+        except BaselineError as problem:
+            return f"snapshot of leg '{self.leg.id}' not used: {problem}"
+        follower = Follower(self.leg.id, known, self._mode, self._refitter)
+        refused = follower.restore(inner)
+        if refused is not None:
+            return refused
+        self._begin(known, prior_tails(len(self.leg.joints)), version=1)
+        self._follower = follower
+        self._cold, self._cold_job, self._started_cold = None, None, True
+        origin = start.get("origin") if isinstance(start, dict) else None
+        self._origin = origin if isinstance(origin, str) else "cold start"
+        return None
+
+    def _restore_counts(self, saved: dict[str, Any]) -> None:
         counts = saved.get("counts")
         if isinstance(counts, dict):
             for name, count in counts.items():
@@ -231,7 +274,6 @@ class ContactLearner:
                     self._rejects[known[name]] = count
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
-        return None
 
     # -- one tick, in the order `advance` calls it ----------------------------------------------
 
@@ -284,9 +326,12 @@ class ContactLearner:
             return None
         assert self.thresholds is not None
         loaded = self._state.loaded
-        onset_ns = self._onset(sample, verdict.width) if verdict.score > 1.0 else sample.t_ns
+        score, onset_ns = verdict.score, sample.t_ns
+        if score > 1.0 and not loaded:
+            score, width = self._within_domain(verdict.scores)
+            onset_ns = self._onset(sample, width)
         decision = self._state.swing_tick(
-            verdict.score,
+            score,
             verdict.distance / float(self.thresholds[0]),
             sample.t_ns,
             onset_ns,
@@ -359,12 +404,13 @@ class ContactLearner:
         if result.known is not None:
             self._origin = f"cold start: {result.reason}"
             self._begin(result.known, prior_tails(len(self.leg.joints)), version=1)
-            self._cold = None
+            self._cold, self._started_cold = None, True
 
     def _forget_baseline(self) -> None:
         """The baseline was never this leg's: start cold, and say so."""
         self._known = self._follower = self.tracker = None
         self._origin = None
+        self._started_cold = False
         self._state.reset()
         self._note = "the baseline does not fit this leg: learning it anew"
         self._cold = self._cold_start()
@@ -374,22 +420,27 @@ class ContactLearner:
         follower, tracker = self._follower, self.tracker
         if follower is None or tracker is None or not follower.learning:
             return
-        assert tracker.last_theta is not None
         target = tracker.residuals[0] + tracker.increments[0]
         # The model's own doubt is part of the unit; the followed level is not.
         level = distance * follower.level_in_force / len(target)
         free = calm and not self._state.contact
-        row = Row(tracker.last_theta, target, level, sample.t_ns, self._swing.rising, free)
+        swing = self._swing
+        row = Row(tracker.thetas[0], target, level, sample.t_ns, swing.rising, free, swing.cleared)
         if follower.mode is LearnerMode.UNGATED:
             follower.learn_now(row)
             return
-        self._book.add(row, self._swing.ticks, descending=self._swing.descending)
+        self._book.add(row, swing.ticks, descending=swing.descending)
         lift = self._book.take_lift()
-        if lift is not None:
+        if lift is None:
+            return
+        held = swing.judge_lift()
+        if held is not None:
+            follower.foot_held(held)
+        if not swing.held:
             follower.lift(lift, self._region(sample), sample.t_ns)
 
     def _confirm(self, rows: list[Row]) -> None:
-        if self._follower is not None and rows:
+        if self._follower is not None and rows and not self._swing.held:
             self._follower.descent(rows, self._last_region)
 
     def _region(self, sample: ServoSample) -> int:
@@ -405,9 +456,6 @@ class ContactLearner:
             return
         self._swing_open = False
         self._confirm(self._book.resolve())
-        held = self._swing.held
-        if held is not None:
-            self._follower.foot_held(held)
         self._follower.swing_done()
 
     def _connect(self, result: Accepted, sample: ServoSample) -> None:
@@ -439,6 +487,23 @@ class ContactLearner:
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()
+
+    def _within_domain(self, scores: Sequence[float]) -> tuple[float, int]:
+        """The largest score, and its window, where the model is not asked to extrapolate.
+
+        What a prediction there is worth is the domain's to say; it is asked before an alarm only.
+        """
+        assert self._known is not None
+        assert self.tracker is not None
+        domain = self._known.domain
+        spread = 0.0
+        best, width = 0.0, 1
+        for ticks, (score, theta) in enumerate(zip(scores, self.tracker.thetas, strict=False), 1):
+            spread += 0.0 if domain is None else float(domain.leverage(theta))
+            score /= 1.0 + spread / ticks
+            if score > best:
+                best, width = score, ticks
+        return best, width
 
     def _onset(self, sample: ServoSample, width: int) -> int:
         tracker = self.tracker

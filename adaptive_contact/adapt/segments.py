@@ -44,6 +44,7 @@ class Row(NamedTuple):
         t_ns: of the tick.
         lift: the foot was rising.
         calm: the leg had been found free before.
+        cleared: the foot had left the ground before, by its height; only then it is learned.
     """
 
     theta: Array
@@ -52,6 +53,7 @@ class Row(NamedTuple):
     t_ns: int
     lift: bool
     calm: bool
+    cleared: bool
 
 
 @dataclasses.dataclass

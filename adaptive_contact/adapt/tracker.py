@@ -52,7 +52,7 @@ class Tracker:
         self.desired = np.zeros((library.window.past_desired + 1, joints))
         self.preview = np.zeros((library.window.preview, joints))
         self.theta: Array | None = None  # regressors of that prediction
-        self.last_theta: Array | None = None  # and of the tick observed last
+        self.thetas: tuple[Array, ...] = ()  # and of the ticks observed, lag 0 first
         self.increment = np.zeros(joints)  # predicted for the tick to come
         self.residuals = np.zeros((DEPTH, joints))
         self.increments = np.zeros((DEPTH, joints))  # that were predicted for those residuals
@@ -101,7 +101,8 @@ class Tracker:
             self.residuals[1:] = self.residuals[:-1]
             self.increments[1:] = self.increments[:-1]
             self.increments[0] = self.increment
-            self.last_theta = self.theta
+            assert self.theta is not None
+            self.thetas = (self.theta, *self.thetas[: DEPTH - 1])
             np.subtract(reading, self.measured[0], out=self.residuals[0])
             self.residuals[0] -= self.increment
         self.inflation = 1.0

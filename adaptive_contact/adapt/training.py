@@ -20,6 +20,7 @@ from adaptive_contact.detect import context, fit_noise, fit_tail, lagged, stream
 from adaptive_contact.detect.noise import WINDOWS
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.identify import (
+    Domain,
     Factor,
     Fit,
     FitSettings,
@@ -263,7 +264,8 @@ def learn_leg(
         library_size=library.size,
         condition=fit.condition,
     )
-    known = LegBaseline(model, noise, whole.scale(), len(rows.target))
+    scale = whole.scale()
+    known = LegBaseline(model, noise, scale, len(rows.target), Domain.of(whole, scale))
     return known, figures, values
 
 
@@ -337,7 +339,10 @@ def _factor(rows: _Rows, mask: Mask) -> Factor:
 
 
 def _held_out(rows: _Rows, folds: Sequence[Factor], settings: FitSettings) -> Array | None:
-    """Residuals of every row by a model of the other folds; None if λ empties a joint."""
+    """Residuals of every row by a model of the other folds; None if λ empties a joint.
+
+    Each is divided by what that model can know there (:class:`Domain`).
+    """
     residual = np.empty_like(rows.target)
     p, joints = rows.theta.shape[1], rows.target.shape[1]
     for f in range(len(folds)):
@@ -351,7 +356,12 @@ def _held_out(rows: _Rows, folds: Sequence[Factor], settings: FitSettings) -> Ar
             fit = fit_sparse(Factor.merged(folds, p, joints), settings)
             if fit.status is not FitStatus.OK:
                 return None
-        residual[inside] = rows.target[inside] - rows.theta[inside] @ fit.coefficients
+        theta = rows.theta[inside]
+        # In a short recording the swings held out hold motions that no other swing has: there the
+        # model of the others fails and the model of all does not, and neither noise nor tail may
+        # be read off it.
+        spread = np.sqrt(1.0 + Domain.of(others, others.scale()).leverage(theta))
+        residual[inside] = (rows.target[inside] - theta @ fit.coefficients) / spread[:, None]
     return residual
 
 

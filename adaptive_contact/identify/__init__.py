@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from adaptive_contact.identify.domain import Domain
 from adaptive_contact.identify.library import Library, LibraryName, leg_library
 from adaptive_contact.identify.model import LegModel
 from adaptive_contact.identify.regression import Factor, Fit, FitSettings, FitStatus, fit_sparse
 from adaptive_contact.identify.window import Rows, Window, stack
 
 __all__ = [
+    "Domain",
     "Factor",
     "Fit",
     "FitSettings",

@@ -16,7 +16,7 @@ from adaptive_contact.robot.description import (
     parse_robot,
     shipped_robot,
 )
-from adaptive_contact.robot.geometry import foot, height, inverse, link_angles
+from adaptive_contact.robot.geometry import foot, foot_point, inverse, link_angles
 
 __all__ = [
     "ROBOT_HOUR_TICKS",
@@ -29,7 +29,7 @@ __all__ = [
     "ServoBus",
     "ServoLaw",
     "foot",
-    "height",
+    "foot_point",
     "inverse",
     "link_angles",
     "load_robot",

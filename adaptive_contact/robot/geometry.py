@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["foot", "height", "inverse", "link_angles"]
+__all__ = ["foot", "foot_point", "inverse", "link_angles"]
 
 Array = NDArray[np.float64]
 
@@ -67,8 +67,10 @@ def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str]) -> Array
     )
 
 
-def height(q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str]) -> float:
-    """Height of the foot alone, of one posture: what every control tick asks.
+def foot_point(
+    q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str]
+) -> tuple[float, float, float]:
+    """Place of the foot in one posture: what every control tick asks.
 
     Plain floats; for so few of them numpy's call overhead is twenty times the arithmetic.
 
@@ -78,14 +80,19 @@ def height(q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str]) 
         axes: (J,) ``yaw`` or ``pitch`` per joint.
 
     Returns:
-        z in m, equal to ``foot(q, ...)[2]``.
+        x, y, z in m, equal to ``foot(q, ...)``.
     """
-    pitch = total = 0.0
+    pitch = yaw = x = y = z = 0.0
     for angle, length, axis in zip(q, lengths_m, axes, strict=True):
         if axis == "pitch":
             pitch += angle
-        total += length * math.sin(pitch)
-    return total
+        else:
+            yaw += angle
+        reach = length * math.cos(pitch)
+        x += reach * math.cos(yaw)
+        y += reach * math.sin(yaw)
+        z += length * math.sin(pitch)
+    return x, y, z
 
 
 def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:

@@ -17,8 +17,10 @@ from adaptive_contact.adapt.segments import (
 PERIOD = 20_000_000
 
 
-def row(tick: int, *, lift: bool, level: float = 1.0, calm: bool = False) -> Row:
-    return Row(np.full(2, float(tick)), np.zeros(1), level, tick * PERIOD, lift, calm)
+def row(
+    tick: int, *, lift: bool, level: float = 1.0, calm: bool = False, cleared: bool = True
+) -> Row:
+    return Row(np.full(2, float(tick)), np.zeros(1), level, tick * PERIOD, lift, calm, cleared)
 
 
 def ticks(rows: list[Row] | None) -> list[int]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.adapt import ContactLearner, shipped_baseline
+from adaptive_contact.adapt.coldstart import prior_tails
 from adaptive_contact.robot import shipped_robot
 
 
@@ -87,3 +88,39 @@ def test_without_a_baseline_there_is_nothing_to_save(robot: Any, saved: dict[str
     bare = ContactLearner(robot, "rf")
     assert bare.snapshot() is None
     assert "no baseline" in str(bare.restore(saved))
+
+
+def test_a_leg_started_cold_goes_on_where_it_was(robot: Any) -> None:
+    """Nothing but the snapshot holds its first model."""
+    baseline = shipped_baseline(robot.name)
+    assert baseline is not None
+    found = ContactLearner(robot, "rf", None)
+    # As after its first fit: what a cold start found is a leg's baseline without a file.
+    found._begin(baseline.legs["rf"], prior_tails(3), version=1)
+    found._cold, found._started_cold, found._origin = None, True, "cold start: test"
+    tree = msgpack.unpackb(msgpack.packb(found.snapshot()))
+
+    fresh = ContactLearner(robot, "rf", None)
+    assert fresh.restore(copy.deepcopy(tree)) is None
+    assert msgpack.packb(fresh.snapshot()) == msgpack.packb(found.snapshot())
+    assert fresh.status.status == "valid"
+    assert fresh.model_report is not None
+    assert fresh.model_report.origin == "cold start: test"
+
+
+@pytest.mark.parametrize(
+    ("start", "says"),
+    [
+        (3, "what it started from is missing"),
+        ({"known": {"library": {}, "leg": {}}}, "cannot be read"),
+    ],
+)
+def test_a_cold_start_s_snapshot_is_refused_whole(robot: Any, start: object, says: str) -> None:
+    saved = learner(robot).snapshot()
+    assert saved is not None
+    fresh = ContactLearner(robot, "rf", None)
+    line = fresh.restore({**saved, "start": start})
+    assert line is not None
+    assert says in line
+    assert fresh.status.status == "learning"
+    assert fresh.model is None

@@ -1,0 +1,89 @@
+r"""How far a row of regressors lies outside of what a fit has seen.
+
+Least squares on rows :math:`\varphi_i` knows its prediction at :math:`\varphi` to
+
+.. math::
+   h(\varphi) = \varphi^\top
+   \Big(\sum_i \varphi_i \varphi_i^\top + \rho^2 I\Big)^{-1} \varphi
+
+times the noise variance (the leverage), so that a residual there has variance :math:`1 + h`.
+Where the leg has been, h is a few hundredths; in a motion that no swing of a short recording held,
+it is 10 or 100, and a residual there speaks of the model, not of the ground.  ρ is what is known of
+a term beforehand, and keeps h finite for one that was never excited.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.identify.regression import Factor
+
+__all__ = ["Domain"]
+
+Array = NDArray[np.float64]
+
+# A term of typical size that was never seen is believed to move a tick by less than twenty times
+# the noise (6 degrees for an AX-12A's leg).
+PRIOR_DEVIATIONS: Final = 20.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Domain:
+    """Where in the space of its regressors a fit has been.
+
+    Attributes:
+        triangle: (p, p) upper triangle R with :math:`R^T R` the sum over rows of the regressors'
+            outer products, each regressor in units of its scale.
+        scale: (p,) typical size of each regressor, above 0.
+    """
+
+    triangle: Array
+    scale: Array
+    _reach: Array = dataclasses.field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        p = len(self.scale)
+        if self.triangle.shape != (p, p) or not np.isfinite(self.triangle).all():
+            raise IdentificationError(
+                f"domain: expected a finite triangle of shape {(p, p)}, found "
+                f"{self.triangle.shape}; learn it anew"
+            )
+        stacked = np.concatenate([self.triangle, np.eye(p) / PRIOR_DEVIATIONS])
+        whole = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
+        # h = |R^-T (θ / scale)|²; the prior makes R well conditioned.
+        reach = scipy.linalg.solve_triangular(whole, np.eye(p), trans="T")
+        object.__setattr__(self, "_reach", reach / self.scale)
+
+    @classmethod
+    def of(cls, factor: Factor, scale: Array) -> Domain:
+        """The domain of a fit.
+
+        Args:
+            factor: what it was fitted to.
+            scale: (p,); zeros (columns that were never there) count as one.
+        """
+        p = factor.terms
+        scale = np.where(scale > 0.0, scale, 1.0)
+        rows = factor.system[0] / scale
+        triangle = np.zeros((p, p))
+        if len(rows):
+            found = scipy.linalg.qr(rows, mode="r", check_finite=False)[0][:p]
+            triangle[: len(found)] = found
+        return cls(triangle, scale)
+
+    def leverage(self, theta: Array) -> Array:
+        """Leverage h of rows.
+
+        Args:
+            theta: (..., p) regressors.
+
+        Returns:
+            (...,) 0 where everything is known.
+        """
+        return np.asarray(np.square(theta @ self._reach.T).sum(axis=-1))
