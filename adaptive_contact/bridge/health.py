@@ -7,7 +7,8 @@ while only, so that the others keep their rate; with its first answer it is back
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
+import statistics
+from collections import Counter, deque
 from collections.abc import Iterable
 from typing import Final
 
@@ -26,8 +27,8 @@ STALE_STEPS: Final = 3.0
 # A reading that came this much of a position step too early or late, as the joint moves, is not
 # one of its tick: half of it is the noise of a reading anyway.
 UNPUNCTUAL_STEPS: Final = 2.0
-# How quickly a servo's usual place in the cycle is learned.
-_SETTLE: Final = 1.0 / 16.0
+# Readings of which a servo's usual place in the cycle is the median.
+_RECENT: Final = 5
 # Alarms are shown for this many readings after they were last seen.
 _ALARM_TICKS: Final = 50
 
@@ -130,7 +131,9 @@ class Punctuality:
     question and answer a servo looked is not known, so both have to be in time.
     """
 
-    _usual_s: list[float] | None = None
+    _recent_s: deque[tuple[float, float]] = dataclasses.field(
+        default_factory=lambda: deque(maxlen=_RECENT)
+    )
 
     def judge(self, asked_s: float, answered_s: float, speed_rad_s: float, step_rad: float) -> bool:
         """Take in a reading.
@@ -144,11 +147,13 @@ class Punctuality:
         Returns:
             Whether it can stand for its tick.
         """
-        times = (asked_s, answered_s)
-        if self._usual_s is None:
-            self._usual_s = [*times]
-        off_s = [now - usual for now, usual in zip(times, self._usual_s, strict=True)]
-        for k, off in enumerate(off_s):
-            # Robust against outliers: they move the usual place by no more than 1 ms * _SETTLE.
-            self._usual_s[k] += _SETTLE * min(max(off, -0.001), 0.001)
-        return max(map(abs, off_s)) * abs(speed_rad_s) <= UNPUNCTUAL_STEPS * step_rad
+        self._recent_s.append((asked_s, answered_s))
+        # The median: one late reading moves it little, a bus that has become slower does so within
+        # three ticks, after which readings are a period apart again.
+        off_s = max(
+            abs(now - statistics.median(times))
+            for now, times in zip(
+                (asked_s, answered_s), zip(*self._recent_s, strict=True), strict=True
+            )
+        )
+        return bool(off_s * abs(speed_rad_s) <= UNPUNCTUAL_STEPS * step_rad)

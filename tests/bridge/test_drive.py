@@ -185,6 +185,14 @@ def test_a_reading_off_its_moment_cannot_stand_for_its_tick(
     assert punctual.judge(0.002, 0.0025, 4.0, 0.005)
 
 
+def test_a_bus_that_has_become_slower_is_its_usual_moment_soon() -> None:
+    punctual = Punctuality()
+    for _ in range(50):
+        punctual.judge(0.002, 0.0025, 4.0, 0.005)
+    after = [punctual.judge(0.006, 0.0065, 4.0, 0.005) for _ in range(6)]
+    assert after == [False, False, True, True, True, True]
+
+
 def test_alarms_are_shown_and_fade() -> None:
     record = ServoHealth()
     record.note(Reading(b"\0", ("overload",)))
