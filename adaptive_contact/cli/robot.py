@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -221,6 +222,16 @@ def learn_(
         float,
         typer.Option("--amplitude", min=0.05, max=1.5, help="Of driven swings, rad, each way."),
     ] = 0.4,
+    pose: Annotated[
+        str | None,
+        typer.Option(
+            "--pose",
+            metavar="RAD,RAD,...",
+            help="Joint angles to swing around, as the legs stand when they walk; where they are "
+            "found without it.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     realtime: RealtimeOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -247,7 +258,8 @@ def learn_(
             abort=True,
             err=True,
         )
-    scripts = _scripts(robot, plans, amplitude, seed) if drive else None
+    home = None if pose is None else _pose(pose, robot)
+    scripts = _scripts(robot, plans, amplitude, seed, home) if drive else None
     samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
     for line in _losses(samples):
         _say(line)
@@ -257,6 +269,20 @@ def learn_(
     for line in _verdict(robot, training):
         typer.echo(line, err=json)
     typer.echo(f"baseline written to {out}", err=True)
+
+
+def _pose(text: str, robot: Robot) -> list[float]:
+    try:
+        pose = [float(part) for part in text.split(",")]
+    except ValueError:
+        pose = []
+    joints = {len(leg.joints) for leg in robot.legs}
+    if joints != {len(pose)} or not all(abs(angle) <= 2 * math.pi for angle in pose):
+        raise ConfigurationError(
+            f"--pose {text}: expected {' or '.join(map(str, sorted(joints)))} angles in rad, such "
+            f"as {','.join(['0.1'] * max(joints))}"
+        )
+    return pose
 
 
 def _shake_hands(
@@ -275,7 +301,11 @@ def _shake_hands(
 
 
 def _scripts(
-    robot: Robot, plans: Sequence[PortPlan], amplitude: float, seed: int
+    robot: Robot,
+    plans: Sequence[PortPlan],
+    amplitude: float,
+    seed: int,
+    home: list[float] | None,
 ) -> dict[str, Script]:
     """Free swings of every leg, each with a stream of randomness of its own."""
     import functools
@@ -292,7 +322,7 @@ def _scripts(
     ) -> Iterator[list[float]]:
         return free_swings(
             robot.leg(leg_id),
-            first.measured,
+            first.measured if home is None else home,  # the bridge comes there at an easy pace
             np.random.default_rng(seed_of),
             amplitude_rad=amplitude,
             max_step_rad=steps[leg_id],

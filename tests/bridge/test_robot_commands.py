@@ -14,7 +14,7 @@ from adaptive_contact.bridge.freeswing import REST_TICKS, free_swings
 from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_picture import chain, draw
-from adaptive_contact.cli.robot import _losses
+from adaptive_contact.cli.robot import _losses, _pose
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.phase import infer_phase
@@ -142,6 +142,9 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
     path.write_text(write_robot(r.robot))
     with pytest.raises(ConfigurationError, match="has no lengths_m"):
         invoke("robot", "learn", "--config", str(path), "--drive", "--yes")
+    with pytest.raises(ConfigurationError, match="expected 3 angles in rad"):
+        _pose("0,x", r.robot)
+    assert _pose("0,0.5,-1", r.robot) == [0.0, 0.5, -1.0]
     legs = tuple(msgspec.structs.replace(x, lengths_m=(0.05, 0.06, 0.1)) for x in r.robot.legs)
     path.write_text(write_robot(msgspec.structs.replace(r.robot, legs=legs)))
     result = CliRunner().invoke(
