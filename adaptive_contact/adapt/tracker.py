@@ -29,9 +29,11 @@ LIFT_OFF_TICKS: Final = 5
 # before is a fault of the bus, such as the -π that some return for "no answer".
 MAX_STEP_RAD_S: Final = 25.0
 # A joint that repeats its last reading to the step, while the model expects it to move by this
-# many, is more likely stale than stopped dead: it waits one tick, while the other joints are
-# judged.
+# many, is more likely stale than stopped dead: it waits a tick, while the other joints are judged;
+# and one more while these move as predicted, to within so many steps: ground that stops one joint
+# dead does not leave the others alone.
 STALE_QUANTA: Final = 3.0
+FREE_QUANTA: Final = 2.0
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
 # Ticks after a substitute in which the prediction leans on it most (velocity terms), and the
@@ -62,8 +64,9 @@ class Tracker:
         self.usable = 0  # sound residuals of this swing, newest first
         self._max_step = MAX_STEP_RAD_S * library.period_s
         self._stale_step = STALE_QUANTA * quantum_rad
-        self._none_stale = np.zeros(joints, dtype=bool)
-        self._stale = self._none_stale
+        self._free_step = FREE_QUANTA * quantum_rad
+        self._none_stale = np.zeros(joints, dtype=np.int64)
+        self._stale = self._none_stale  # ticks in a row for which a joint has been doubted
         self._last: Sequence[float] | None = None
         self._impossible = 0
         self._unsure = 0
@@ -190,19 +193,31 @@ class Tracker:
             bad = np.array(steps) > self._max_step
         else:
             self._impossible = 0
+        missing = None if valid is None or all(valid) else ~np.array(valid, dtype=bool)
         if not all(steps) and self.predicted:
-            # A joint doubted in the last tick is believed in this one.
-            stale = (np.array(steps) == 0.0) & (np.abs(self.increment) > self._stale_step)
-            stale &= ~self._stale
-            self._stale = stale
+            stale = self._stale_joints(reading, np.array(steps), missing)
             if stale.any():
                 bad = stale if bad is None else bad | stale
         else:
             self._stale = self._none_stale
-        if valid is not None and not all(valid):
-            missing = ~np.array(valid, dtype=bool)
+        if missing is not None:
             bad = missing if bad is None else bad | missing
         if bad is None:
             return reading, None
         substitute = self.measured[0] + self.increment if self.predicted else self.measured[0]
         return np.where(bad, substitute, reading), bad
+
+    def _stale_joints(self, reading: Array, steps: Array, missing: Mask | None) -> Mask:
+        """Which joints repeat their last reading while the model has them move."""
+        still: Mask = (steps == 0.0) & (np.abs(self.increment) > self._stale_step)
+        if missing is not None:  # known to be bad: no doubt is used up
+            still &= ~missing
+        if not still.any():
+            self._stale = self._none_stale
+            return still
+        free = np.abs(reading - self.measured[0] - self.increment) < self._free_step
+        known = free | still if missing is None else free | still | missing
+        most = 2 if known.all() and not still.all() else 1
+        stale: Mask = still & (self._stale < most)
+        self._stale = np.where(stale, self._stale + 1, 0)
+        return np.asarray(stale)

@@ -1,0 +1,65 @@
+"""Readings that are missing, or repeat the last one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptive_contact.adapt import Baseline
+from adaptive_contact.adapt.tracker import Tracker
+
+QUANTUM = 0.005
+STEP = np.array([0.05, -0.04, 0.03])  # what the model expects of every tick, in the tests
+
+
+@pytest.fixture
+def tracker(baseline: Baseline) -> Tracker:
+    """A tracker in full motion: every joint is believed to move, and has."""
+    tracker = Tracker(baseline.legs["rf"].model, QUANTUM)
+    for k in range(6):
+        move(tracker, k * STEP)
+    return tracker
+
+
+def move(tracker: Tracker, reading: np.ndarray, valid: list[bool] | None = None) -> np.ndarray:
+    """One tick; the residual it left."""
+    tracker.observe(reading.tolist(), valid)
+    residual = tracker.residuals[0].copy()
+    tracker.command(reading, None)
+    tracker.foresee(np.zeros(tracker.model.library.size), STEP)
+    return residual
+
+
+def test_a_repeated_joint_waits_two_ticks_while_the_others_move(tracker: Tracker) -> None:
+    at = 5 * STEP
+    for tick in (1, 2):
+        stuck = at + tick * STEP
+        stuck[1] = at[1]
+        np.testing.assert_allclose(move(tracker, stuck), 0.0, atol=1e-12)
+    stuck = at + 3 * STEP
+    stuck[1] = at[1]
+    assert move(tracker, stuck)[1] == pytest.approx(-3 * STEP[1]), "and is believed in the third"
+
+
+def test_a_reading_known_to_be_bad_uses_up_no_doubt(tracker: Tracker) -> None:
+    at = 5 * STEP
+    for tick, valid in ((1, [True, False, True]), (2, None), (3, None)):
+        stuck = at + tick * STEP
+        stuck[1] = at[1]
+        np.testing.assert_allclose(move(tracker, stuck, valid), 0.0, atol=1e-12)
+
+
+def test_a_leg_that_stops_as_a_whole_waits_one_tick(tracker: Tracker) -> None:
+    at = 5 * STEP
+    move(tracker, at)
+    np.testing.assert_allclose(move(tracker, at), -2 * STEP, atol=1e-12)
+
+
+def test_a_joint_that_stops_while_another_is_held_back_waits_one_tick(tracker: Tracker) -> None:
+    at = 5 * STEP
+    for tick in (1, 2):
+        stopped = at + tick * STEP
+        stopped[1] = at[1]
+        stopped[2] -= 0.02 * tick  # four steps short, again and again: this is ground
+        residual = move(tracker, stopped)
+    assert abs(residual[1]) > 1.5 * abs(STEP[1])
