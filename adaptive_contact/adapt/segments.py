@@ -63,6 +63,7 @@ class SwingBook:
     start_ns: int = 0
     _lift: list[Row] = dataclasses.field(default_factory=list)
     _descent: list[Row] = dataclasses.field(default_factory=list)
+    _commanded: int = 0  # rows of the lift whose command went up, too
     _topped: bool = False
     _closed: bool = False  # to the descent
     _broken: bool = False  # to everything
@@ -71,6 +72,7 @@ class SwingBook:
         """A swing begins."""
         self.start_ns = t_ns
         self._lift, self._descent = [], []
+        self._commanded = 0
         self._topped = self._closed = self._broken = False
 
     def discard(self) -> None:
@@ -92,8 +94,10 @@ class SwingBook:
             return  # commanded up and not moving up: held back, or noise
         if row.lift and not self._topped:
             # An alarm in the lift does not close it: there the leg is judged, not the ground.
-            if row.calm or ticks >= FREE_LIFT_TICKS:
+            if row.cleared and (row.calm or ticks >= FREE_LIFT_TICKS):
                 self._lift.append(row)
+                if not descending:
+                    self._commanded = len(self._lift)
             return
         self._topped = True
         if not self._closed:
@@ -114,6 +118,10 @@ class SwingBook:
             Rows of the descent that are confirmed; the rest of the swing is not entered.
         """
         last = onset_ns - GUARD_TICKS * period_ns
+        # A foot on its way up while its command comes down lags behind, or has been kicked up.
+        up, late = self._lift[: self._commanded], self._lift[self._commanded :]
+        limit = LET_GO_RATIO * max([1.0, *(row.level for row in up)])
+        self._lift = up + [row for row in late if row.t_ns <= last or row.level <= limit]
         rows = [row for row in self._descent if row.t_ns <= last]
         self._descent, self._closed = [], True
         return rows

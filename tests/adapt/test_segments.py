@@ -144,3 +144,22 @@ def test_an_empty_segment_is_none(n: int) -> None:
     buffer = SlidingBuffer()
     buffer.add(rows(n), region=0, era=0)
     assert len(buffer.segments) == n
+
+
+def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg() -> None:
+    """An obstacle hit on the way down throws the foot up again."""
+    book = SwingBook()
+    book.begin(0)
+    for tick in range(1, 16):
+        level = 300.0 if tick > 13 else 3.0
+        book.add(row(tick, lift=True, calm=True, level=level), tick, descending=tick > 10)
+    assert book.alarm(13 * PERIOD, PERIOD) == []
+    book.add(row(16, lift=False), 16, descending=True)
+    assert ticks(book.take_lift()) == list(range(1, 14))
+    # An alarm in the lift itself is of the model's making, and closes nothing.
+    book.begin(0)
+    for tick in range(1, 11):
+        book.add(row(tick, lift=True, calm=True), tick, descending=False)
+    book.alarm(6 * PERIOD, PERIOD)
+    book.add(row(11, lift=False), 11, descending=True)
+    assert ticks(book.take_lift()) == list(range(1, 11))
