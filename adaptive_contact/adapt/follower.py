@@ -46,6 +46,10 @@ Array = NDArray[np.float64]
 DOUBT_PROBABILITY: Final = 1e-4
 DOUBT_SLACK: Final = 1.5
 DOUBTS: Final = 2  # in a row, for a change
+# A doubt is taken back when the mean level of so many ticks in a row after it is below this: a foot
+# that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
+TAKE_BACK_TICKS: Final = 3
+TAKE_BACK_LEVEL: Final = 1.5
 # Share of a new lift in the followed level, and while adapting.
 LEVEL_SHARE: Final = 0.1
 LEVEL_SHARE_ADAPTING: Final = 0.8
@@ -108,6 +112,7 @@ class Follower:
         self._doubted: list[Row] = []
         self._doubts = 0
         self._doubted_ns = 0
+        self._since_doubt: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
         self._settled = 0
         self._since_ns: int | None = None
         self._swings_adapting = 0
@@ -191,6 +196,17 @@ class Follower:
         self._doubted = []
         self._accept(rows, level, region)
         self._settle(level, t_ns)
+
+    def look(self, level: float) -> None:
+        """Take in the level of a tick after the lift: a doubt that it belies is taken back."""
+        if self._swing_level is None or self._doubts != 1:
+            return
+        self._since_doubt.append(level)
+        if len(self._since_doubt) < TAKE_BACK_TICKS:
+            return
+        if sum(self._since_doubt) < TAKE_BACK_LEVEL * TAKE_BACK_TICKS * self.level:
+            self._swing_level = None
+            self._doubts, self._doubted = 0, []
 
     def descent(self, rows: list[Row], region: int) -> None:
         """The confirmed part of a descent."""
@@ -308,6 +324,7 @@ class Follower:
 
     def _doubt(self, rows: list[Row], level: float, region: int, t_ns: int) -> None:
         self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._since_doubt.clear()
         self._doubts += 1
         self._settled = 0
         if self._doubts < DOUBTS:

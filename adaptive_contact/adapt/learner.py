@@ -430,13 +430,14 @@ class ContactLearner:
             follower.learn_now(row)
             return
         self._book.add(row, swing.ticks, descending=swing.descending)
+        follower.look(level)
         lift = self._book.take_lift()
         if lift is None:
             return
         held = swing.judge_lift()
         if held is not None:
             follower.foot_held(held)
-        if not swing.held:
+        if swing.lifted and not swing.held:
             follower.lift(lift, self._region(sample), sample.t_ns)
 
     def _confirm(self, rows: list[Row]) -> None:

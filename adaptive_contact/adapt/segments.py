@@ -94,7 +94,7 @@ class SwingBook:
             return  # commanded up and not moving up: held back, or noise
         if row.lift and not self._topped:
             # An alarm in the lift does not close it: there the leg is judged, not the ground.
-            if row.cleared and (row.calm or ticks >= FREE_LIFT_TICKS):
+            if row.calm or ticks >= FREE_LIFT_TICKS:
                 self._lift.append(row)
                 if not descending:
                     self._commanded = len(self._lift)

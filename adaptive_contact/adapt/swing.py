@@ -26,7 +26,10 @@ LAG_TICKS: Final = 3
 # pressed, let it rise before that: by less in all but one tick in a thousand on hard ground and
 # on soft.
 CLEARANCE_M: Final = 0.015
-# The same without geometry; the last pressed foot let go in the 9th tick of its swing.
+# A lift in which the foot has risen by less says nothing of the leg: it may never have left the
+# ground.
+LIFTED_M: Final = 0.006
+# A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
 CLEAR_TICKS: Final = 11
 
 
@@ -69,6 +72,11 @@ class SwingWatch:
         if self._leg.lengths_m is None:
             return self.ticks > 2 * LIFT_OFF_TICKS
         return self.direction is Direction.DESCENT and self.ticks > LIFT_OFF_TICKS
+
+    @property
+    def lifted(self) -> bool:
+        """Whether the foot has come up at all; without geometry, its command's word is taken."""
+        return self._leg.lengths_m is None or self._rise > LIFTED_M
 
     def judge_lift(self) -> bool | None:
         """Whether the foot is held, told at the top of a lift; None where little was asked of it.
