@@ -131,6 +131,11 @@ class Follower:
         """Whether this follower does anything at all."""
         return self.mode is not LearnerMode.FROZEN
 
+    @property
+    def gated(self) -> bool:
+        """Whether it learns from what is confirmed only, and lifts are heard as witnesses."""
+        return self.mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
+
     def variance(self, theta: Array) -> Array | float:
         """Factor on the residual's variance at a tick: the level, and the model's own doubt.
 

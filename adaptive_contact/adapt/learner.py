@@ -327,7 +327,9 @@ class ContactLearner:
         assert self.thresholds is not None
         loaded = self._state.loaded
         score, onset_ns = verdict.score, sample.t_ns
-        if score > 1.0 and not loaded:
+        if score > 1.0 and self._lift_first():
+            score = 1.0
+        elif score > 1.0 and not loaded:
             score, width = self._within_domain(verdict.scores)
             onset_ns = self._onset(sample, width)
         decision = self._state.swing_tick(
@@ -335,7 +337,7 @@ class ContactLearner:
             verdict.distance / float(self.thresholds[0]),
             sample.t_ns,
             onset_ns,
-            descending=self._swing.descending,
+            descending=self._lift_over(),
         )
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
@@ -488,6 +490,26 @@ class ContactLearner:
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()
+
+    def _lift_first(self) -> bool:
+        """Whether an alarm waits: a foot on its way up speaks of the leg, to be heard at its top.
+
+        What stops it from the side or from above does not let it come up any further.
+        """
+        follower = self._follower
+        if follower is None or not follower.gated:
+            return False
+        return self._swing.rising and not self._book.topped
+
+    def _lift_over(self) -> bool:
+        """Whether a leg that never was calm is judged from here on: its lift has been.
+
+        The foot comes up for some ticks after its command came down; only then the lift has told
+        whether it is the leg that has changed.
+        """
+        follower = self._follower
+        heard = follower is None or not follower.gated or self._book.topped
+        return self._swing.descending and heard
 
     def _within_domain(self, scores: Sequence[float]) -> tuple[float, int]:
         """The largest score, and its window, where the model is not asked to extrapolate.

@@ -68,6 +68,11 @@ class SwingBook:
     _closed: bool = False  # to the descent
     _broken: bool = False  # to everything
 
+    @property
+    def topped(self) -> bool:
+        """Whether the foot has been past the top of this swing."""
+        return self._topped
+
     def begin(self, t_ns: int) -> None:
         """A swing begins."""
         self.start_ns = t_ns
