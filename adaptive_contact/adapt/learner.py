@@ -303,16 +303,17 @@ class ContactLearner:
         tracker = self.tracker
         if tracker is None:
             return False
+        judged = tracker.observe(sample.measured, sample.valid)
+        self._swing.observe(sample)
+        if not judged or self._swing.ticks < 2:
+            return False
         # The commands that caused this tick's motion are those before `sample.desired`.
         self._where = context_of(
             self._command, self._command_before, self._swing.direction, self._quantum
         )
-        judged = tracker.observe(sample.measured, sample.valid)
-        self._swing.observe(sample)
-        judged = judged and self._swing.ticks > 1
-        if judged and self._follower is not None and tracker.theta is not None:
+        if self._follower is not None and tracker.theta is not None:
             self._unit = self._follower.variance(tracker.theta) * tracker.inflation
-        return judged
+        return True
 
     def decide(self, verdict: Verdict | None, sample: ServoSample) -> ContactEvent | None:
         """Turn the statistic of this tick into an event, or into none.
@@ -352,7 +353,7 @@ class ContactLearner:
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
-        """Take in the command written after the reading; True if a prediction can be made."""
+        """Take in the command written after the reading; True if a prediction is to be made."""
         self._command_before, self._command = self._command, sample.desired
         self._swing.command()
         if self.tracker is None:
@@ -361,7 +362,8 @@ class ContactLearner:
         ready = self.tracker.command(np.array(sample.desired), preview)
         if self.tracker.full and not ready:
             self._counts["no_preview"] += 1
-        return ready
+        # Between swings nothing is judged; who needs a prediction there asks the tracker.
+        return ready and self._swing.ticks > 0
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""

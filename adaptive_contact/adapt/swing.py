@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Final
 
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
@@ -12,6 +13,8 @@ from adaptive_contact.robot.phase import Direction, PhaseTracker
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["SwingWatch"]
+
+_Place = tuple[float, float, float]  # of a foot, in its leg's frame, m
 
 # A command that takes the foot no further says nothing of whether it follows.
 LEAST_WAY_M: Final = 0.015
@@ -55,9 +58,13 @@ class SwingWatch:
         self._leg = leg
         self._axes = leg.joint_axes
         self._phase = None if leg.lengths_m is None else PhaseTracker()
-        self._commanded = self._measured = (0.0, 0.0, 0.0)
+        self._told = False
+        self._last_desired: Sequence[float] | None = None
+        self._last_measured: Sequence[float] | None = None
+        self._commanded: _Place = (0.0, 0.0, 0.0)
+        self._measured: _Place = self._commanded
         self._commanded_up = False
-        self._start = self._measured
+        self._start: _Place = self._measured
         self._rise = self._moved = 0.0
         self._asked: deque[float] = deque([0.0], maxlen=LAG_TICKS + 1)
 
@@ -92,43 +99,57 @@ class SwingWatch:
     def restart(self) -> None:
         """The source started anew."""
         self.ticks = 0
+        self._last_desired = self._last_measured = None
         if self._phase is not None:
             self._phase = PhaseTracker()
 
     def follow(self, sample: ServoSample) -> None:
-        """Take in the sample's phase and the height of the command it brings."""
-        phase = None
-        if self._phase is not None:
-            assert self._leg.lengths_m is not None
-            now = foot_point(sample.desired, self._leg.lengths_m, self._axes)
-            self._commanded_up = now[2] > self._commanded[2]
-            self._commanded = now
-            phase = self._phase.update(now[2])
-        if sample.phase is not None:
-            phase = sample.phase
+        """Take in the sample's phase, and in a swing the place its command sends the foot to."""
+        phase = sample.phase
+        place: _Place | None = None
+        if phase is None and self._phase is not None:
+            place = self._place(sample.desired)
+            if self._told:  # what was inferred before lies too far back
+                self._phase = PhaseTracker()
+            phase = self._phase.update(place[2])
+        self._told = sample.phase is not None
         if phase is None:
             self.untold += 1
+        # Between swings nobody asks for places, and four in five ticks lie there.
         self.ticks = self.ticks + 1 if phase == "swing" else 0
-        if self.ticks == 1:
-            self._start, self._rise, self._moved = self._measured, 0.0, 0.0
-            self._asked.clear()
-            self._asked.append(0.0)
+        if self.ticks and self._leg.lengths_m is not None:
+            if self.ticks == 1:
+                self._commanded = self._place(self._last_desired or sample.desired)
+                self._start = self._measured = self._place(self._last_measured or sample.measured)
+                self._rise = self._moved = 0.0
+                self._asked.clear()
+                self._asked.append(0.0)
+            now = place or self._place(sample.desired)
+            self._commanded_up = now[2] > self._commanded[2]
+            self._commanded = now
+        self._last_desired = sample.desired
 
     def observe(self, sample: ServoSample) -> None:
         """Take in the measured place of the foot."""
+        self._last_measured = sample.measured
+        if not self.ticks:
+            return
         if self._leg.lengths_m is None:
             self.cleared = self.ticks >= CLEAR_TICKS
             return
         self.cleared = self._rise > CLEARANCE_M or self.ticks >= CLEAR_TICKS
-        now = foot_point(sample.measured, self._leg.lengths_m, self._axes)
+        now = self._place(sample.measured)
         self.rising = now[2] > self._measured[2]
         self._measured = now
-        if self.ticks:
-            self._rise = max(self._rise, now[2] - self._start[2])
-            self._moved = max(self._moved, math.dist(now, self._start))
-            self._asked.append(math.dist(self._commanded, self._start))
+        self._rise = max(self._rise, now[2] - self._start[2])
+        self._moved = max(self._moved, math.dist(now, self._start))
+        self._asked.append(math.dist(self._commanded, self._start))
 
     def command(self) -> None:
         """The sample's command is now in force."""
         if self._leg.lengths_m is not None:
             self.direction = Direction.LIFT if self._commanded_up else Direction.DESCENT
+
+    def _place(self, angles: Sequence[float]) -> _Place:
+        assert self._leg.lengths_m is not None
+        return foot_point(angles, self._leg.lengths_m, self._axes)

@@ -148,17 +148,15 @@ class Tracker:
         """
         last = self.desired[0].copy()
         for lost in range(1, missed + 1):
-            if not self.predicted:
+            if not self._foreseen():
                 self.restart()
                 return
             self.observe((self.measured[0] + self.increment).tolist(), None)
             self.usable = 0
             share = lost / (missed + 1)
-            if self.command(last + share * (desired - last), None):
-                theta = self.model.library.evaluate(self.measured, self.desired, self.preview)
-                self.foresee(theta, theta @ self.model.coefficients)
-            else:
-                self.predicted = False
+            self.command(last + share * (desired - last), None)
+            self.predicted = False  # what it was made from is a tick old
+            self._foreseen()
         self._unsure = UNSURE_TICKS
 
     def foresee(self, theta: Array, increment: Array) -> None:
@@ -204,8 +202,15 @@ class Tracker:
             bad = missing if bad is None else bad | missing
         if bad is None:
             return reading, None
-        substitute = self.measured[0] + self.increment if self.predicted else self.measured[0]
+        substitute = self.measured[0] + self.increment if self._foreseen() else self.measured[0]
         return np.where(bad, substitute, reading), bad
+
+    def _foreseen(self) -> bool:
+        """Whether there is a prediction for the tick to come; made now if there can be one."""
+        if not self.predicted and self.full and not len(self.preview):
+            theta = self.model.library.evaluate(self.measured, self.desired, self.preview)
+            self.foresee(theta, theta @ self.model.coefficients)
+        return self.predicted
 
     def _stale_joints(self, reading: Array, steps: Array, missing: Mask | None) -> Mask:
         """Which joints repeat their last reading while the model has them move."""
