@@ -111,9 +111,18 @@ class SlidingBuffer:
             The factor of the rest, and of those held out.
         """
         fit, held_out = Factor(terms, joints), Factor(terms, joints)
-        for number, segment in enumerate(s for s in self._segments if s.era == era):
-            target = held_out if number % every == every - 1 else fit
-            target.add(segment.theta, segment.target)
+        of_era = [s for s in self._segments if s.era == era]
+        dealt: tuple[list[Segment], list[Segment]] = ([], [])
+        for number, segment in enumerate(of_era):
+            dealt[number % every == every - 1].append(segment)
+        for factor, segments in zip((fit, held_out), dealt, strict=True):
+            # A dozen segments at a time: one factorisation costs little more than that of one.
+            for first in range(0, len(segments), BLOCK_SEGMENTS):
+                block = segments[first : first + BLOCK_SEGMENTS]
+                factor.add(
+                    np.concatenate([s.theta for s in block]),
+                    np.concatenate([s.target for s in block]),
+                )
         return fit, held_out
 
     def restore(self, segments: list[Segment]) -> None:
