@@ -76,3 +76,14 @@ def test_a_run_stopped_by_ctrl_c_goes_on_and_ends_with_the_same_numbers(tmp_path
     assert {n: (broken / "cache" / n).stat().st_mtime_ns for n in done} == stamps
     assert len(parts(broken)) == _PARTS
     assert results(broken) == results(whole)
+
+
+def test_a_run_that_is_killed_leaves_no_worker_behind(tmp_path: Path) -> None:
+    """Workers hold their parent's pipe: it is at its end when the last of them is gone."""
+    run = start(tmp_path)
+    deadline = time.monotonic() + _LIMIT_S
+    while not parts(tmp_path) and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    run.kill()
+    run.communicate(timeout=30.0)
+    assert run.returncode == -signal.SIGKILL

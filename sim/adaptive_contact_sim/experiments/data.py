@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from functools import cached_property
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -241,7 +242,7 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
     pool = ProcessPoolExecutor(
         max_workers=min(workers, len(items)),
         mp_context=get_context("spawn"),
-        initializer=_ignore_interrupts,
+        initializer=_serve_parent,
     )
     try:
         futures = {pool.submit(work, item): item for item in items}
@@ -259,8 +260,17 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def _ignore_interrupts() -> None:
+def _serve_parent() -> None:
+    """In a worker: Ctrl-C is the parent's to answer; one that is killed leaves no worker behind."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_leave_with, args=(parent,), daemon=True).start()
+
+
+def _leave_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _record(job: _Job) -> float:
