@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import statistic
+from adaptive_contact.identify import Domain
 from adaptive_contact.wire import ContactEvent, ServoSample
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.learner import ContactLearner
 
-__all__ = ["Verdict", "advance"]
+__all__ = ["Verdict", "advance", "within_domain"]
 
 Array = NDArray[np.float64]
 
@@ -110,3 +111,28 @@ def _predict(trackers: Sequence[Tracker]) -> None:
     increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
     for tracker, row, increment in zip(trackers, theta, increments, strict=True):
         tracker.foresee(row, increment)
+
+
+def within_domain(
+    scores: Sequence[float], thetas: Sequence[Array], domain: Domain | None
+) -> tuple[float, int]:
+    """The largest score where the model is not asked to extrapolate.
+
+    A window's statistic counts over one plus the mean leverage of its rows.
+
+    Args:
+        scores: statistic over threshold of each window, shortest first; NaN for none.
+        thetas: (p,) regressors of each tick's prediction, newest first.
+        domain: where the model has been; None if that is not known.
+
+    Returns:
+        The score, and the ticks of its window.
+    """
+    spread = 0.0
+    best, width = 0.0, 1
+    for ticks, (score, theta) in enumerate(zip(scores, thetas, strict=False), 1):
+        spread += 0.0 if domain is None else float(domain.leverage(theta))
+        known = score / (1.0 + spread / ticks)
+        if known > best:
+            best, width = known, ticks
+    return best, width

@@ -17,6 +17,7 @@ from scipy import stats
 
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.gather import cautious
+from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.training import Stretch, learn_leg
 from adaptive_contact.detect import Tail
 from adaptive_contact.detect.noise import WINDOWS
@@ -115,6 +116,7 @@ class ColdStart:
         self._runs: list[list[tuple[list[float], list[float], bool, bool]]] = [[]]
         self._next_try = FIRST_TRY_SWINGS
         self._jobs = 0
+        self._pending: int | None = None
 
     @property
     def samples(self) -> int:
@@ -137,6 +139,21 @@ class ColdStart:
                 self._runs.pop(0)
             else:
                 del self._runs[0][: MAX_SAMPLES // 10]
+
+    def poll(self, refitter: Refitter) -> ColdResult | None:
+        """Hand in a fit when it is time; its result, once, when it is there."""
+        if self._pending is None:
+            job = self.job()
+            if job is not None:
+                self._pending = job.number
+                refitter.submit(job)
+            return None
+        result = refitter.collect(self._leg.id, self._pending)
+        if result is None:
+            return None
+        assert isinstance(result, ColdResult)
+        self._pending = None
+        return result
 
     def job(self) -> ColdJob | None:
         """A fit to try, when it is time."""

@@ -26,7 +26,7 @@ from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.snapshot import (
     FORMAT,
-    Implausible,
+    ImplausibleError,
     array_of,
     library_key,
     pack,
@@ -289,16 +289,20 @@ class Follower:
         p, joints = self.model.coefficients.shape
         try:
             if saved.get("format") != FORMAT:
-                raise Implausible(f"its format is {saved.get('format')!r}, this version's {FORMAT}")
+                raise ImplausibleError(
+                    f"its format is {saved.get('format')!r}, this version's {FORMAT}"
+                )
             if saved.get("library") != library_key(self.model.library):
-                raise Implausible("it belongs to another library, other joints or another rate")
+                raise ImplausibleError(
+                    "it belongs to another library, other joints or another rate"
+                )
             baseline = array_of(saved.get("baseline"), (p, joints), "its baseline")
             if not np.allclose(baseline, self._baseline.coefficients, rtol=0, atol=1e-9):
-                raise Implausible("it was learned from another baseline")
+                raise ImplausibleError("it was learned from another baseline")
             coefficients = array_of(saved.get("coefficients"), (p, joints), "its model")
             # A model that moves a typical tick by radians is none of a servo's.
             if np.abs(coefficients * self._scale[:, None]).max() > MAX_TERM_RAD:
-                raise Implausible("its model is implausible")
+                raise ImplausibleError("its model is implausible")
             support = array_of(saved.get("support"), (p, joints), "its support") > 0.5
             # A promoted model has a support of its own.
             rls = RecursiveLeastSquares(coefficients, support, self._scale, self._noise)
@@ -307,13 +311,13 @@ class Follower:
             segments = [unpack_segment(s, p, joints) for s in saved.get("segments", [])]
             version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
             if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
-                raise Implausible("its version or era is no number")
+                raise ImplausibleError("its version or era is no number")
             if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
-                raise Implausible(f"its level is {level!r}")
+                raise ImplausibleError(f"its level is {level!r}")
             status = saved.get("status")
             if status not in ("valid", "adapting", "ambiguous"):
-                raise Implausible(f"its status is {status!r}")
-        except Implausible as problem:
+                raise ImplausibleError(f"its status is {status!r}")
+        except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
         self.model = dataclasses.replace(self.model, coefficients=coefficients, version=version)
         self._rls = rls

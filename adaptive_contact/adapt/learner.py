@@ -5,20 +5,19 @@ state machine.  :func:`advance` takes several learners one tick further and eval
 libraries and statistics together, which is what makes six legs cost little more than one.
 
 Recursive updates and refits have their place after the event: what a resolved swing confirms as
-free will be learned there (design, section 7).
+free is learned there, a few rows per tick.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter, deque
-from collections.abc import Sequence
+from collections import deque
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.advance import Verdict, advance
+from adaptive_contact.adapt.advance import Verdict, advance, within_domain
 from adaptive_contact.adapt.baseline import (
     Baseline,
     LegBaseline,
@@ -27,13 +26,14 @@ from adaptive_contact.adapt.baseline import (
     thresholds_of,
     unlike,
 )
-from adaptive_contact.adapt.coldstart import ColdResult, ColdStart, prior_tails
+from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.stream import Accepted, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
+from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import (
     ContactState,
@@ -104,8 +104,7 @@ class ContactLearner:
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
         self._quantum = robot.quantum(leg)
-        self._rejects: Counter[Reject] = Counter()
-        self._counts: Counter[str] = Counter()
+        self._tally = Tally()
         self._recent: deque[Array] = deque(maxlen=STATUS_TICKS)
         self._t_ns = 0
         self._command: list[float] = [0.0] * len(self.leg.joints)  # in force, and before it
@@ -120,7 +119,6 @@ class ContactLearner:
         self._unit: Array | float = 1.0  # variance of this tick's residual over the baseline's
         self._swing_open = False
         self._cold: ColdStart | None = None
-        self._cold_job: int | None = None
         self._started_cold = False
         if self._known is not None:
             assert baseline is not None
@@ -143,7 +141,7 @@ class ContactLearner:
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
-        self._rejects[reason] += times
+        self._tally.rejects[reason] += times
 
     @property
     def contact(self) -> bool:
@@ -187,11 +185,11 @@ class ContactLearner:
             buffer=BufferCounts() if follower is None else follower.buffer.counts,
             drift=DriftLevel() if follower is None else follower.drift,
             refits=RefitCounts() if follower is None else follower.refits,
-            ticks=self._counts["ticks"],
-            rejects={str(reason): n for reason, n in sorted(self._rejects.items())},
+            ticks=self._tally.counts["ticks"],
+            rejects={str(reason): n for reason, n in sorted(self._tally.rejects.items())},
             missed=self._guard.missed,
             contact=self._state.contact,
-            contacts=self._counts["contacts"],
+            contacts=self._tally.counts["contacts"],
             note=self._note or self._ailment(),
         )
 
@@ -208,8 +206,7 @@ class ContactLearner:
             return None
         tree = {
             "follower": self._follower.snapshot(),
-            "counts": dict(self._counts),
-            "rejects": {str(reason): n for reason, n in self._rejects.items()},
+            **self._tally.snapshot(),
             "missed": self._guard.missed,
         }
         if self._started_cold:  # no file holds what it started from
@@ -237,7 +234,9 @@ class ContactLearner:
         assert self._follower is not None
         assert self.tracker is not None
         self.tracker.model = self._follower.model
-        self._restore_counts(saved)
+        self._tally.restore(saved)
+        if isinstance(saved.get("missed"), int):
+            self._guard.missed = saved["missed"]
         return None
 
     def _restore_cold(self, inner: dict[str, Any], start: object) -> str | None:
@@ -255,25 +254,10 @@ class ContactLearner:
             return refused
         self._begin(known, prior_tails(len(self.leg.joints)), version=1)
         self._follower = follower
-        self._cold, self._cold_job, self._started_cold = None, None, True
+        self._cold, self._started_cold = None, True
         origin = start.get("origin") if isinstance(start, dict) else None
         self._origin = origin if isinstance(origin, str) else "cold start"
         return None
-
-    def _restore_counts(self, saved: dict[str, Any]) -> None:
-        counts = saved.get("counts")
-        if isinstance(counts, dict):
-            for name, count in counts.items():
-                if isinstance(name, str) and isinstance(count, int):
-                    self._counts[name] = count
-        rejects = saved.get("rejects")
-        if isinstance(rejects, dict):
-            known = {str(reason): reason for reason in Reject}
-            for name, count in rejects.items():
-                if name in known and isinstance(count, int):
-                    self._rejects[known[name]] = count
-        if isinstance(saved.get("missed"), int):
-            self._guard.missed = saved["missed"]
 
     # -- one tick, in the order `advance` calls it ----------------------------------------------
 
@@ -281,9 +265,9 @@ class ContactLearner:
         """Check a sample; True if it is to be judged and learned from."""
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
-            self._rejects[result] += 1
+            self._tally.rejects[result] += 1
             return False
-        self._counts["ticks"] += 1
+        self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
         self._connect(result, sample)
         self._follow_phase(sample)
@@ -331,7 +315,8 @@ class ContactLearner:
         if score > 1.0 and self._lift_first():
             score = 1.0
         elif score > 1.0 and not loaded:
-            score, width = self._within_domain(verdict.scores)
+            assert self._known is not None
+            score, width = within_domain(verdict.scores, tracker.thetas, self._known.domain)
             onset_ns = self._onset(sample, width)
         decision = self._state.swing_tick(
             score,
@@ -348,7 +333,7 @@ class ContactLearner:
         if decision is None:
             return None
         if decision.contact:
-            self._counts["contacts"] += 1
+            self._tally.counts["contacts"] += 1
             self._confirm(self._book.alarm(decision.onset_ns, self._period_ns))
         return self._event(decision, sample)
 
@@ -361,7 +346,7 @@ class ContactLearner:
         preview = None if sample.preview is None else np.array(sample.preview)
         ready = self.tracker.command(np.array(sample.desired), preview)
         if self.tracker.full and not ready:
-            self._counts["no_preview"] += 1
+            self._tally.counts["no_preview"] += 1
         # Between swings nothing is judged; who needs a prediction there asks the tracker.
         return ready and self._swing.ticks > 0
 
@@ -393,17 +378,9 @@ class ContactLearner:
     def _try_cold(self) -> None:
         """Hand in a first fit when it is time, and take its result when it is there."""
         assert self._cold is not None
-        if self._cold_job is None:
-            job = self._cold.job()
-            if job is not None:
-                self._cold_job = job.number
-                self._refitter.submit(job)
-            return
-        result = self._refitter.collect(self.leg.id, self._cold_job)
+        result = self._cold.poll(self._refitter)
         if result is None:
             return
-        assert isinstance(result, ColdResult)
-        self._cold_job = None
         self._note = result.reason
         if result.known is not None:
             self._origin = f"cold start: {result.reason}"
@@ -513,23 +490,6 @@ class ContactLearner:
         heard = follower is None or not follower.gated or self._book.topped
         return self._swing.descending and heard
 
-    def _within_domain(self, scores: Sequence[float]) -> tuple[float, int]:
-        """The largest score, and its window, where the model is not asked to extrapolate.
-
-        What a prediction there is worth is the domain's to say; it is asked before an alarm only.
-        """
-        assert self._known is not None
-        assert self.tracker is not None
-        domain = self._known.domain
-        spread = 0.0
-        best, width = 0.0, 1
-        for ticks, (score, theta) in enumerate(zip(scores, self.tracker.thetas, strict=False), 1):
-            spread += 0.0 if domain is None else float(domain.leverage(theta))
-            score /= 1.0 + spread / ticks
-            if score > best:
-                best, width = score, ticks
-        return best, width
-
     def _onset(self, sample: ServoSample, width: int) -> int:
         tracker = self.tracker
         assert tracker is not None
@@ -580,6 +540,6 @@ class ContactLearner:
                 "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
                 "contacts are not reported"
             )
-        if self._counts["no_preview"]:
+        if self._tally.counts["no_preview"]:
             return "the model needs a preview that the samples do not carry: no predictions"
         return None

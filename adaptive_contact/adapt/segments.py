@@ -70,8 +70,8 @@ class SwingBook:
 
     @property
     def topped(self) -> bool:
-        """Whether the foot has been past the top of this swing."""
-        return self._topped
+        """Whether the foot has been past the top of this swing; who cannot know says yes."""
+        return self._topped or self._broken
 
     def begin(self, t_ns: int) -> None:
         """A swing begins."""

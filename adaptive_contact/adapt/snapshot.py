@@ -16,7 +16,7 @@ from adaptive_contact.identify import Library
 
 __all__ = [
     "FORMAT",
-    "Implausible",
+    "ImplausibleError",
     "array_of",
     "library_key",
     "pack",
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 FORMAT: Final = 1
 
 
-class Implausible(Exception):  # noqa: N818 - caught by `restore`, never leaves the package
-    """Why a snapshot is not used."""
+class ImplausibleError(Exception):
+    """Why a snapshot is not used; `restore` catches it, it never leaves the package."""
 
 
 def pack(array: Array) -> dict[str, object]:
@@ -43,22 +43,22 @@ def array_of(value: object, shape: tuple[int, ...], what: str) -> Array:
     """An array from a snapshot; -1 in ``shape`` takes any length.
 
     Raises:
-        Implausible: it is no array of that shape, or not finite.
+        ImplausibleError: it is no array of that shape, or not finite.
     """
     if not isinstance(value, dict):
-        raise Implausible(f"{what} is no array")
+        raise ImplausibleError(f"{what} is no array")
     size, data = value.get("shape"), value.get("data")
     if not isinstance(size, list | tuple) or not isinstance(data, bytes):
-        raise Implausible(f"{what} is no array")
+        raise ImplausibleError(f"{what} is no array")
     fits = len(size) == len(shape) and all(
         isinstance(n, int) and n >= 0 and want in (-1, n)
         for n, want in zip(size, shape, strict=True)
     )
     if not fits or len(data) != 8 * int(np.prod(size)):
-        raise Implausible(f"{what} has shape {list(size)}; expected {list(shape)}")
+        raise ImplausibleError(f"{what} has shape {list(size)}; expected {list(shape)}")
     array = np.frombuffer(data, dtype="<f8").reshape(size).astype(np.float64)
     if not np.isfinite(array).all():
-        raise Implausible(f"{what} is not finite")
+        raise ImplausibleError(f"{what} is not finite")
     return array
 
 
@@ -90,17 +90,17 @@ def unpack_segment(value: object, terms: int, joints: int) -> Segment:
     """A segment from a snapshot.
 
     Raises:
-        Implausible: it is none.
+        ImplausibleError: it is none.
     """
     if not isinstance(value, dict):
-        raise Implausible("a segment is no map")
+        raise ImplausibleError("a segment is no map")
     theta = array_of(value.get("theta"), (-1, terms), "a segment's regressors")
     target = array_of(value.get("target"), (len(theta), joints), "a segment's targets")
     cell, era, t_ns = value.get("cell"), value.get("era"), value.get("t_ns")
     if not (
         isinstance(cell, list | tuple) and len(cell) == 2 and all(isinstance(c, int) for c in cell)
     ):
-        raise Implausible("a segment's cell is no pair")
+        raise ImplausibleError("a segment's cell is no pair")
     if not (isinstance(era, int) and isinstance(t_ns, int)):
-        raise Implausible("a segment's era or time is no number")
+        raise ImplausibleError("a segment's era or time is no number")
     return Segment(theta, target, (int(cell[0]), int(cell[1])), era, t_ns)

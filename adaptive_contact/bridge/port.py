@@ -24,9 +24,9 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-import serial  # type: ignore[import-untyped]
+import serial
 from dynamixel_sdk import PortHandler
-from serial.tools import list_ports  # type: ignore[import-untyped]
+from serial.tools import list_ports
 
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
@@ -42,7 +42,7 @@ class PortLostError(BusError):
     """A port that was open is gone: unplugged, or its other end hung up."""
 
 
-class SdkPort(PortHandler):  # type: ignore[misc]
+class SdkPort(PortHandler):  # type: ignore[misc]  # the SDK carries no types
     """A serial port as the SDK's packet handlers want it.
 
     Args:
@@ -109,7 +109,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
 
     # -- what the SDK's packet handlers call ----------------------------------------------------
 
-    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+    def setupPort(self, cflag_baud: int) -> bool:
         """Open the device; called by the SDK."""
         if self.is_open:
             self.close()
@@ -126,7 +126,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         self.ser.reset_input_buffer()
         return True
 
-    def clearPort(self) -> None:  # noqa: N802
+    def clearPort(self) -> None:
         """Throw away what has come unasked, or too late."""
         # The SDK's way, tcflush, waits for the kernel's worker that hands bytes over, which on a
         # busy computer may wait itself: a cycle of 84 ms was seen.
@@ -134,7 +134,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
             while os.read(self._fd, _FLUSH_BYTES):
                 pass
 
-    def readPort(self, length: int) -> bytes:  # noqa: N802
+    def readPort(self, length: int) -> bytes:
         """Read up to ``length`` bytes, sleeping until one is there or time is up."""
         if length <= 0:  # asked for after a packet whose length was too short to be true
             return b""
@@ -147,20 +147,20 @@ class SdkPort(PortHandler):  # type: ignore[misc]
             raise OSError(errno.EIO, "hung up")
         return data
 
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+    def writePort(self, packet: list[int]) -> int:
         """Write a packet; a full buffer means that nobody takes it."""
         return os.write(self._fd, bytes(packet))
 
-    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+    def setPacketTimeout(self, packet_length: int) -> None:
         """Begin to wait for so many bytes."""
         usual = time.monotonic() + packet_length * self._byte_s + self._timeout_s
         self._deadline = min(usual, self.latest_s)
 
-    def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
+    def setPacketTimeoutMillis(self, msec: float) -> None:
         """Begin to wait for so long."""
         self._deadline = time.monotonic() + msec / 1000.0
 
-    def isPacketTimeout(self) -> bool:  # noqa: N802
+    def isPacketTimeout(self) -> bool:
         """Whether the wait is over."""
         return time.monotonic() > self._deadline
 

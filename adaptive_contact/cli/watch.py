@@ -62,7 +62,7 @@ def watch(
         if not once and not json and sys.stdout.isatty():
             _live(look)
         while True:
-            time.sleep(seconds)
+            time.sleep(seconds)  # the period of the output: nothing is waited for
             _print(look(), json)
             if once:
                 break
