@@ -33,6 +33,7 @@ class _Servo:
 
     joint: JointPlan
     steps: int | None = None
+    off_rad: float = 0.0  # from the position read to where it was at its moment of the tick
     speed_rad_s: float = 0.0
     goal: int | None = None
     last_goal: int | None = None
@@ -42,7 +43,9 @@ class _Servo:
 
     @property
     def angle(self) -> float | None:
-        return None if self.steps is None else self.joint.angle(self.steps)
+        if self.steps is None:
+            return None
+        return self.joint.angle(self.steps) + self.joint.direction * self.off_rad
 
 
 class Cycle:
@@ -190,12 +193,15 @@ class Cycle:
         if stale:
             faults["stale"] += 1
         due_s = due_ns / 1e9
-        punctual = servo.punctual.judge(
+        correction = servo.punctual.correction(
             reading.at_s - due_s, reading.till_s - due_s, speed, model.step_rad
         )
-        if not punctual:
+        servo.off_rad = correction or 0.0
+        if correction is None:
             faults["unpunctual"] += 1
-        return punctual and not stale
+        elif correction:
+            faults["carried_back"] += 1
+        return correction is not None and not stale
 
     def _write(self, now_ns: int) -> None:
         registers = self._model.registers

@@ -24,9 +24,14 @@ ASK_EVERY: Final = 10
 # A position that stays to the step while the servo says it moves this many steps a tick is stale:
 # half a step of noise alone makes it change.
 STALE_STEPS: Final = 3.0
-# A reading that came this much of a position step too early or late, as the joint moves, is not
-# one of its tick: half of it is the noise of a reading anyway.
-UNPUNCTUAL_STEPS: Final = 2.0
+# A reading whose moment is not known to this much of a position step, as the joint moves, cannot
+# stand for its tick: half of it is the noise of a reading anyway.
+UNPUNCTUAL_STEPS: Final = 1.0
+# One read this far off its moment is not carried back: at 100 rad/s² a joint's own speed tells
+# where it was 5 ms ago to a quarter of an AX-12A's step, and 10 ms ago to one.
+MOST_OFF_S: Final = 0.005
+# What is less than this much of a step off is left as it was read.
+NOTICEABLE_STEPS: Final = 0.5
 # Readings of which a servo's usual place in the cycle is the median.
 _RECENT: Final = 5
 # Alarms are shown for this many readings after they were last seen.
@@ -127,15 +132,18 @@ class Punctuality:
     """Whether a servo is read at its usual moment of the tick.
 
     A model predicts from tick to tick: a joint at 4 rad/s read 5 ms late is 20 mrad, four steps of
-    an AX-12A, beside where it belongs.  On a computer with other work that happens.  When between
-    question and answer a servo looked is not known, so both have to be in time.
+    an AX-12A, beside where it belongs.  On a computer with other work that happens.  A servo looks
+    at some moment between question and answer: where both came late alike, its own speed carries
+    the reading back; where only one did, nobody knows when it looked.
     """
 
     _recent_s: deque[tuple[float, float]] = dataclasses.field(
         default_factory=lambda: deque(maxlen=_RECENT)
     )
 
-    def judge(self, asked_s: float, answered_s: float, speed_rad_s: float, step_rad: float) -> bool:
+    def correction(
+        self, asked_s: float, answered_s: float, speed_rad_s: float, step_rad: float
+    ) -> float | None:
         """Take in a reading.
 
         Args:
@@ -145,15 +153,22 @@ class Punctuality:
             step_rad: one position step.
 
         Returns:
-            Whether it can stand for its tick.
+            What to add to the position so that it stands for its tick, rad; None if it cannot.
         """
         self._recent_s.append((asked_s, answered_s))
         # The median: one late reading moves it little, a bus that has become slower does so within
         # three ticks, after which readings are a period apart again.
-        off_s = max(
-            abs(now - statistics.median(times))
+        asked_off, answered_off = (
+            now - statistics.median(times)
             for now, times in zip(
                 (asked_s, answered_s), zip(*self._recent_s, strict=True), strict=True
             )
         )
-        return bool(off_s * abs(speed_rad_s) <= UNPUNCTUAL_STEPS * step_rad)
+        off_s, unknown_s = (asked_off + answered_off) / 2.0, abs(answered_off - asked_off) / 2.0
+        if abs(off_s) * abs(speed_rad_s) <= NOTICEABLE_STEPS * step_rad:
+            correction = 0.0
+        elif abs(off_s) <= MOST_OFF_S:
+            correction = -off_s * speed_rad_s
+        else:
+            return None
+        return None if unknown_s * abs(speed_rad_s) > UNPUNCTUAL_STEPS * step_rad else correction

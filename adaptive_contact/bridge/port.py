@@ -42,7 +42,7 @@ class PortLostError(BusError):
     """A port that was open is gone: unplugged, or its other end hung up."""
 
 
-class SdkPort(PortHandler):  # type: ignore[misc]  # the SDK carries no types
+class SdkPort(PortHandler):
     """A serial port as the SDK's packet handlers want it.
 
     Args:

@@ -125,8 +125,10 @@ class Ears:
             if true(status):
                 return status
 
-    def gaps(self, begin_s: float, stalls: list[Stall]) -> tuple[int, int, float]:
+    def gaps(self, begin_s: float, end_s: float, stalls: list[Stall]) -> tuple[int, int, float]:
         """Ticks that never came, how many of them while no processor stood still, and jitter.
+
+        Only of that time: what this process does afterwards holds up its own subscriber.
 
         Returns:
             Two counts over all legs, and p99 of the arrivals' jitter in ms.
@@ -136,7 +138,7 @@ class Ears:
             rows = [
                 (at, decode(payload, ServoSample, encoding).seq)
                 for at, name, payload, encoding in self.samples
-                if name == leg and at >= begin_s
+                if name == leg and begin_s <= at < end_s
             ]
             at, seq = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
             # The clocks of two processes are one, so the grid is known but for its phase.
@@ -291,7 +293,7 @@ def report(ears: Ears, seconds: float, most_ms: float) -> list[Verdict]:
     windows, began, stalls = watch(ears, seconds)
     if not windows.kept:
         raise SystemExit("no status of any port; is the bridge running?")
-    lost, unexplained, heard_ms = ears.gaps(began, stalls)
+    lost, unexplained, heard_ms = ears.gaps(began, began + seconds, stalls)
     for what in ("cycle_ms", "jitter_ms"):
         p50, p99, worst, top = windows.told(what)
         print(

@@ -166,31 +166,36 @@ def test_silent_servos_are_asked_in_turn_and_come_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked_ms", "answered_ms", "speed", "good"),
+    ("asked_ms", "answered_ms", "speed", "rad"),
     [
-        (2.0, 2.5, 4.0, True),
-        (5.0, 5.5, 4.0, False),  # asked late
-        (2.0, 5.5, 4.0, False),  # answered late: nobody knows when it looked
-        (5.0, 5.5, -4.0, False),
-        (5.0, 5.5, 0.5, True),  # hardly moves
+        (2.0, 2.5, 4.0, 0.0),
+        (5.0, 5.5, 4.0, -0.012),  # asked late: 3 ms at 4 rad/s
+        (5.0, 5.5, -4.0, 0.012),
+        (1.0, 1.5, 4.0, 0.004),
+        (5.0, 5.5, 0.5, 0.0),  # hardly moves
+        (2.0, 5.5, 4.0, None),  # answered late: nobody knows when it looked
+        (2.0, 3.5, 4.0, 0.0),  # by half a step
+        (9.0, 9.5, 4.0, None),  # too long ago
+        (9.0, 9.5, 0.1, 0.0),
     ],
 )
-def test_a_reading_off_its_moment_cannot_stand_for_its_tick(
-    asked_ms: float, answered_ms: float, speed: float, good: bool
+def test_a_reading_off_its_moment_is_carried_back_where_that_moment_is_known(
+    asked_ms: float, answered_ms: float, speed: float, rad: float | None
 ) -> None:
     punctual = Punctuality()
     for _ in range(50):
-        assert punctual.judge(0.002, 0.0025, 4.0, 0.005)
-    assert punctual.judge(asked_ms / 1000, answered_ms / 1000, speed, 0.005) is good
-    assert punctual.judge(0.002, 0.0025, 4.0, 0.005)
+        assert punctual.correction(0.002, 0.0025, 4.0, 0.005) == 0.0
+    found = punctual.correction(asked_ms / 1000, answered_ms / 1000, speed, 0.005)
+    assert found == (None if rad is None else pytest.approx(rad))
+    assert punctual.correction(0.002, 0.0025, 4.0, 0.005) == 0.0
 
 
 def test_a_bus_that_has_become_slower_is_its_usual_moment_soon() -> None:
     punctual = Punctuality()
     for _ in range(50):
-        punctual.judge(0.002, 0.0025, 4.0, 0.005)
-    after = [punctual.judge(0.006, 0.0065, 4.0, 0.005) for _ in range(6)]
-    assert after == [False, False, True, True, True, True]
+        punctual.correction(0.002, 0.0025, 4.0, 0.005)
+    after = [punctual.correction(0.008, 0.0085, 4.0, 0.005) for _ in range(6)]
+    assert after == [None, None, 0.0, 0.0, 0.0, 0.0]
 
 
 def test_alarms_are_shown_and_fade() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,10 @@ def test_the_logger_tells_contacts_and_changes() -> None:
                 )
             )  # fmt: skip
             assert "rf contact  score 1.5, touched 13 ms before" in process.stdout.readline()
+            # A status is not kept for who comes late: the router has to have heard of the logger.
+            deadline = time.monotonic() + 10.0
+            while not bridge.matched and time.monotonic() < deadline:
+                time.sleep(0.01)
             for message in (status(), status(), status("lost", servos=silent)):
                 bridge.put(message)
             assert process.stdout.readline().endswith("bridge left running\n")
