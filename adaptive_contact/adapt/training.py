@@ -239,8 +239,11 @@ def learn_leg(
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    best = min(float(np.mean(e / np.array(unit))) for e in errors.values())
-    chosen = max(v for v, e in errors.items() if np.mean(e / np.array(unit)) <= TOLERANCE * best)
+    best = np.min(list(errors.values()), axis=0)
+    # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
+    # there for joints whose best lie apart.
+    near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
+    chosen = max(near, default=min(errors))
     fit = _checked(leg, fit_sparse(whole, FitSettings(threshold=chosen, unit=unit)))
     model = LegModel(library, fit.coefficients)
 

@@ -4,7 +4,8 @@ r"""Candidate libraries: the terms a leg model may be made of.
     what the physics of a position servo says.  With :math:`e = \theta^{des} - \theta`, velocities
     in rad per tick and :math:`\mathrm{sat}(x) = \min(1, \max(-1, x))`: a constant, positions,
     position and command differences, the saturating control law
-    :math:`\mathrm{sat}(e/s)` at the present and past commands, Coulomb friction
+    :math:`\mathrm{sat}(e/s)` at the present and past commands and half a tick on, where the joint
+    will have moved by :math:`v/2`, Coulomb friction
     :math:`\tanh(v/v_0)`, back-EMF and viscous friction (the differences), gravity
     :math:`\cos\phi, \sin\phi` of the absolute link angles.
 ``paper``
@@ -21,8 +22,8 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from itertools import combinations_with_replacement
-from typing import Final, Literal, get_args
+from itertools import combinations_with_replacement, pairwise
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,20 @@ FRICTION_KNEE_RAD_S: Final = 0.5
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
 SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
+
+
+class _ServoShape(NamedTuple):
+    """The ``servo`` library as one product and a few functions of ranges of its columns.
+
+    Attributes:
+        linear: (window, p), what each column is of the flat window before any function.
+        clipped: columns that saturate at ±1.
+        curved: ranges of columns, each with its function.
+    """
+
+    linear: Array
+    clipped: slice
+    curved: tuple[tuple[slice, np.ufunc], ...]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,24 +122,27 @@ class Library:
         Returns:
             (..., p).
         """
+        parts = [_flat(part) for part in (measured, desired, preview)]
+        return self.evaluate_flat(np.concatenate(parts, axis=-1))
+
+    def evaluate_flat(self, window: Array) -> Array:
+        """Compute Θ of windows laid out in a row.
+
+        Args:
+            window: (..., (N + 1) J + (N' + 1) J + M J) rad: measured, desired and preview, each
+                lag by lag as in :meth:`evaluate`.
+
+        Returns:
+            (..., p).
+        """
         if self.name == "servo":
-            return self._servo(measured, desired, preview)
-        lead = measured.shape[:-2]
-        columns = np.concatenate([_flat(part) for part in (measured, desired, preview)], axis=-1)
-        one = np.ones((*lead, 1))
+            return self._servo(window)
+        one = np.ones((*window.shape[:-1], 1))
         if self.name == "linear":
-            return np.concatenate([one, columns], axis=-1)
+            return np.concatenate([one, window], axis=-1)
         first, second = self._pairs
-        return np.concatenate(
-            [
-                one,
-                columns,
-                np.sin(columns),
-                np.cos(columns),
-                columns[..., first] * columns[..., second],
-            ],
-            axis=-1,
-        )
+        products = window[..., first] * window[..., second]
+        return np.concatenate([one, window, np.sin(window), np.cos(window), products], axis=-1)
 
     @cached_property
     def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -150,34 +168,58 @@ class Library:
             for joint in self.joints
         ]
 
-    def _servo(self, measured: Array, desired: Array, preview: Array) -> Array:
-        lead = measured.shape[:-2]
-        position = measured[..., 0, :]
-        velocity = measured[..., :-1, :] - measured[..., 1:, :]
-        slew = desired[..., :-1, :] - desired[..., 1:, :]
-        depth = min(measured.shape[-2], desired.shape[-2])
-        error = (desired[..., :depth, :] - measured[..., :depth, :]) / self.slope_rad
+    def _servo(self, window: Array) -> Array:
+        shape = self._servo_shape
+        theta = np.asarray(window @ shape.linear)
+        theta[..., 0] = 1.0
+        clipped = theta[..., shape.clipped]
+        np.minimum(clipped, 1.0, out=clipped)
+        np.maximum(clipped, -1.0, out=clipped)
+        for columns, function in shape.curved:
+            part = theta[..., columns]
+            function(part, out=part)
+        return theta
+
+    @cached_property
+    def _servo_shape(self) -> _ServoShape:
+        w, joints = self.window, len(self.joints)
+        depths = (w.past_measured + 1, w.past_desired + 1, w.preview)
+        # Each row of the identity is a window with one entry: what is linear in it gives a matrix.
+        unit = np.eye(sum(depths) * joints)
+        edges = np.cumsum([0, *depths]) * joints
+        measured, desired, preview = (
+            unit[:, first:last].reshape(len(unit), -1, joints)
+            for first, last in pairwise(edges.tolist())
+        )
+        position = measured[:, 0]
+        velocity = measured[:, :-1] - measured[:, 1:]
+        depth = min(w.past_measured, w.past_desired) + 1
+        error = (desired[:, :depth] - measured[:, :depth]) / self.slope_rad
         # The command of the tick before against the position it led to: what the servo still
         # pushed with just before the new command came.
-        left = (desired[..., 1:depth, :] - measured[..., : depth - 1, :]) / self.slope_rad
+        left = (desired[:, 1:depth] - measured[:, : depth - 1]) / self.slope_rad
+        angles = np.cumsum(position * self._pitch, axis=-1)[:, self._pitch > 0]
         knee = FRICTION_KNEE_RAD_S * self.period_s
-        parts = [
-            np.ones((*lead, 1)),
+        straight = [
+            np.zeros((len(unit), 1)),  # the constant
             position,
             _flat(velocity),
-            error[..., 0, :],
-            _flat(slew),
-            _flat(np.clip(error, -1.0, 1.0)),
-            _flat(np.clip(left, -1.0, 1.0)),
+            error[:, 0],
+            _flat(desired[:, :-1] - desired[:, 1:]),
         ]
-        parts += [np.clip(error[..., 0, :] / f, -1.0, 1.0) for f in SLOPE_FACTORS[1:]]
-        if velocity.shape[-2]:
-            parts.append(np.tanh(velocity[..., 0, :] / knee))
-        angles = np.cumsum(position * self._pitch, axis=-1)[..., self._pitch > 0]
-        parts += [np.cos(angles), np.sin(angles)]
-        if preview.shape[-2]:
-            parts.append(_flat(preview - desired[..., :1, :]))
-        return np.concatenate(parts, axis=-1)
+        clipped = [_flat(error), _flat(left), *(error[:, 0] / f for f in SLOPE_FACTORS[1:])]
+        if w.past_measured:  # the joint moves on while the command is in force
+            clipped.append(error[:, 0] - velocity[:, 0] / 2.0 / self.slope_rad)
+        friction = [velocity[:, 0] / knee] if w.past_measured else []
+        ahead = [_flat(preview - desired[:, :1])] if w.preview else []
+        groups = (straight, clipped, friction, [angles], [angles], ahead)
+        widths = [sum(part.shape[1] for part in group) for group in groups]
+        bounds = [slice(*pair) for pair in pairwise(np.cumsum([0, *widths]).tolist())]
+        return _ServoShape(
+            linear=np.concatenate([part for group in groups for part in group], axis=1),
+            clipped=bounds[1],
+            curved=((bounds[2], np.tanh), (bounds[3], np.cos), (bounds[4], np.sin)),
+        )
 
     def _servo_names(self) -> list[str]:
         w, joints = self.window, self.joints
@@ -190,6 +232,7 @@ class Library:
         names += [f"sat(e⁻_{j}{_at(-lag)}/s)" for lag in range(depth - 1) for j in joints]
         names += [f"sat(e_{j}/{f:g}s)" for f in SLOPE_FACTORS[1:] for j in joints]
         if w.past_measured:
+            names += [f"sat((e_{j}-v_{j}/2)/s)" for j in joints]
             names += [f"tanh(v_{j}/v₀)" for j in joints]
         pitched = [j for j, axis in zip(joints, self.axes, strict=True) if axis == "pitch"]
         names += [f"cos φ_{j}" for j in pitched] + [f"sin φ_{j}" for j in pitched]

@@ -19,6 +19,7 @@ cannot lose definiteness.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import scipy.linalg
@@ -145,21 +146,26 @@ class RecursiveLeastSquares:
                 finite is left out.
         """
         phi = theta[self._terms] / self._scale
-        innovation = (target - self._xi @ phi) / self.noise
-        if not (np.isfinite(innovation).all() and np.isfinite(phi).all()):
+        innovations = ((target - self._xi @ phi) / self.noise).tolist()
+        # A regressor that is not finite shows in every innovation.
+        if not all(map(math.isfinite, innovations)):
             return
-        v = np.matmul(phi, self._s) / self.noise[:, None]
-        m = np.square(v).sum(axis=1)
-        # Huber's weight on the innovation, in units of its own standard deviation.
-        size = np.abs(innovation) / np.sqrt(1.0 + m)
-        weight = np.minimum(1.0, self.settings.huber / np.maximum(size, 1e-12))
+        v = np.matmul(phi, self._s)
+        v /= self.noise[:, None]
         sv = np.matmul(self._s, v[:, :, None])[:, :, 0]
-        gain = weight / (1.0 + weight * m)
-        self._xi += sv * (gain * innovation)[:, None]
-        # Without excitation (m = 0) there is nothing to learn and nothing to forget.
-        shrink = np.sqrt(1.0 / (self.settings.forgetting * (1.0 + weight * m))) - 1.0
-        rate = np.where(m > 1e-12, shrink / np.maximum(m, 1e-12), 0.0)
-        self._s += (rate[:, None] * sv)[:, :, None] * v[:, None, :]
+        gains, rates = [], []
+        # Plain floats: for three joints they are faster than arrays.
+        for innovation, m in zip(innovations, np.square(v).sum(axis=1).tolist(), strict=True):
+            # Huber's weight on the innovation, in units of its own standard deviation.
+            size = abs(innovation) / math.sqrt(1.0 + m)
+            weight = 1.0 if size <= self.settings.huber else self.settings.huber / size
+            gains.append(weight * innovation / (1.0 + weight * m))
+            # Without excitation (m = 0) there is nothing to learn and nothing to forget.
+            shrink = math.sqrt(1.0 / (self.settings.forgetting * (1.0 + weight * m))) - 1.0
+            rates.append(shrink / m if m > 1e-12 else 0.0)
+        self._xi += sv * np.array(gains)[:, None]
+        sv *= np.array(rates)[:, None]
+        self._s += sv[:, :, None] * v[:, None, :]
         self.rows += 1
         if self.rows % 64 == 0:
             self._bound()

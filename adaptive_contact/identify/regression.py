@@ -32,6 +32,9 @@ Array = NDArray[np.float64]
 # Singular values below this share of the largest count as zero in the unbiased refit; the value of
 # scikit-learn's LinearRegression, which PySINDy's own refit uses.
 RANK_CUTOFF: Final = 1e-6
+# Raw rows wait until there are so many, or until somebody asks: a tick that hands its rows over
+# does not pay for the factorisation, and one of a thousand rows costs less than ten of a hundred.
+COMPRESS_ROWS: Final = 4096
 
 
 class FitStatus(enum.StrEnum):
@@ -56,7 +59,8 @@ class Factor:
         self.terms = terms
         self.outputs = outputs
         self.rows = 0.0
-        self._triangle = np.zeros((0, terms + outputs))
+        self._held = np.zeros((0, terms + outputs))  # the triangle as far as it is made
+        self._waiting: list[Array] = []  # raw rows that are not in it yet
 
     def add(self, theta: Array, target: Array, weight: Array | None = None) -> int:
         """Take in rows; rows with a value that is not finite are left out.
@@ -88,8 +92,9 @@ class Factor:
 
     def merge(self, other: Factor) -> None:
         """Take in all that another factor holds."""
-        if len(other._triangle):
-            self._absorb(other._triangle)
+        triangle = other._triangle
+        if len(triangle):
+            self._absorb(triangle)
             self.rows += other.rows
 
     @classmethod
@@ -101,14 +106,26 @@ class Factor:
         return total
 
     def _absorb(self, block: Array) -> None:
-        stacked = np.concatenate([self._triangle, block], axis=0)
+        self._waiting.append(block)
+        if sum(map(len, self._waiting)) > COMPRESS_ROWS:
+            self._compress()
+
+    @property
+    def _triangle(self) -> Array:
+        if self._waiting:
+            self._compress()
+        return self._held
+
+    def _compress(self) -> None:
+        stacked = np.concatenate([self._held, *self._waiting], axis=0)
+        self._waiting.clear()
         width = self.terms + self.outputs
         if len(stacked) <= width:
-            self._triangle = stacked  # wait until there is something to compress
+            self._held = stacked  # nothing to compress yet
         else:
-            self._triangle = scipy.linalg.qr(
-                stacked, mode="r", overwrite_a=True, check_finite=False
-            )[0][:width]
+            self._held = scipy.linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)[
+                0
+            ][:width]
 
     @property
     def system(self) -> tuple[Array, Array]:

@@ -107,7 +107,7 @@ def learn_shipped(
         The baseline with its figures.
 
     Raises:
-        SimulationDiverged: a run did.
+        SimulationDivergedError: a run did.
         IdentificationError: the runs do not suffice.
     """
     streams: dict[str, list[Stretch]] = {leg: [] for leg in LEGS}
