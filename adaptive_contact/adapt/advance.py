@@ -102,11 +102,7 @@ def _predict(trackers: Sequence[Tracker]) -> None:
         for tracker in trackers:
             _predict([tracker])
         return
-    theta = first.evaluate(
-        np.array([t.measured for t in trackers]),
-        np.array([t.desired for t in trackers]),
-        np.array([t.preview for t in trackers]),
-    )
+    theta = first.evaluate_flat(np.array([t.window for t in trackers]))
     coefficients = np.array([t.model.coefficients for t in trackers])
     increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
     for tracker, row, increment in zip(trackers, theta, increments, strict=True):

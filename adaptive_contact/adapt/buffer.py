@@ -2,8 +2,8 @@
 
 Newest segments first, with a quota per direction and region of the workspace, so that a
 monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows
-(robust weights need them) and its own compressed factor is built when a refit asks for it;
-evicting is dropping.
+(robust weights need them); they are compressed where a refit is done, in the worker's process.
+Evicting is dropping.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import Factor
 from adaptive_contact.wire import BufferCounts
 
-__all__ = ["BLOCK_SEGMENTS", "MAX_SEGMENTS", "Segment", "SlidingBuffer"]
+__all__ = ["MAX_SEGMENTS", "Segment", "SlidingBuffer"]
 
 Array = NDArray[np.float64]
 
 # 120 segments are the lifts and descents of 60 swings: about a minute of walking.
 MAX_SEGMENTS: Final = 120
-# Raw segments are compressed into one factor per so many.
-BLOCK_SEGMENTS: Final = 20
 
 
 class Segment(NamedTuple):
@@ -108,7 +106,8 @@ class SlidingBuffer:
             every: each so-manyth segment is held out.
 
         Returns:
-            The factor of the rest, and of those held out.
+            The factor of the rest, and of those held out; their rows are compressed by whoever
+            first asks something of them.
         """
         fit, held_out = Factor(terms, joints), Factor(terms, joints)
         of_era = [s for s in self._segments if s.era == era]
@@ -116,12 +115,10 @@ class SlidingBuffer:
         for number, segment in enumerate(of_era):
             dealt[number % every == every - 1].append(segment)
         for factor, segments in zip((fit, held_out), dealt, strict=True):
-            # A dozen segments at a time: one factorisation costs little more than that of one.
-            for first in range(0, len(segments), BLOCK_SEGMENTS):
-                block = segments[first : first + BLOCK_SEGMENTS]
+            if segments:
                 factor.add(
-                    np.concatenate([s.theta for s in block]),
-                    np.concatenate([s.target for s in block]),
+                    np.concatenate([s.theta for s in segments]),
+                    np.concatenate([s.target for s in segments]),
                 )
         return fit, held_out
 

@@ -95,6 +95,7 @@ def _own_terms(joint: str) -> tuple[str, ...]:
         f"sat(e_{joint}/0.5s)",
         f"sat(e_{joint}/2s)",
         f"sat(e⁻_{joint}/s)",
+        f"sat((e_{joint}-v_{joint}/2)/s)",
         f"tanh(v_{joint}/v₀)",
         f"v_{joint}",
         f"Δu_{joint}",

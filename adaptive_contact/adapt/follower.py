@@ -1,9 +1,7 @@
-"""Follows one leg's model: level of the residuals, recursion, refits, return to what was known.
+"""Follows one leg's model: recursion, refits, return to what was known.
 
-The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
-the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
-widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change:
-the recursion is loosened along the ways in which legs change, and learns from the lifts at once.
+When the monitor says that the leg has changed, the recursion is loosened along the ways in which
+legs change, and learns from the lifts at once.
 """
 
 from __future__ import annotations
@@ -15,13 +13,13 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import Challenger
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
+from adaptive_contact.adapt.monitor import LEVEL_RANGE, PATIENCE_SWINGS, DriftMonitor
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.snapshot import (
@@ -35,40 +33,17 @@ from adaptive_contact.adapt.snapshot import (
 )
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
-from adaptive_contact.wire import DriftLevel, RefitCounts, Status
+from adaptive_contact.wire import RefitCounts, Status
 
 __all__ = ["Follower", "LearnerMode"]
 
 Array = NDArray[np.float64]
 
-# A good model's lift exceeds the doubt level once in so many; the slack is for what a covariance
-# of one context does not tell of another.
-DOUBT_PROBABILITY: Final = 1e-4
-DOUBT_SLACK: Final = 1.5
-DOUBTS: Final = 2  # in a row, for a change
-# A doubt is taken back when the mean level of so many ticks in a row after it is below this: a foot
-# that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
-TAKE_BACK_TICKS: Final = 3
-TAKE_BACK_LEVEL: Final = 1.5
-# Share of a new lift in the followed level, and while adapting.
-LEVEL_SHARE: Final = 0.1
-LEVEL_SHARE_ADAPTING: Final = 0.8
-LEVEL_RANGE: Final = (1.0, 400.0)
-# Calm lifts in a row after which an adapting leg is valid again.
-SETTLED_SWINGS: Final = 3
-SETTLED_LEVEL: Final = 2.5
-# Swings after which a leg that will not settle is called ambiguous, or taken for noisier.
-PATIENCE_SWINGS: Final = 20
-LOOSEN_EVERY: Final = 5
-# A foot that does not rise in so many swings in a row is held by something.
-HELD_SWINGS: Final = 2
-# A baseline whose very first lifts are all further off than this (five times the noise) is of
-# another leg; a leg that merely changed overnight is followed instead.
-UNFIT_LEVEL: Final = 25.0
-UNFIT_LIFTS: Final = 3
 # The baseline is taken up again when it has been this much better for so many lifts.
 RETURN_RATIO: Final = 0.6
 RETURN_SWINGS: Final = 3
+# Rows that may wait while nothing has changed: those of one long swing.
+CALM_QUEUE: Final = 24
 # Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
 CONFIRMED_TICKS: Final = 2048
 # A term never moves a tick by more than this; the fastest servos make 0.5 rad in one.
@@ -98,8 +73,7 @@ class Follower:
     def __init__(self, leg: str, known: LegBaseline, mode: LearnerMode, refitter: Refitter) -> None:
         self.mode = mode
         self.model = known.model
-        self.level = 1.0  # followed: squared whitened residual over J on free ticks
-        self.status: Status = "valid"
+        self.monitor = DriftMonitor(len(known.noise.rms))
         self.buffer = SlidingBuffer()
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
@@ -107,22 +81,11 @@ class Follower:
         self._noise = known.noise.rms
         self._scale = known.scale
         self._rls = self._recursion(known.model)
-        self._swing_level: float | None = None
         self._queue: deque[Row] = deque()
-        self._doubted: list[Row] = []
-        self._doubts = 0
-        self._doubted_ns = 0
-        self._since_doubt: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
-        self._settled = 0
-        self._since_ns: int | None = None
-        self._swings_adapting = 0
         self._better_baseline = 0
         self._era = 0
         self._loose_swings = 0
         self._challenger = Challenger(leg, self._noise, self._scale, refitter)
-        self._held_swings = 0
-        self._lifts = self._lifts_far = 0
-        self._kind: str | None = None
 
     # -- what the detector asks -------------------------------------------------------------------
 
@@ -145,20 +108,15 @@ class Follower:
         Returns:
             (J,) or one number.
         """
-        level = self.level_in_force
+        level = self.monitor.level_in_force
         if self._loose_swings > 0:
             return level * (1.0 + self._rls.uncertainty(theta))
         return level
 
     @property
-    def level_in_force(self) -> float:
-        """The level by which this swing is judged."""
-        return self.level if self._swing_level is None else self._swing_level
-
-    @property
-    def drift(self) -> DriftLevel:
-        """For the status."""
-        return DriftLevel(level=self.level, since_ns=self._since_ns, kind=self._kind)
+    def status(self) -> Status:
+        """What is thought of the leg."""
+        return self.monitor.status
 
     @property
     def refits(self) -> RefitCounts:
@@ -166,10 +124,6 @@ class Follower:
         return self._challenger.counts
 
     # -- what the learner tells -------------------------------------------------------------------
-
-    def begin_swing(self) -> None:
-        """A new swing: doubts of the last one's lift are not carried over."""
-        self._swing_level = None
 
     def learn_now(self, row: Row) -> None:
         """Ungated: any tick is learned as it comes, contact or not."""
@@ -186,64 +140,16 @@ class Follower:
         """
         if not rows:
             return
-        levels = np.sort([row.level for row in rows])
-        joints = len(self._noise)
-        kept = levels[: max(1, len(levels) - 1)]  # one wild reading is no change
-        level = float(kept.mean())
-        self._lifts += 1
-        self._lifts_far += level > UNFIT_LEVEL
-        dof = joints * len(kept)
-        limit = DOUBT_SLACK * float(stats.chi2.isf(DOUBT_PROBABILITY, dof)) / dof
-        if level > limit * self.level:
-            self._doubt(rows, level, region, t_ns)
-            return
-        self._doubts = 0
-        self._doubted = []
-        self._accept(rows, level, region)
-        self._settle(level, t_ns)
-
-    def look(self, level: float) -> None:
-        """Take in the level of a tick after the lift: a doubt that it belies is taken back."""
-        if self._swing_level is None or self._doubts != 1:
-            return
-        self._since_doubt.append(level)
-        if len(self._since_doubt) < TAKE_BACK_TICKS:
-            return
-        if sum(self._since_doubt) < TAKE_BACK_LEVEL * TAKE_BACK_TICKS * self.level:
-            self._swing_level = None
-            self._doubts, self._doubted = 0, []
+        heard = self.monitor.hear(rows, t_ns)
+        if heard.changed:
+            self._change(heard.rows, first=heard.first)
+        if heard.rows:
+            self._consider_baseline(heard.rows)
+            self._confirm(heard.rows, region)
 
     def descent(self, rows: list[Row], region: int) -> None:
         """The confirmed part of a descent."""
         self._confirm(rows, region)
-
-    def foot_held(self, held: bool) -> None:
-        """Tell whether the foot failed to rise with its command in the swing that ends.
-
-        A foot that is caught and a leg that has lost its strength look alike; neither is learned.
-        """
-        self._held_swings = self._held_swings + 1 if held else 0
-        if self._held_swings >= HELD_SWINGS:
-            self.status = "ambiguous"
-        elif self.status == "ambiguous" and not held and self._swings_adapting == 0:
-            self.status = "valid"
-
-    @property
-    def unfit(self) -> bool:
-        """Whether the baseline was never this leg's: its first lifts were all far off."""
-        return self._lifts_far >= UNFIT_LIFTS and self._lifts_far == self._lifts
-
-    @property
-    def note(self) -> str | None:
-        """One line for a person, None when all is well."""
-        if self._held_swings >= HELD_SWINGS:
-            return f"the foot did not rise in {self._held_swings} swings: caught, or no strength"
-        if self.status == "ambiguous":
-            return (
-                f"lifts stay {self.level**0.5:.1f} times as far from the model as they should: "
-                "a lasting change, or a foot that drags"
-            )
-        return None
 
     def swing_done(self) -> None:
         """A swing has been resolved."""
@@ -252,14 +158,26 @@ class Follower:
             self._challenger.swing_done(self.model, self.buffer, self._era)
 
     def tick(self, budget: int) -> None:
-        """Once per control tick: learn a few rows, collect a result that is due."""
+        """Once per control tick: learn a few rows, collect a result that is due.
+
+        Args:
+            budget: rows at most.
+        """
         if self._queue:
-            for _ in range(min(budget, len(self._queue))):
+            for _ in range(min(self._share(budget), len(self._queue))):
                 row = self._queue.popleft()
                 self._compare(row)
                 self._rls.update(row.theta, row.target)
             self._publish()
         self._challenger.tick()
+
+    def _share(self, budget: int) -> int:
+        """Rows of a tick: a leg that is known can wait, one that has changed cannot.
+
+        A swing brings some twenty rows and takes twice as many ticks; a queue that grows longer
+        than a swing's is worked off at the full rate.
+        """
+        return budget if self.monitor.status != "valid" or len(self._queue) > CALM_QUEUE else 1
 
     def snapshot(self) -> dict[str, Any]:
         """What has been learned, for :meth:`restore`."""
@@ -271,9 +189,8 @@ class Follower:
             "version": self.model.version,
             "factor": pack(self._rls.factor),
             "support": pack(self._rls.support.astype(np.float64)),
-            "level": self.level,
-            "status": self.status,
-            "since_ns": self._since_ns,
+            "level": self.monitor.level,
+            "status": self.monitor.status,
             "era": self._era,
             "loose_swings": self._loose_swings,
             "refits": self._challenger.snapshot(),
@@ -322,53 +239,26 @@ class Follower:
         self.model = dataclasses.replace(self.model, coefficients=coefficients, version=version)
         self._rls = rls
         self._rls.restore(coefficients, factor)
-        self.level, self._era, self.status = level, era, status
+        self.monitor.resume(level, status)
+        self._era = era
         self._loose_swings = int(saved.get("loose_swings", 0))
-        self._since_ns = None  # of another clock, perhaps
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(segments)
         return None
 
     # -- private ----------------------------------------------------------------------------------
 
-    def _doubt(self, rows: list[Row], level: float, region: int, t_ns: int) -> None:
-        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
-        self._since_doubt.clear()
-        self._doubts += 1
-        self._settled = 0
-        if self._doubts < DOUBTS:
-            self._doubted = rows
-            self._doubted_ns = t_ns
-            return
-        if self.status != "adapting" or self._swings_adapting >= LOOSEN_EVERY:
-            self._change([*self._doubted, *rows], self._doubted_ns)
-        self._swings_adapting += 1
-        self.level = self._swing_level**0.5
-        self._accept([*self._doubted, *rows], level, region)
-        self._doubted = []
-        if self._swings_adapting > PATIENCE_SWINGS:
-            self.status = "ambiguous"
-
-    def _change(self, rows: list[Row], since_ns: int) -> None:
+    def _change(self, rows: list[Row], *, first: bool) -> None:
         """Something about the leg has changed: let the recursion move."""
-        if self.status != "adapting":
-            self._since_ns = since_ns
+        if first:
             theta = np.array([row.theta for row in rows])
             residual = np.array([row.target for row in rows]) - theta @ self.model.coefficients
-            self._kind = kind_of_change(theta, residual, self.model, self._noise)
-        self.status = "adapting"
-        self._swings_adapting = 0
+            self.monitor.kind = kind_of_change(theta, residual, self.model, self._noise)
         self._era += 1
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
             self._loose_swings = PATIENCE_SWINGS
             self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
         self._challenger.withdraw()
-
-    def _accept(self, rows: list[Row], level: float, region: int) -> None:
-        share = LEVEL_SHARE_ADAPTING if self.status == "adapting" else LEVEL_SHARE
-        self.level = float(np.clip((1 - share) * self.level + share * level, *LEVEL_RANGE))
-        self._consider_baseline(rows)
-        self._confirm(rows, region)
 
     def _confirm(self, rows: list[Row], region: int) -> None:
         rows = [row for row in rows if row.cleared]
@@ -379,17 +269,6 @@ class Follower:
         else:
             for row in rows:
                 self._compare(row)
-
-    def _settle(self, level: float, t_ns: int) -> None:
-        if self.status == "valid":
-            return
-        self._swings_adapting += 1
-        self._settled = self._settled + 1 if level < SETTLED_LEVEL else 0
-        patient = self._swings_adapting > PATIENCE_SWINGS
-        if self._settled >= SETTLED_SWINGS or patient:
-            self.status = "valid"
-            self._since_ns = self._kind = None
-            self._swings_adapting = 0
 
     def _consider_baseline(self, rows: list[Row]) -> None:
         """Mud is washed off, a battery is changed: what was known may hold again."""
@@ -405,7 +284,7 @@ class Follower:
         self._queue.clear()
         self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self._publish()
-        self.level = 1.0
+        self.monitor.level = 1.0
         self._era += 1
 
     def _compare(self, row: Row) -> None:

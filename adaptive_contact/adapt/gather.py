@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.stream import StreamGuard
+from adaptive_contact.adapt.stream import RATE_STEPS, RateWatch, StreamGuard
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
 from adaptive_contact.errors import IdentificationError
@@ -40,13 +40,16 @@ class LegGatherer:
     Attributes:
         rejects: samples that were not used, by reason.
         missed: samples lost.
+        off_rate: samples that came at another rate than the robot's, not used.
     """
 
     def __init__(self, leg: Leg, period_s: float) -> None:
         self.leg = leg
         self.rejects: Counter[Reject] = Counter()
         self._period_ns = round(period_s * 1e9)
+        self.off_rate = 0
         self._guard = StreamGuard(len(leg.joints))
+        self._rate = RateWatch(self._period_ns)
         self._runs: list[list[ServoSample]] = []
         self._truth: list[ContactTruth] = []
 
@@ -66,7 +69,15 @@ class LegGatherer:
         if isinstance(result, Reject):
             self.rejects[result] += 1
             return
-        if result.restart or result.missed or not self._runs:
+        connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        if self._rate.off:
+            self.off_rate += 1
+            # Those that told are as far off as those that came after.
+            if self._runs and self._runs[-1]:
+                del self._runs[-1][-RATE_STEPS:]
+                self._runs.append([])
+            return
+        if result.restart or result.missed or not connected or not self._runs:
             self._runs.append([])
         self._runs[-1].append(sample)
 

@@ -11,6 +11,7 @@ free is learned there, a few rows per tick.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
 from typing import Any, Final
 
@@ -28,10 +29,10 @@ from adaptive_contact.adapt.baseline import (
 )
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
-from adaptive_contact.adapt.segments import Row, SwingBook
-from adaptive_contact.adapt.stream import Accepted, StreamGuard
+from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.tracker import Tracker
@@ -109,15 +110,13 @@ class ContactLearner:
         self._t_ns = 0
         self._command: list[float] = [0.0] * len(self.leg.joints)  # in force, and before it
         self._command_before = self._command
-        self._last_region = 0
         self._period_ns = round(robot.period_s * 1e9)
+        self._rate = RateWatch(self._period_ns)
         self._where = 0
         self.tracker: Tracker | None = None
         self.thresholds: Array | None = None
-        self._book = SwingBook()
-        self._follower: Follower | None = None
+        self._quarantine = Quarantine(self._swing)
         self._unit: Array | float = 1.0  # variance of this tick's residual over the baseline's
-        self._swing_open = False
         self._cold: ColdStart | None = None
         self._started_cold = False
         if self._known is not None:
@@ -157,8 +156,10 @@ class ContactLearner:
     def whitening(self) -> Array:
         """(windows, J, J) for the context of the tick in hand."""
         assert self._known is not None
-        whiten = self._known.noise.whiten[self._where]
-        return np.asarray(whiten / np.sqrt(self._unit))
+        whiten: Array = self._known.noise.whiten[self._where]
+        # (J,) scales the columns, as it belongs to the residual's joints.
+        unit = self._unit
+        return whiten / (math.sqrt(unit) if isinstance(unit, float) else np.sqrt(unit))
 
     def drain_confirmed(self) -> list[int]:
         """Times of the ticks confirmed as free since the last call, ns."""
@@ -183,7 +184,7 @@ class ContactLearner:
             residual_rms=rms,
             noise_floor=[0.0] * joints if self._known is None else self._known.noise.rms.tolist(),
             buffer=BufferCounts() if follower is None else follower.buffer.counts,
-            drift=DriftLevel() if follower is None else follower.drift,
+            drift=DriftLevel() if follower is None else follower.monitor.drift,
             refits=RefitCounts() if follower is None else follower.refits,
             ticks=self._tally.counts["ticks"],
             rejects={str(reason): n for reason, n in sorted(self._tally.rejects.items())},
@@ -253,7 +254,7 @@ class ContactLearner:
         if refused is not None:
             return refused
         self._begin(known, prior_tails(len(self.leg.joints)), version=1)
-        self._follower = follower
+        self._quarantine.follower = follower
         self._cold, self._started_cold = None, True
         origin = start.get("origin") if isinstance(start, dict) else None
         self._origin = origin if isinstance(origin, str) else "cold start"
@@ -269,10 +270,11 @@ class ContactLearner:
             return False
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
-        self._connect(result, sample)
+        connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        self._connect(result, sample, paused=not connected)
         self._follow_phase(sample)
         if self._cold is not None:
-            if result.restart or result.missed:
+            if result.restart or result.missed or self._rate.off or not connected:
                 self._cold.interrupt()
             self._cold.add(
                 sample.measured,
@@ -289,6 +291,10 @@ class ContactLearner:
             return False
         judged = tracker.observe(sample.measured, sample.valid)
         self._swing.observe(sample)
+        if self._rate.off:  # the model speaks of ticks of another length
+            tracker.restart()
+            self._quarantine.break_off()
+            return False
         if not judged or self._swing.ticks < 2:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
@@ -312,7 +318,7 @@ class ContactLearner:
         assert self.thresholds is not None
         loaded = self._state.loaded
         score, onset_ns = verdict.score, sample.t_ns
-        if score > 1.0 and self._lift_first():
+        if score > 1.0 and self._quarantine.lift_first:
             score = 1.0
         elif score > 1.0 and not loaded:
             assert self._known is not None
@@ -323,18 +329,25 @@ class ContactLearner:
             verdict.distance / float(self.thresholds[0]),
             sample.t_ns,
             onset_ns,
-            descending=self._lift_over(),
+            descending=self._quarantine.lift_over,
         )
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
         elif not (loaded or self._state.contact):
             self._recent.append(tracker.residuals[0].copy())
-        self._enter(verdict.distance, sample, calm=not loaded)
+        self._quarantine.enter(
+            tracker.thetas[0],
+            tracker.residuals[0] + tracker.increments[0],
+            verdict.distance,
+            t_ns=sample.t_ns,
+            at=sample.desired,
+            free=not (loaded or self._state.contact),
+        )
         if decision is None:
             return None
         if decision.contact:
             self._tally.counts["contacts"] += 1
-            self._confirm(self._book.alarm(decision.onset_ns, self._period_ns))
+            self._quarantine.alarm(decision.onset_ns, self._period_ns)
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
@@ -358,7 +371,7 @@ class ContactLearner:
             return
         self._follower.tick(ROWS_PER_TICK)
         self.tracker.model = self._follower.model
-        if self._follower.unfit:
+        if self._follower.monitor.unfit:
             self._forget_baseline()
 
     # -- private -------------------------------------------------------------------------------
@@ -370,7 +383,7 @@ class ContactLearner:
         self._known, self._note = known, None
         self.tracker = Tracker(model, self._quantum)
         self.thresholds = thresholds_of(tails, self.robot.detector.false_alarms_per_hour)
-        self._follower = Follower(self.leg.id, known, self._mode, self._refitter)
+        self._quarantine.follower = Follower(self.leg.id, known, self._mode, self._refitter)
 
     def _cold_start(self) -> ColdStart:
         return ColdStart(self.leg, leg_library(self.robot, self.leg), self._quantum)
@@ -389,106 +402,38 @@ class ContactLearner:
 
     def _forget_baseline(self) -> None:
         """The baseline was never this leg's: start cold, and say so."""
-        self._known = self._follower = self.tracker = None
+        self._known = self._quarantine.follower = self.tracker = None
         self._origin = None
         self._started_cold = False
         self._state.reset()
         self._note = "the baseline does not fit this leg: learning it anew"
         self._cold = self._cold_start()
 
-    def _enter(self, distance: float, sample: ServoSample, *, calm: bool) -> None:
-        """Enter the tick in the swing's book, and hand on what the book releases."""
-        follower, tracker = self._follower, self.tracker
-        if follower is None or tracker is None or not follower.learning:
-            return
-        target = tracker.residuals[0] + tracker.increments[0]
-        # The model's own doubt is part of the unit; the followed level is not.
-        level = distance * follower.level_in_force / len(target)
-        free = calm and not self._state.contact
-        swing = self._swing
-        row = Row(tracker.thetas[0], target, level, sample.t_ns, swing.rising, free, swing.cleared)
-        if follower.mode is LearnerMode.UNGATED:
-            follower.learn_now(row)
-            return
-        self._book.add(row, swing.ticks, descending=swing.descending)
-        follower.look(level)
-        lift = self._book.take_lift()
-        if lift is None:
-            return
-        held = swing.judge_lift()
-        if held is not None:
-            follower.foot_held(held)
-        if swing.lifted and not swing.held:
-            follower.lift(lift, self._region(sample), sample.t_ns)
-
-    def _confirm(self, rows: list[Row]) -> None:
-        if self._follower is not None and rows and not self._swing.held:
-            self._follower.descent(rows, self._last_region)
-
-    def _region(self, sample: ServoSample) -> int:
-        """A coarse place in the workspace: where the first joint points, and how far it reaches."""
-        first = sample.desired[0]
-        bend = sample.desired[-1]
-        self._last_region = int(first > 0.2) - int(first < -0.2) + 1 + 3 * int(bend > -1.4)
-        return self._last_region
-
-    def _resolve(self) -> None:
-        """The swing is over: no alarm, or one that has been dealt with."""
-        if not self._swing_open or self._follower is None:
-            return
-        self._swing_open = False
-        self._confirm(self._book.resolve())
-        self._follower.swing_done()
-
-    def _connect(self, result: Accepted, sample: ServoSample) -> None:
+    def _connect(self, result: Accepted, sample: ServoSample, *, paused: bool) -> None:
         tracker = self.tracker
         if result.restart:
             self._state.reset()
             self._swing.restart()
-            self._swing_open = False
-            self._book.discard()
+            self._quarantine.restart()
             self._command = self._command_before = sample.desired
             if tracker is not None:
                 tracker.restart()
-        elif result.missed and tracker is not None:
-            if result.missed < tracker.model.library.window.length:
+        elif (result.missed or paused) and tracker is not None:
+            if result.missed < tracker.model.library.window.length and not paused:
                 tracker.bridge(np.array(sample.desired), result.missed)
             else:
                 tracker.restart()
-                self._book.discard()
+                self._quarantine.break_off()
 
     def _follow_phase(self, sample: ServoSample) -> None:
         self._swing.follow(sample)
         if self._swing.ticks == 0:
-            self._resolve()
+            self._quarantine.resolve()
         elif self._swing.ticks == 1:
-            self._swing_open = True
-            self._book.begin(sample.t_ns)
-            if self._follower is not None:
-                self._follower.begin_swing()
+            self._quarantine.begin(sample.t_ns)
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()
-
-    def _lift_first(self) -> bool:
-        """Whether an alarm waits: a foot on its way up speaks of the leg, to be heard at its top.
-
-        What stops it from the side or from above does not let it come up any further.
-        """
-        follower = self._follower
-        if follower is None or not follower.gated:
-            return False
-        return self._swing.rising and not self._book.topped
-
-    def _lift_over(self) -> bool:
-        """Whether a leg that never was calm is judged from here on: its lift has been.
-
-        The foot comes up for some ticks after its command came down; only then the lift has told
-        whether it is the leg that has changed.
-        """
-        follower = self._follower
-        heard = follower is None or not follower.gated or self._book.topped
-        return self._swing.descending and heard
 
     def _onset(self, sample: ServoSample, width: int) -> int:
         tracker = self.tracker
@@ -513,6 +458,10 @@ class ContactLearner:
         )
 
     @property
+    def _follower(self) -> Follower | None:
+        return self._quarantine.follower
+
+    @property
     def _status(self) -> Status:
         return "learning" if self._follower is None else self._follower.status
 
@@ -533,12 +482,17 @@ class ContactLearner:
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person."""
-        if self._follower is not None and self._follower.note is not None:
-            return self._follower.note
+        if self._follower is not None and self._follower.monitor.note is not None:
+            return self._follower.monitor.note
         if self._swing.untold and self._swing.blind:
             return (
                 "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
                 "contacts are not reported"
+            )
+        if self._rate.off and self._rate.found_ns is not None:
+            return (
+                f"samples are {self._rate.found_ns / 1e6:.1f} ms apart, robot.toml says "
+                f"{self._period_ns / 1e6:.1f} ms: nothing is judged or learned until they agree"
             )
         if self._tally.counts["no_preview"]:
             return "the model needs a preview that the samples do not carry: no predictions"

@@ -7,6 +7,7 @@ substitute has left the freshest part of the window.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -50,9 +51,15 @@ class Tracker:
         library = model.library
         joints = len(library.joints)
         self.model = model
-        self.measured = np.zeros((library.window.past_measured + 1, joints))
-        self.desired = np.zeros((library.window.past_desired + 1, joints))
-        self.preview = np.zeros((library.window.preview, joints))
+        self._length = library.window.length
+        measured = library.window.past_measured + 1
+        desired = library.window.past_desired + 1
+        # One array, so that a prediction needs no copying together.
+        self._window = np.zeros((measured + desired + library.window.preview, joints))
+        self.measured = self._window[:measured]
+        self.desired = self._window[measured : measured + desired]
+        self.preview = self._window[measured + desired :]
+        self.window = self._window.reshape(-1)  # the same, in a row
         self.theta: Array | None = None  # regressors of that prediction
         self.thetas: tuple[Array, ...] = ()  # and of the ticks observed, lag 0 first
         self.increment = np.zeros(joints)  # predicted for the tick to come
@@ -74,7 +81,7 @@ class Tracker:
     @property
     def full(self) -> bool:
         """Whether the window holds enough samples in a row for a prediction."""
-        return self.filled >= self.model.library.window.length
+        return self.filled >= self._length
 
     def restart(self) -> None:
         """Drop the past: what comes does not connect to it."""
@@ -129,7 +136,7 @@ class Tracker:
         """
         self.desired[1:] = self.desired[:-1]
         self.desired[0] = desired
-        self.filled = min(self.filled + 1, self.model.library.window.length)
+        self.filled = min(self.filled + 1, self._length)
         ahead = len(self.preview)
         if ahead:
             if preview is None or len(preview) < ahead:
@@ -166,7 +173,7 @@ class Tracker:
             theta: (p,) regressors of the prediction.
             increment: (J,) rad.
         """
-        self.predicted = bool(np.isfinite(increment).all())
+        self.predicted = math.isfinite(sum(increment.tolist()))
         if self.predicted:
             self.theta, self.increment = theta, increment
 
@@ -208,7 +215,7 @@ class Tracker:
     def _foreseen(self) -> bool:
         """Whether there is a prediction for the tick to come; made now if there can be one."""
         if not self.predicted and self.full and not len(self.preview):
-            theta = self.model.library.evaluate(self.measured, self.desired, self.preview)
+            theta = self.model.library.evaluate_flat(self.window)
             self.foresee(theta, theta @ self.model.coefficients)
         return self.predicted
 

@@ -39,14 +39,14 @@ def demo(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: _on_signal(stop))
     with needs_simulator():
-        from adaptive_contact_sim.demo import DemoSettings, Stopped, run_demo
+        from adaptive_contact_sim.demo import DemoSettings, StoppedError, run_demo
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
     settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed))
     try:
         run_demo(settings, console, stop)
-    except (Stopped, KeyboardInterrupt):
+    except (StoppedError, KeyboardInterrupt):
         typer.echo("adaptive-contact: stopped; nothing was judged", err=True)
         raise typer.Exit(_STOPPED) from None
 

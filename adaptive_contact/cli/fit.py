@@ -121,6 +121,12 @@ def _gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
         if leg.rejects:
             reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))
             typer.echo(f"adaptive-contact: leg '{name}': samples not used: {reasons}", err=True)
+        if leg.off_rate:
+            typer.echo(
+                f"adaptive-contact: leg '{name}': {leg.off_rate} samples not used: further apart "
+                f"or closer than the {1e3 * robot.period_s:.1f} ms of robot.toml (period_s)",
+                err=True,
+            )
     return legs
 
 

@@ -119,11 +119,14 @@ def _speed(text: str | None) -> float | None:
 
 
 def _to_events(recording: Recording, out: Path, baseline: Path | None, config: Path | None) -> None:
+    from threadpoolctl import threadpool_limits
+
     from adaptive_contact.adapt.bank import LearnerBank
     from adaptive_contact.service.replay import Counts, replay_events
     from adaptive_contact.wire import JSON, encode
 
     robot, learned = _load(config, baseline)
+    threadpool_limits(1)  # matrices this small only wait for each other in threads
     bank = LearnerBank(robot, learned)
     counts = Counts()
     written = 0

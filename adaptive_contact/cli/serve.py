@@ -65,6 +65,8 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: _on_signal(stop))
 
+    from threadpoolctl import threadpool_limits
+
     from adaptive_contact.adapt import LearnerBank
     from adaptive_contact.service.link import Link, router_settings
     from adaptive_contact.service.logs import configure_logs
@@ -83,6 +85,7 @@ def serve(
     if no_state and state is not None:
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
     sys.setswitchinterval(_SWITCH_S)
+    threadpool_limits(1)  # matrices this small only wait for each other in threads
     robot, learned, origin = _load(config, baseline)
     refitter = ProcessRefitter()
     bank = LearnerBank(robot, learned, refitter=refitter)

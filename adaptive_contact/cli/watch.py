@@ -77,7 +77,7 @@ def _live(look: Look) -> None:
     with Live(table(look()), auto_refresh=False) as live:
         while True:
             live.update(table(look()), refresh=True)
-            time.sleep(_REFRESH_S)
+            time.sleep(_REFRESH_S)  # the period of the picture
 
 
 def _print(view: View, json: bool) -> None:

@@ -87,7 +87,7 @@ class Request:
 
     def close(self) -> None:
         """Finish: until then the asker waits for more answers, up to its timeout."""
-        self._query.drop()  # type: ignore[no-untyped-call]
+        self._query.drop()
 
 
 class Declared:
@@ -393,4 +393,4 @@ logging.getLogger("zenoh.handlers").addHandler(_faults)
 if "RUST_LOG" in os.environ:
     # At debug this part of Zenoh writes the whole configuration, passwords and all.
     os.environ["RUST_LOG"] += ",zenoh::api::session=info"
-    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
+    zenoh.try_init_log_from_env()

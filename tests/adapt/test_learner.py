@@ -245,6 +245,73 @@ def test_after_a_long_gap_nothing_is_said_until_the_window_is_full(
     assert learner.status.missed == 12
 
 
+def slowed(stream: list[ServoSample], first: int, stop: int, factor: float) -> list[ServoSample]:
+    """The same samples, those of a stretch so many times as far apart."""
+    out, late = [], 0
+    for s in stream:
+        late += round((factor - 1.0) * PERIOD) if first <= s.seq < stop else 0
+        out.append(msgspec.structs.replace(s, t_ns=s.t_ns + late))
+    return out
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_rate_off_by_a_fifth_is_said_and_not_learned(
+    robot: Robot, baseline: Baseline, factor: float
+) -> None:
+    first, stop = 100, 160  # swings
+    stops = [16 if n % 2 else None for n in range(260)]
+    # Slower ticks are longer ones: the leg moves further in each.
+    measured, desired, swing, _ = FakeLeg(seed=21).run(
+        260, touch=lambda n: stops[n], change=lambda n: factor if first <= n < stop else 1.0
+    )
+    stream = slowed(samples(measured, desired, swing), 28 * first, 28 * stop, factor)
+    learner = ContactLearner(robot, "rf", baseline)
+    assert "alarm" not in outcomes(play(learner, stream[: 28 * first]), range(first), stops)
+    before, confirmed = learner.status, learner.drain_confirmed()
+    assert confirmed
+    during = play(learner, stream[28 * first : 28 * stop])
+    assert [e for e in during if e.contact] == []
+    assert learner.drain_confirmed() == []
+    assert learner.status.buffer == before.buffer
+    assert learner.status.status == "valid"
+    assert learner.status.note == (
+        f"samples are {20 * factor:.1f} ms apart, robot.toml says 20.0 ms: "
+        "nothing is judged or learned until they agree"
+    )
+    after = outcomes(play(learner, stream[28 * stop :]), range(stop, 260), stops)
+    assert "alarm" not in after
+    assert after[1:].count("miss") <= 1
+    assert learner.status.note is None
+    assert learner.drain_confirmed()
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_stream_that_stops_in_a_swing_teaches_nothing_of_it(
+    robot: Robot, baseline: Baseline, *, counted: bool
+) -> None:
+    """For a minute, and then goes on in another swing, whether its numbers tell of it or not."""
+    stream = samples(*FakeLeg(seed=22).run(80)[:3])
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, stream[: 28 * 40 + 15])
+    learner.drain_confirmed()
+    resumed = [
+        msgspec.structs.replace(
+            s,
+            t_ns=s.t_ns + 60 * 50 * PERIOD,
+            seq=s.seq + (60 * 50 if counted else -28),
+        )
+        for s in stream[28 * 41 + 15 :]
+    ]
+    events = play(learner, resumed[:28])
+    assert [e for e in events if e.contact] == []
+    # Of the swing it stopped in and of that it came back in, nothing is confirmed.
+    bounds = stream[28 * 40].t_ns, resumed[9].t_ns
+    assert not [t for t in learner.drain_confirmed() if bounds[0] <= t <= bounds[1]]
+    play(learner, resumed[28:])
+    assert learner.drain_confirmed()
+    assert learner.status.status == "valid"
+
+
 bad_values = st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e9, 0.0, -3.14])
 
 

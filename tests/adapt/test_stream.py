@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,6 +13,7 @@ from adaptive_contact.adapt.stream import (
     CLOCK_RESET_SAMPLES,
     TAKE_BACK_SAMPLES,
     Accepted,
+    RateWatch,
     StreamGuard,
 )
 from adaptive_contact.wire import Reject, ServoSample
@@ -145,3 +147,49 @@ def test_accepted_samples_are_in_order_whatever_comes(stream: list[ServoSample])
             assert s.seq == last.seq + 1 + result.missed
             assert s.run == last.run
         last = s
+
+
+def watch(steps: list[int], *, numbers: list[int] | None = None) -> tuple[RateWatch, list[bool]]:
+    """Feeds a 20 ms watch samples that are so many ms apart."""
+    rate = RateWatch(20_000_000)
+    told, t_ns, seq = [], 0, 0
+    for step, number in zip(steps, numbers or [1] * len(steps), strict=True):
+        t_ns, seq = t_ns + step * 1_000_000, seq + number
+        told.append(rate.follow(t_ns, seq, restart=False))
+    return rate, told
+
+
+@pytest.mark.parametrize("step", [16, 24])
+def test_another_rate_shows_within_five_ticks(step: int) -> None:
+    for after, off in ((3, False), (5, True)):
+        rate, connected = watch([20] * 40 + [step] * after)
+        assert rate.off is off
+        assert all(connected)
+    rate, _ = watch([20] * 40 + [step] * 60)
+    assert rate.found_ns == step * 1_000_000
+    assert not watch([step] * 40 + [20] * 8)[0].off
+
+
+def test_jitter_and_lost_samples_are_no_other_rate() -> None:
+    rng = np.random.default_rng(0)
+    times = 20.0 * np.arange(20_000) + rng.uniform(-5, 5, 20_000)
+    numbers = np.sort(rng.choice(20_000, 18_000, replace=False))
+    rate = RateWatch(20_000_000)
+    for number in numbers:
+        assert rate.follow(round(times[number] * 1e6), int(number), restart=False)
+        assert not rate.off
+
+
+def test_a_pause_connects_nothing_whether_it_was_counted_or_not() -> None:
+    assert watch([20] * 10 + [5000] + [20] * 10)[1] == [True] * 10 + [False] + [True] * 10
+    # 200 ms with ten samples lost is what it says; a number that does not count it is a pause.
+    assert all(watch([20] * 10 + [200, 20], numbers=[1] * 10 + [10, 1])[1])
+    assert not watch([20] * 10 + [200])[1][-1]
+
+
+def test_a_restart_is_told_anew() -> None:
+    rate, _ = watch([24] * 20)
+    assert rate.off
+    rate.follow(0, 0, restart=True)
+    assert not rate.off
+    assert rate.found_ns is None

@@ -78,7 +78,7 @@ class Recording:
     def about(self) -> dict[str, str]:
         """What the writer said of it (scenario, seed); empty for files of other tools."""
         # Damage this early also ends every pass over the messages, and is told there.
-        with self._open() as file, contextlib.suppress(_Damaged, *_PARSE_ERRORS):
+        with self._open() as file, contextlib.suppress(_DamagedError, *_PARSE_ERRORS):
             for opcode, content in _frames(file):
                 if opcode == Opcode.METADATA:
                     found = Metadata.read(ReadDataStream(BytesIO(content)))
@@ -98,7 +98,7 @@ class Recording:
                     for record in _records(opcode, content, channels):
                         given += 1
                         yield record
-            except _Damaged as damage:
+            except _DamagedError as damage:
                 self.damage = f"{damage}; the {given} messages before it are intact"
 
     def _open(self) -> IO[bytes]:
@@ -134,7 +134,7 @@ def read_recording(path: str | Path) -> Recording:
     return Recording(path)
 
 
-class _Damaged(Exception):  # noqa: N818 - it is caught here, and never leaves the module
+class _DamagedError(Exception):
     """The walk over a file cannot go on; the text says where and why."""
 
 
@@ -150,25 +150,25 @@ def _frames(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
     while True:
         head = file.read(_FRAME.size)
         if len(head) < _FRAME.size:
-            raise _Damaged(f"cut at byte {size}")
+            raise _DamagedError(f"cut at byte {size}")
         opcode, length = _FRAME.unpack(head)
         if (opcode < 0x80 and opcode not in _DATA_SECTION) or length > MAX_RECORD_BYTES:
-            raise _Damaged(f"damaged at byte {at}: no record begins there")
+            raise _DamagedError(f"damaged at byte {at}: no record begins there")
         content = file.read(length)
         at += _FRAME.size + len(content)
         if len(content) < length:
             if opcode == Opcode.CHUNK and _is_plain(content):
                 yield opcode, content  # its messages can be read up to the cut
-            raise _Damaged(f"cut at byte {size}, inside a chunk")
+            raise _DamagedError(f"cut at byte {size}, inside a chunk")
         if opcode == Opcode.DATA_END:
             if length != 4:
-                raise _Damaged(f"damaged at byte {at}: no record ends there")
+                raise _DamagedError(f"damaged at byte {at}: no record ends there")
             file.seek(max(size - len(MCAP0_MAGIC), at))
             if file.read() != MCAP0_MAGIC:
-                raise _Damaged(f"cut at byte {size}, inside the index")
+                raise _DamagedError(f"cut at byte {size}, inside the index")
             return
         if opcode == Opcode.MESSAGE_INDEX and not (indexed and _is_index(content)):
-            raise _Damaged(f"damaged at byte {at}: a chunk is missing before it")
+            raise _DamagedError(f"damaged at byte {at}: a chunk is missing before it")
         yield opcode, content
         indexed = opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
 
@@ -194,7 +194,7 @@ def _records(opcode: int, content: bytes, channels: dict[int, tuple[str, str]]) 
             kind, length = _FRAME.unpack_from(data, at)
             at += _FRAME.size
             if length > len(data) - at:
-                raise _Damaged("cut inside a message")
+                raise _DamagedError("cut inside a message")
             if kind == Opcode.MESSAGE:
                 channel, _, log_ns, sent_ns = _MESSAGE.unpack_from(data, at)
                 payload = data[at + _MESSAGE.size : at + length]
@@ -205,9 +205,9 @@ def _records(opcode: int, content: bytes, channels: dict[int, tuple[str, str]]) 
                 named = TO_ZENOH.get(found.message_encoding, found.message_encoding)
                 channels[found.id] = (found.topic, found.metadata.get(ENCODING, named))
         except KeyError as error:
-            raise _Damaged(f"damaged: a message of an unknown channel {error}") from error
+            raise _DamagedError(f"damaged: a message of an unknown channel {error}") from error
         except _PARSE_ERRORS as error:
-            raise _Damaged(f"damaged: {type(error).__name__} in a chunk") from error
+            raise _DamagedError(f"damaged: {type(error).__name__} in a chunk") from error
         at += length
         if kind == Opcode.MESSAGE:
             yield record
@@ -223,11 +223,11 @@ def _inflate(content: bytes) -> bytes:
     try:
         chunk: Chunk = Chunk.read(ReadDataStream(BytesIO(content)))
         if chunk.uncompressed_size > MAX_RECORD_BYTES:
-            raise _Damaged("damaged: the size of a chunk is impossible")
+            raise _DamagedError("damaged: the size of a chunk is impossible")
         if not chunk.compression and len(chunk.data) < chunk.uncompressed_size:
             return chunk.data  # no checksum can be made of a part
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         records: bytes = stream.read(size)
         return records
     except _PARSE_ERRORS as error:
-        raise _Damaged(f"damaged: {type(error).__name__} in a chunk") from error
+        raise _DamagedError(f"damaged: {type(error).__name__} in a chunk") from error

@@ -108,7 +108,7 @@ class RecordingWriter:
             if self._flush_at is None:
                 self._flush_at = log_time_ns + FLUSH_NS
             elif log_time_ns >= self._flush_at:
-                self._writer.flush()  # type: ignore[no-untyped-call]
+                self._writer.flush()
                 self._flush_at = log_time_ns + FLUSH_NS
         except OSError as error:
             self._abandon()
@@ -131,7 +131,7 @@ class RecordingWriter:
         if self._file is None:
             return
         try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:

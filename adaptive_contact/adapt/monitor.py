@@ -1,0 +1,209 @@
+"""Hears the lifts of one leg: is this still the leg that the model knows?
+
+The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
+the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
+widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.wire import DriftLevel, Status
+
+__all__ = ["LEVEL_RANGE", "PATIENCE_SWINGS", "DriftMonitor", "Heard"]
+
+# A good model's lift exceeds the doubt level once in so many; the slack is for what a covariance
+# of one context does not tell of another.
+DOUBT_PROBABILITY: Final = 1e-4
+DOUBT_SLACK: Final = 1.5
+DOUBTS: Final = 2  # in a row, for a change
+# A doubt is taken back when the mean level of so many ticks in a row after it is below this: a foot
+# that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
+TAKE_BACK_TICKS: Final = 3
+TAKE_BACK_LEVEL: Final = 1.5
+# Share of a new lift in the followed level, and while adapting.
+LEVEL_SHARE: Final = 0.1
+LEVEL_SHARE_ADAPTING: Final = 0.8
+LEVEL_RANGE: Final = (1.0, 400.0)
+# Calm lifts in a row after which an adapting leg is valid again.
+SETTLED_SWINGS: Final = 3
+SETTLED_LEVEL: Final = 2.5
+# Swings after which a leg that will not settle is called ambiguous, or taken for noisier.
+PATIENCE_SWINGS: Final = 20
+LOOSEN_EVERY: Final = 5
+# A foot that does not rise in so many swings in a row is held by something.
+HELD_SWINGS: Final = 2
+# A baseline whose very first lifts are all further off than this (five times the noise) is of
+# another leg; a leg that merely changed overnight is followed instead.
+UNFIT_LEVEL: Final = 25.0
+UNFIT_LIFTS: Final = 3
+
+
+class Heard(NamedTuple):
+    """What a lift told.
+
+    Attributes:
+        rows: to learn from now; none where the lift is doubted.
+        changed: the leg has changed, and the recursion is to be let loose.
+        first: that was not known before.
+    """
+
+    rows: list[Row]
+    changed: bool = False
+    first: bool = False
+
+
+class DriftMonitor:
+    """Follows the level of one leg's residuals, swing by swing.
+
+    Args:
+        joints: J.
+
+    Attributes:
+        level: followed: squared whitened residual over J on free ticks, 1 for a good model.
+        status: what is thought of the leg.
+        kind: of the change, where it can be told.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.level = 1.0
+        self.status: Status = "valid"
+        self.kind: str | None = None
+        self._joints = joints
+        self._swing_level: float | None = None
+        self._doubted: list[Row] = []
+        self._doubts = 0
+        self._doubted_ns = 0
+        self._since_doubt: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
+        self._settled = 0
+        self._since_ns: int | None = None
+        self._swings_adapting = 0
+        self._held_swings = 0
+        self._lifts = self._lifts_far = 0
+
+    @property
+    def level_in_force(self) -> float:
+        """The level by which this swing is judged."""
+        return self.level if self._swing_level is None else self._swing_level
+
+    @property
+    def drift(self) -> DriftLevel:
+        """For the status."""
+        return DriftLevel(level=self.level, since_ns=self._since_ns, kind=self.kind)
+
+    @property
+    def unfit(self) -> bool:
+        """Whether the baseline was never this leg's: its first lifts were all far off."""
+        return self._lifts_far >= UNFIT_LIFTS and self._lifts_far == self._lifts
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person, None when all is well."""
+        if self._held_swings >= HELD_SWINGS:
+            return f"the foot did not rise in {self._held_swings} swings: caught, or no strength"
+        if self.status == "ambiguous":
+            return (
+                f"lifts stay {self.level**0.5:.1f} times as far from the model as they should: "
+                "a lasting change, or a foot that drags"
+            )
+        return None
+
+    def begin_swing(self) -> None:
+        """A new swing: doubts of the last one's lift are not carried over."""
+        self._swing_level = None
+
+    def hear(self, rows: Sequence[Row], t_ns: int) -> Heard:
+        """Take in a lift, at its top.
+
+        Args:
+            rows: its ticks, at least one, all free.
+            t_ns: now.
+        """
+        levels = np.sort([row.level for row in rows])
+        kept = levels[: max(1, len(levels) - 1)]  # one wild reading is no change
+        level = float(kept.mean())
+        self._lifts += 1
+        self._lifts_far += level > UNFIT_LEVEL
+        if level > _doubt_limit(self._joints * len(kept)) * self.level:
+            return self._doubt(list(rows), level, t_ns)
+        self._doubts, self._doubted = 0, []
+        self._follow_level(level)
+        self._settle(level)
+        return Heard(list(rows))
+
+    def look(self, level: float) -> None:
+        """Take in the level of a tick after the lift: a doubt that it belies is taken back."""
+        if self._swing_level is None or self._doubts != 1:
+            return
+        self._since_doubt.append(level)
+        if len(self._since_doubt) < TAKE_BACK_TICKS:
+            return
+        if sum(self._since_doubt) < TAKE_BACK_LEVEL * TAKE_BACK_TICKS * self.level:
+            self._swing_level = None
+            self._doubts, self._doubted = 0, []
+
+    def foot_held(self, *, held: bool) -> None:
+        """Tell whether the foot failed to rise with its command in the swing that ends.
+
+        A foot that is caught and a leg that has lost its strength look alike; neither is learned.
+        """
+        self._held_swings = self._held_swings + 1 if held else 0
+        if self._held_swings >= HELD_SWINGS:
+            self.status = "ambiguous"
+        elif self.status == "ambiguous" and not held and self._swings_adapting == 0:
+            self.status = "valid"
+
+    def resume(self, level: float, status: Status) -> None:
+        """Go on from a saved state; since when is of another clock, perhaps."""
+        self.level, self.status, self._since_ns = level, status, None
+
+    def _doubt(self, rows: list[Row], level: float, t_ns: int) -> Heard:
+        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._since_doubt.clear()
+        self._doubts += 1
+        self._settled = 0
+        if self._doubts < DOUBTS:
+            self._doubted, self._doubted_ns = rows, t_ns
+            return Heard([])
+        rows, self._doubted = [*self._doubted, *rows], []
+        first = self.status != "adapting"
+        changed = first or self._swings_adapting >= LOOSEN_EVERY
+        if first:
+            self._since_ns = self._doubted_ns
+        if changed:
+            self.status, self._swings_adapting = "adapting", 0
+        self._swings_adapting += 1
+        self.level = self._swing_level**0.5
+        self._follow_level(level)
+        if self._swings_adapting > PATIENCE_SWINGS:
+            self.status = "ambiguous"
+        return Heard(rows, changed, first)
+
+    def _follow_level(self, level: float) -> None:
+        share = LEVEL_SHARE_ADAPTING if self.status == "adapting" else LEVEL_SHARE
+        self.level = float(np.clip((1 - share) * self.level + share * level, *LEVEL_RANGE))
+
+    def _settle(self, level: float) -> None:
+        if self.status == "valid":
+            return
+        self._swings_adapting += 1
+        self._settled = self._settled + 1 if level < SETTLED_LEVEL else 0
+        patient = self._swings_adapting > PATIENCE_SWINGS
+        if self._settled >= SETTLED_SWINGS or patient:
+            self.status = "valid"
+            self._since_ns = self.kind = None
+            self._swings_adapting = 0
+
+
+@functools.cache
+def _doubt_limit(dof: int) -> float:
+    """Mean level of so many degrees of freedom above which a lift is doubted."""
+    return DOUBT_SLACK * float(stats.chi2.isf(DOUBT_PROBABILITY, dof)) / dof

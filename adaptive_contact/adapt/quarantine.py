@@ -1,0 +1,132 @@
+"""Holds back the ticks of the swing in hand, and hands on what is found to be free.
+
+Between the detector, which judges every tick, and the follower, which learns: a lift goes on at
+its top, a descent once the swing is over, and nothing of a foot that is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.segments import Row, SwingBook
+from adaptive_contact.adapt.swing import SwingWatch
+
+__all__ = ["Quarantine"]
+
+Array = NDArray[np.float64]
+
+
+class Quarantine:
+    """The swing in hand of one leg.
+
+    Args:
+        swing: where the leg is in it; followed by its owner.
+
+    Attributes:
+        follower: who learns; None while there is no model.
+    """
+
+    def __init__(self, swing: SwingWatch) -> None:
+        self.follower: Follower | None = None
+        self._swing = swing
+        self._book = SwingBook()
+        self._open = False
+        self._region = 0
+
+    @property
+    def lift_first(self) -> bool:
+        """Whether an alarm waits: a foot on its way up speaks of the leg, to be heard at its top.
+
+        What stops it from the side or from above does not let it come up any further.
+        """
+        return self._gated and self._swing.rising and not self._book.topped
+
+    @property
+    def lift_over(self) -> bool:
+        """Whether a leg that never was calm is judged from here on: its lift has been.
+
+        The foot comes up for some ticks after its command came down; only then the lift has told
+        whether it is the leg that has changed.
+        """
+        return self._swing.descending and (not self._gated or self._book.topped)
+
+    @property
+    def _gated(self) -> bool:
+        return self.follower is not None and self.follower.gated
+
+    def begin(self, t_ns: int) -> None:
+        """A swing begins."""
+        self._open = True
+        self._book.begin(t_ns)
+        if self.follower is not None:
+            self.follower.monitor.begin_swing()
+
+    def break_off(self) -> None:
+        """What comes does not connect: the swing cannot be resolved, and is not learned."""
+        self._book.discard()
+
+    def restart(self) -> None:
+        """The source started anew: there is no swing."""
+        self._open = False
+        self._book.discard()
+
+    def enter(
+        self, theta: Array, target: Array, distance: float, *, t_ns: int, at: Sequence[float],
+        free: bool,
+    ) -> None:  # fmt: skip
+        """Enter a judged tick, and hand on the lift where this tick is past its top.
+
+        Args:
+            theta: (p,) regressors that predicted it.
+            target: (J,) rad, the movement that was measured.
+            distance: of its residual from zero, whitened by the level in force, squared.
+            t_ns: of the tick.
+            at: (J,) rad, the command in force.
+            free: the leg had been found free before, and is not held to touch.
+        """
+        follower, swing = self.follower, self._swing
+        if follower is None or not follower.learning:
+            return
+        # The model's own doubt is part of the unit; the followed level is not.
+        level = distance * follower.monitor.level_in_force / len(target)
+        row = Row(theta, target, level, t_ns, swing.rising, free, swing.cleared)
+        if follower.mode is LearnerMode.UNGATED:
+            follower.learn_now(row)
+            return
+        self._book.add(row, swing.ticks, descending=swing.descending)
+        follower.monitor.look(level)
+        lift = self._book.take_lift()
+        if lift is None:
+            return
+        held = swing.judge_lift()
+        if held is not None:
+            follower.monitor.foot_held(held=held)
+        if swing.lifted and not swing.held:
+            self._region = _region(at)
+            follower.lift(lift, self._region, t_ns)
+
+    def alarm(self, onset_ns: int, period_ns: int) -> None:
+        """A contact was reported: what came well before its onset is free."""
+        self._confirm(self._book.alarm(onset_ns, period_ns))
+
+    def resolve(self) -> None:
+        """The leg stands: the swing is over, without an alarm or with one that was dealt with."""
+        if not self._open or self.follower is None:
+            return
+        self._open = False
+        self._confirm(self._book.resolve())
+        self.follower.swing_done()
+
+    def _confirm(self, rows: list[Row]) -> None:
+        if self.follower is not None and rows and not self._swing.held:
+            self.follower.descent(rows, self._region)
+
+
+def _region(at: Sequence[float]) -> int:
+    """A coarse place in the workspace: where the first joint points, and how far it reaches."""
+    first, bend = at[0], at[-1]
+    return int(first > 0.2) - int(first < -0.2) + 1 + 3 * int(bend > -1.4)
