@@ -98,7 +98,7 @@ def record_arrays(
         The run.
 
     Raises:
-        SimulationDiverged: the physics blew up.
+        SimulationDivergedError: the physics blew up.
     """
     sim = Simulation(settings, parameters)
     n, legs, joints = round(seconds / settings.period_s), len(LEGS), len(JOINTS)

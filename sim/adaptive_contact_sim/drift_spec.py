@@ -80,7 +80,7 @@ def drift_from(fields: Mapping[str, Any], *, at_s: float | None = None, where: s
     start = table.pop("at_s", 0.0) if at_s is None else at_s
     _refuse_unknown(table, (*Drift.__struct_fields__, "at_s"), where)
     if "value" not in table:
-        kind = KINDS.get(table.get("kind"))  # type: ignore[arg-type]
+        kind = next((k for name, k in KINDS.items() if name == table.get("kind")), None)
         unit = "" if kind is None else f" in {kind.unit}, {kind.low:g} to {kind.high:g}"
         raise ConfigurationError(f"{where}: has no value; give value=NUMBER{unit}")
     if isinstance(start, bool) or not isinstance(start, int | float) or not math.isfinite(start):
@@ -114,15 +114,16 @@ def _refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) 
 
 
 def _number(key: str, value: str, text: str) -> float | int:
-    kind = _KEYS[key]
+    number: float | int
+    whole = _KEYS[key] is int
     try:
-        number = kind(value)
+        number = int(value) if whole else float(value)
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        expected = "a whole number" if kind is int else "a number"
+        expected = "a whole number" if whole else "a number"
         raise ConfigurationError(f"drift '{text}': {key} is '{value}'; expected {expected}")
-    return number  # type: ignore[no-any-return]
+    return number
 
 
 def _time(when: str, text: str) -> float:

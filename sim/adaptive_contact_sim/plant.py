@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.elements import LEGS, PARTS, Elements
 from adaptive_contact_sim.gear import GearTrain
 from adaptive_contact_sim.servo import ServoBank, ServoParameters
@@ -165,7 +165,7 @@ class Plant:
         """Make one control tick's physics steps, the goals being written before.
 
         Raises:
-            SimulationDiverged: the state is no longer finite, or absurdly fast.
+            SimulationDivergedError: the state is no longer finite, or absurdly fast.
         """
         try:
             # A NaN shows first where a position becomes a number of steps.
@@ -287,8 +287,8 @@ class Plant:
                 f"below {_ABSURD_JOINT_RAD_S:.0f} and {_ABSURD_BODY:.0f}"
             )
 
-    def _diverged(self, what: str) -> SimulationDiverged:
-        return SimulationDiverged(
+    def _diverged(self, what: str) -> SimulationDivergedError:
+        return SimulationDivergedError(
             f"at {self.time_s:.3f} s {what}; try a milder drift, or report the command and seed"
         )
 

@@ -86,7 +86,7 @@ def record_file(settings: SimulationSettings, seconds: float, path: str | Path) 
 
     Raises:
         RecordingError: the file cannot be written.
-        SimulationDiverged: the physics blew up; the file holds all until then.
+        SimulationDivergedError: the physics blew up; the file holds all until then.
     """
     sim = Simulation(settings)
     with TickRecorder(Path(path), sim) as recorder:

@@ -205,7 +205,7 @@ class Simulation:
             certain by its end.
 
         Raises:
-            SimulationDiverged: the physics blew up.
+            SimulationDivergedError: the physics blew up.
         """
         t_ns, seq = self.t_ns, self.ticks
         self.advance()

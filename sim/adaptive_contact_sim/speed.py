@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from adaptive_contact.adapt import Baseline, ContactLearner
 from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.refit import Job
 from adaptive_contact.robot import Robot
+from adaptive_contact.service.refits import ProcessRefitter
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_sim.evaluate import samples_of
 
@@ -18,29 +22,64 @@ __all__ = ["TickSpeed", "tick_speed"]
 
 @dataclass(frozen=True)
 class TickSpeed:
-    """Time of one control tick of all legs in the learners.
+    """Time of one control tick of all legs in the learners, their refits in a worker as in `serve`.
 
     Attributes:
         median_ms, p99_ms: of a tick.
-        leg_ticks_per_s: of processor time, messages not counted.
+        refitting_ms: the 99th percentile of the ticks during which a refit was under way.
+        refitting: how many of the ticks those were.
+        leg_ticks_per_s: of this process's time, messages not counted.
     """
 
     legs: int
+    ticks: int
     median_ms: float
     p99_ms: float
+    refitting_ms: float
+    refitting: int
     leg_ticks_per_s: float
+
+
+class _Watched(ProcessRefitter):
+    """Counts the jobs that are under way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: set[str] = set()
+
+    def submit(self, job: Job) -> None:
+        self.open.add(job.leg)
+        super().submit(job)
+
+    def collect(self, leg: str, number: int) -> object | None:
+        result = super().collect(leg, number)
+        if result is not None:
+            self.open.discard(leg)
+        return result
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
     """Measure :func:`~adaptive_contact.adapt.learner.advance` over a run of all legs."""
     legs = list(run.legs)
-    learners = [ContactLearner(robot, leg, baseline) for leg in legs]
-    spent = []
-    begun = time.process_time()
-    for samples in zip(*(samples_of(run, leg) for leg in legs), strict=True):
-        start = time.perf_counter()
-        advance(list(zip(learners, samples, strict=True)))
-        spent.append(time.perf_counter() - start)
-    total = time.process_time() - begun
-    median, p99 = np.percentile(spent, (50, 99)) * 1e3
-    return TickSpeed(len(legs), float(median), float(p99), len(spent) * len(legs) / total)
+    refitter = _Watched()
+    with threadpool_limits(1), contextlib.closing(refitter):
+        learners = [ContactLearner(robot, leg, baseline, refitter=refitter) for leg in legs]
+        spent, during = [], []
+        begun = time.process_time()
+        for samples in zip(*(samples_of(run, leg) for leg in legs), strict=True):
+            start = time.perf_counter()
+            advance(list(zip(learners, samples, strict=True)))
+            spent.append(time.perf_counter() - start)
+            during.append(bool(refitter.open))
+        total = time.process_time() - begun
+    took, refitting = np.array(spent) * 1e3, np.array(during)
+    median, p99 = np.percentile(took, (50, 99))
+    return TickSpeed(
+        legs=len(legs),
+        ticks=len(spent),
+        median_ms=float(median),
+        p99_ms=float(p99),
+        refitting_ms=float(np.percentile(took[refitting], 99)) if refitting.any() else float("nan"),
+        refitting=int(refitting.sum()),
+        leg_ticks_per_s=len(spent) * len(legs) / total,
+    )

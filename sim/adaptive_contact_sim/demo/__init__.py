@@ -6,8 +6,8 @@ injects the drift with a third, and judges what was recorded.
 
 from __future__ import annotations
 
-from adaptive_contact_sim.demo.conduct import Stopped
+from adaptive_contact_sim.demo.conduct import StoppedError
 from adaptive_contact_sim.demo.run import run_demo
 from adaptive_contact_sim.demo.settings import DemoSettings
 
-__all__ = ["DemoSettings", "Stopped", "run_demo"]
+__all__ = ["DemoSettings", "StoppedError", "run_demo"]

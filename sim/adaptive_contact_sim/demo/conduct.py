@@ -27,7 +27,7 @@ from adaptive_contact_sim.demo.display import Display
 from adaptive_contact_sim.demo.listening import Listening
 from adaptive_contact_sim.demo.settings import DemoSettings
 
-__all__ = ["Stopped", "Take", "conduct"]
+__all__ = ["StoppedError", "Take", "conduct"]
 
 _READY = re.compile(r"listening on (\S+?)[;,]")
 _INJECTED = re.compile(r"^\{.*\}$")
@@ -40,7 +40,7 @@ _SETTLE_S: Final = 3.0
 _SLOWEST: Final = 3.0
 
 
-class Stopped(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
+class StoppedError(Exception):
     """The run was stopped before its end."""
 
 
@@ -71,7 +71,7 @@ def conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threading
         stop: ends the run early when set.
 
     Raises:
-        Stopped: ``stop`` was set.
+        StoppedError: ``stop`` was set.
         AdaptiveContactError: a process failed; in one line, with its last words.
     """
     try:
@@ -79,7 +79,7 @@ def conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threading
     except AdaptiveContactError:
         # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
         if stop.is_set():
-            raise Stopped from None
+            raise StoppedError from None
         raise
 
 
@@ -103,7 +103,7 @@ def _conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threadin
         until_s = time.monotonic() + _START_S + _SLOWEST * settings.seconds
         while simulator.running:
             if stop.wait(_REFRESH_S):
-                raise Stopped
+                raise StoppedError
             _must_run(service)
             recording.check()
             run.step(feed.view(time.monotonic_ns()))
@@ -113,7 +113,7 @@ def _conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threadin
                     "this machine is too slow for real time"
                 )
         if stop.is_set():
-            raise Stopped
+            raise StoppedError
         simulator.check()
         run.finish()
         last = _settle(feed, recorder, robot, stop)
@@ -245,4 +245,4 @@ def _settle(feed: Feed, recorder: Recorder, robot: Robot, stop: threading.Event)
         if done or time.monotonic() >= until_s:
             return view
         if stop.wait(_REFRESH_S):
-            raise Stopped
+            raise StoppedError

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact_sim.demo.conduct import Stopped, conduct
+from adaptive_contact_sim.demo.conduct import StoppedError, conduct
 from adaptive_contact_sim.demo.display import display
 from adaptive_contact_sim.demo.settings import DemoSettings
 from adaptive_contact_sim.demo.summary import as_table, figures, write_summary
@@ -31,7 +31,7 @@ def run_demo(settings: DemoSettings, console: Console, stop: threading.Event) ->
         What was found; files lie in ``settings.out``.
 
     Raises:
-        Stopped: ``stop`` was set.
+        StoppedError: ``stop`` was set.
         MissingExtraError: matplotlib is not installed; said before anything is started.
         AdaptiveContactError: in one line, what went wrong.
     """
@@ -45,7 +45,7 @@ def run_demo(settings: DemoSettings, console: Console, stop: threading.Event) ->
     take = conduct(settings, robot, display(console, settings), stop)
     verdict = judge(settings.recording, robot, take.drift_ns, settings.leg)
     if stop.is_set():
-        raise Stopped
+        raise StoppedError
     write_summary(settings.summary, figures(settings, take, verdict))
     draw(settings.report, settings, verdict)
     console.print()

@@ -116,7 +116,7 @@ def record_all(
         progress: told the seconds of every piece as it is done.
 
     Raises:
-        SimulationDiverged: the physics of one blew up.
+        SimulationDivergedError: the physics of one blew up.
     """
     # Legs of one hung-up robot come from one simulation.
     jobs: dict[str, _Job] = {}

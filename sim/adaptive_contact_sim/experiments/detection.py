@@ -83,10 +83,12 @@ def detection(
     quiet = {role: _quiet(root, plan, role) for role in ("free", "stand")}
     touched = _touched(store, root, plan)
     figures: dict[str, Any] = {}
+    outcomes: dict[str, list[LegOutcome]] = {}
     for name in (DEFAULT, *DETECTORS):
-        outcomes = [_outcome(t, name) for t in touched]
-        figures[name] = _figures(name, touched, outcomes, quiet)
+        outcomes[name] = [_outcome(t, name) for t in touched]
+        figures[name] = _figures(name, touched, outcomes[name], quiet)
         progress(1.0)
+    figures[DEFAULT]["misses"] = _misses(touched, outcomes)
     return {
         "detectors": {DEFAULT: "default: servo law, likelihood ratio, online"}
         | {name: d.title for name, d in DETECTORS.items()},
@@ -194,7 +196,7 @@ def _figures(
         "false_alarms": alarms,
         "by_speed": _binned(outcomes, "speed_m_s", _SPEED_EDGES_M_S, (Row.SOFT, Row.GRAZING)),
         "by_force": _binned(outcomes, "force_n", _FORCE_EDGES_N, (Row.GRAZING,)),
-        "misses": _misses(touched, outcomes),
+        "headline_kinds": _headline_kinds(touched, outcomes),
     }
     if name == DEFAULT:
         figures["free_kinds"] = {
@@ -304,15 +306,33 @@ def _binned(
     return bins
 
 
-def _misses(touched: Sequence[_Touched], outcomes: Sequence[LegOutcome]) -> list[dict[str, Any]]:
-    """Headline touches that were missed, the first of them."""
+def _headline_kinds(
+    touched: Sequence[_Touched], outcomes: Sequence[LegOutcome]
+) -> dict[str, dict[str, Any]]:
+    """The headline row by kind of stream."""
+    found: dict[str, dict[str, Any]] = {}
+    for kind in dict.fromkeys(t.piece.kind for t in touched):
+        own = summarise([o for o, t in zip(outcomes, touched, strict=True) if t.piece.kind == kind])
+        row = own.rows.get(Row.HEADLINE)
+        if row is not None and row.touches:
+            found[kind] = _row_figures(row)
+    return found
+
+
+def _misses(
+    touched: Sequence[_Touched], outcomes: dict[str, list[LegOutcome]]
+) -> list[dict[str, Any]]:
+    """Headline touches that the default missed, the first of them, and who found them."""
     headline = ROWS.index(Row.HEADLINE)
     found = []
-    for t, outcome in zip(touched, outcomes, strict=True):
+    for number, (t, outcome) in enumerate(zip(touched, outcomes[DEFAULT], strict=True)):
         table = outcome.touches
         for i in np.flatnonzero((table.row == headline) & ~table.found):
+            # Touches are of the truth: the same in every detector's table.
+            by = [n for n in DETECTORS if outcomes[n][number].touches.found[i]]
             found.append(
                 {
+                    "found_by": by,
                     "leg_run": t.piece.leg_run.name,
                     "kind": t.piece.kind,
                     "t_s": float(table.onset_ns[i] / 1e9),

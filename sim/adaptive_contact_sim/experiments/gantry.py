@@ -45,7 +45,7 @@ def record_gantry(settings: GantrySettings, seconds: float) -> dict[str, LegArra
         Every leg's stream; no leg ever touches anything.
 
     Raises:
-        SimulationDiverged: the physics blew up.
+        SimulationDivergedError: the physics blew up.
     """
     plant = Plant(
         _hung_up(),

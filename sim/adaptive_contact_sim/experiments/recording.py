@@ -79,7 +79,7 @@ def record_leg(settings: SimulationSettings, leg: str, seconds: float) -> LegArr
         seconds: simulated time.
 
     Raises:
-        SimulationDiverged: the physics blew up.
+        SimulationDivergedError: the physics blew up.
     """
     sim = simulation_of(settings)
     i = LEGS.index(leg)

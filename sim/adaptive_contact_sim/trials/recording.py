@@ -133,7 +133,7 @@ def record(spec: RecordingSpec) -> Recording:
     """Simulate, as fast as possible.
 
     Raises:
-        SimulationDiverged: the physics blew up.
+        SimulationDivergedError: the physics blew up.
     """
     settings = spec.settings
     sim = Simulation(settings)
@@ -221,7 +221,7 @@ def made(spec: RecordingSpec, folder: Path) -> Recording:
 
     Raises:
         ConfigurationError: it cannot be written.
-        SimulationDiverged: the physics blew up.
+        SimulationDivergedError: the physics blew up.
     """
     path = file_of(spec, folder)
     found = load(path)

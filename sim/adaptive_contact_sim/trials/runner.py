@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from zipfile import is_zipfile
 
-from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.trials.recording import file_of, key_of, made
 from adaptive_contact_sim.trials.replay import (
     load_replay,
@@ -167,7 +167,7 @@ def run(
 def _do(job: Job, folders: Folders) -> Done:
     try:
         recording = made(job.recording, folders.recordings)
-    except SimulationDiverged as error:
+    except SimulationDivergedError as error:
         seed = job.recording.settings.seed
         return Done(job, f"the run with seed {seed} has no recording: {error}")
     for spec in job.replays:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import SimulationDiverged
+from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.wire import truth_key
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
@@ -141,7 +141,7 @@ class ProcessSource:
         try:
             got = self._pipe.recv()
         except (EOFError, ConnectionResetError):
-            raise SimulationDiverged(
+            raise SimulationDivergedError(
                 "the physics ended unexpectedly; see the lines above, and report them"
             ) from None
         if isinstance(got, Exception):

@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.plant import Touch
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
 from adaptive_contact_sim.virtual.horns import Horns
@@ -150,7 +150,7 @@ class QuadrupedPlant:
         """Make one physics step of 1 ms.
 
         Raises:
-            SimulationDiverged: the state is no longer finite, or absurdly fast.
+            SimulationDivergedError: the state is no longer finite, or absurdly fast.
         """
         error = np.rint(self.goal / STEP_RAD) - np.rint(self.angles / STEP_RAD)
         duty = np.clip(_GAIN * error / _PWM, -1.0, 1.0)
@@ -160,7 +160,7 @@ class QuadrupedPlant:
         self.forces = self.data.sensordata[self._touch].sum(axis=1)
         fastest = float(np.abs(self.speeds).max())
         if not fastest < _ABSURD_RAD_S:
-            raise SimulationDiverged(
+            raise SimulationDivergedError(
                 f"at {self.steps * _STEP_S:.3f} s a joint turns at {fastest:.3g} rad/s; expected "
                 f"below {_ABSURD_RAD_S:.0f}; report the scenario and seed"
             )

@@ -163,7 +163,7 @@ def record(scenario: Scenario) -> Recorded:
     """Simulate a scenario, as fast as possible.
 
     Raises:
-        SimulationDiverged: the physics blew up.
+        SimulationDivergedError: the physics blew up.
     """
     seeds = np.random.SeedSequence(scenario.seed).spawn(len(LEGS) + 1)
     rng = np.random.default_rng(seeds[-1])
