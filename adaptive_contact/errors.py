@@ -10,7 +10,7 @@
     ├── IdentificationError         a fit that cannot be made (too few rows, empty library)
     ├── LinkError                   Zenoh cannot be reached, or refuses
     ├── BusError                    a Dynamixel bus that cannot be used
-    └── SimulationDiverged          the simulated robot left the range of the possible
+    └── SimulationDivergedError          the simulated robot left the range of the possible
 
 Every message is one line: what was found, what was expected, what to do.
 Bad *samples* never raise; they are counted by :class:`adaptive_contact.wire.Reject`.
@@ -27,7 +27,7 @@ __all__ = [
     "LinkError",
     "MissingExtraError",
     "RecordingError",
-    "SimulationDiverged",
+    "SimulationDivergedError",
 ]
 
 
@@ -70,5 +70,5 @@ class BusError(AdaptiveContactError):
     """A Dynamixel bus cannot be used."""
 
 
-class SimulationDiverged(AdaptiveContactError):  # noqa: N818 - an event, not a mistake
+class SimulationDivergedError(AdaptiveContactError):
     """The simulated robot left the range of the physically possible."""

@@ -95,7 +95,7 @@ def system(robot: Robot, stream: Stream, name: str, window: Window):
     ("name", "window", "threshold", "sparse"),
     [
         ("servo", Window(), 0.0, False),
-        ("servo", Window(), 0.1, True),
+        ("servo", Window(), 0.3, True),
         ("servo", Window(), 0.5, True),
         ("paper", SMALL, 0.1, False),
         ("paper", SMALL, 10.0, True),

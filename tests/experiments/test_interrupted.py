@@ -13,7 +13,9 @@ from typing import Any
 
 # The command itself, on a plan that takes seconds: six parts to simulate, two processes.
 _COMMAND = """
-import dataclasses, sys
+import dataclasses, signal, sys
+# A suite that a shell runs in the background inherits that SIGINT is ignored; a terminal's is not.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from adaptive_contact_sim.experiments import plan
 plan.QUICK = dataclasses.replace(plan.QUICK, train_segments=200, test_segments=80)
 plan._PART_SEGMENTS = 40

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptive_contact.errors import ConfigurationError, SimulationDiverged
+from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.elements import JOINTS, LEGS, PARTS, Elements, servo_indices
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.obstacles import ObstacleSettings
@@ -132,7 +132,7 @@ def test_divergence_raises(bad: float) -> None:
     sim = Simulation(SimulationSettings())
     sim.advance()
     sim.plant.data.qvel[8] = bad
-    with pytest.raises(SimulationDiverged, match="at 0"):
+    with pytest.raises(SimulationDivergedError, match="at 0"):
         sim.advance()
 
 
