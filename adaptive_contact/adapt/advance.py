@@ -6,107 +6,126 @@ This is what makes six legs cost little more than one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.tracker import Tracker
-from adaptive_contact.detect import statistic
+from adaptive_contact.adapt.block import Block
 from adaptive_contact.identify import Domain
 from adaptive_contact.wire import ContactEvent, ServoSample
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.learner import ContactLearner
 
-__all__ = ["Verdict", "advance", "within_domain"]
+__all__ = ["Team", "within_domain"]
 
 Array = NDArray[np.float64]
 
 
-class Verdict(NamedTuple):
-    """What the statistic says of a tick.
-
-    Attributes:
-        scores: statistic over threshold for each window, NaN where it reaches too far back.
-        distance: of the last residual from zero, whitened and squared, in any direction.
-    """
-
-    scores: list[float]
-    distance: float
-
-    @property
-    def score(self) -> float:
-        """The largest."""
-        # The window of one tick is always usable; longer ones may be NaN, which `max` passes over
-        # when it does not come first.
-        return max(self.scores)
-
-
-def advance(
-    work: Sequence[tuple[ContactLearner, ServoSample]],
-) -> list[ContactEvent | None]:
-    """Take several learners one sample further, each with its own.
+class Team:
+    """Learners that go through time together.
 
     Args:
-        work: learners, each at most once, with the sample that is next for it.
-
-    Returns:
-        The event of each, or None.
+        learners: any, of one robot or of several.
     """
-    events: list[ContactEvent | None] = [None] * len(work)
-    admitted = [i for i, (learner, sample) in enumerate(work) if learner.admit(sample)]
-    judged = [i for i in admitted if work[i][0].observe(work[i][1])]
-    said = dict(zip(judged, _verdicts([work[i][0] for i in judged]), strict=True))
-    ready: list[Tracker] = []
-    for i in admitted:
-        learner, sample = work[i]
-        events[i] = learner.decide(said.get(i), sample)
-        if learner.command(sample):
-            assert learner.tracker is not None
-            ready.append(learner.tracker)
-        elif learner.tracker is not None:
-            learner.tracker.predicted = False
-        learner.learn()
-    _predict(ready)
-    return events
+
+    def __init__(self, learners: Sequence[ContactLearner]) -> None:
+        self.learners = tuple(learners)
+        self._blocks: list[tuple[Block, list[int]]] = []
+        self._without = list(range(len(self.learners)))  # a model, and so without a block
+        self._homes: list[Block | None] = [None] * len(self.learners)
+
+    def advance(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
+        """Take learners one sample further, each with its own.
+
+        Args:
+            samples: the next of each learner, None where there is none.
+
+        Returns:
+            The event of each, or None.
+        """
+        events: list[ContactEvent | None] = [None] * len(self.learners)
+        admitted = [
+            sample is not None and learner.admit(sample)
+            for learner, sample in zip(self.learners, samples, strict=True)
+        ]
+        self._settle()
+        for i in self._without:
+            sample = samples[i]
+            if admitted[i] and sample is not None:
+                self.learners[i].watch(sample)
+        for block, places in self._blocks:
+            rows: list[int] = []
+            work: list[tuple[int, ContactLearner, ServoSample]] = []
+            for row, i in enumerate(places):
+                sample = samples[i]
+                if admitted[i] and sample is not None:
+                    rows.append(row)
+                    work.append((i, self.learners[i], sample))
+            if rows:
+                _tick(block, rows, work, events)
+        return events
+
+    def _settle(self) -> None:
+        """Give every learner its place anew if one has got, changed or lost its tracker."""
+        for learner, home in zip(self.learners, self._homes, strict=True):
+            tracker = learner.tracker
+            if tracker is not None and (home is None or tracker.home is not home):
+                break
+            if tracker is None and home is not None:
+                break
+        else:
+            return
+        groups: list[list[int]] = []
+        self._without = []
+        for i, learner in enumerate(self.learners):
+            if learner.tracker is None:
+                self._without.append(i)
+                continue
+            for group in groups:
+                if self.learners[group[0]].alike(learner):
+                    group.append(i)
+                    break
+            else:
+                groups.append([i])
+        self._blocks = [(Block([self.learners[i] for i in group]), group) for group in groups]
+        trackers = [learner.tracker for learner in self.learners]
+        self._homes = [None if tracker is None else tracker.home for tracker in trackers]
 
 
-def _verdicts(learners: Sequence[ContactLearner]) -> list[Verdict]:
-    """The statistic of each learner's tick; those with as many joints go together."""
-    if not learners:
-        return []
-    trackers = [learner.tracker for learner in learners]
-    assert all(t is not None for t in trackers)
-    if len({t.residuals.shape for t in trackers if t is not None}) > 1:
-        return [verdict for learner in learners for verdict in _verdicts([learner])]
-    said = statistic(
-        np.array([t.residuals for t in trackers if t is not None]),
-        np.array([t.increments for t in trackers if t is not None]),
-        np.array([learner.whitening for learner in learners]),
-        np.array([t.usable for t in trackers if t is not None]),
+def _tick(
+    block: Block,
+    rows: list[int],
+    work: list[tuple[int, ContactLearner, ServoSample]],
+    events: list[ContactEvent | None],
+) -> None:
+    """One tick of a block: some of its rows, with their place, learner and sample."""
+    trackers = block.trackers
+    block.take(
+        rows,
+        [
+            trackers[row].repair(sample.measured, sample.valid)
+            for row, (_, _, sample) in zip(rows, work, strict=True)
+        ],
     )
-    scores = said.value / np.array([learner.thresholds for learner in learners])
-    return [
-        Verdict(row, distance)
-        for row, distance in zip(scores.tolist(), said.distance.tolist(), strict=True)
+    judged = [
+        row for row, (_, learner, sample) in zip(rows, work, strict=True) if learner.observe(sample)
     ]
-
-
-def _predict(trackers: Sequence[Tracker]) -> None:
-    """Predict the next tick of each; legs with the same library go together."""
-    if not trackers:
-        return
-    first = trackers[0].model.library
-    if any(t.model.library is not first and t.model.library != first for t in trackers[1:]):
-        for tracker in trackers:
-            _predict([tracker])
-        return
-    theta = first.evaluate_flat(np.array([t.window for t in trackers]))
-    coefficients = np.array([t.model.coefficients for t in trackers])
-    increments = np.matmul(theta[:, None, :], coefficients)[:, 0]
-    for tracker, row, increment in zip(trackers, theta, increments, strict=True):
-        tracker.foresee(row, increment)
+    said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
+    ready = []
+    for row, (i, learner, sample) in zip(rows, work, strict=True):
+        verdict = said.get(row)
+        if verdict is not None:
+            events[i] = learner.decide(verdict, sample)
+        if learner.command(sample):
+            ready.append(row)
+        else:
+            trackers[row].predicted = False
+        learner.learn()
+    block.push(rows, [sample.desired for _, _, sample in work])
+    if ready:
+        block.predict(ready)
 
 
 def within_domain(

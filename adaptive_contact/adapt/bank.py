@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
@@ -41,6 +41,7 @@ class LearnerBank:
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
         self._learners: dict[str, ContactLearner] = {}
+        self._team = Team(())
 
     @property
     def legs(self) -> tuple[str, ...]:
@@ -70,6 +71,7 @@ class LearnerBank:
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
         self._learners[leg] = ContactLearner(robot, leg, self.baseline, refitter=self._refitter)
+        self._team = Team(tuple(self._learners.values()))
         return self._learners[leg]
 
     def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
@@ -82,9 +84,9 @@ class LearnerBank:
         Returns:
             The events they decide, in the order of ``samples``.
         """
-        work = []
         for leg, sample in samples.items():
-            learner = self.learner(leg, len(sample.measured))
-            if learner is not None:
-                work.append((learner, sample))
-        return [event for event in advance(work) if event is not None]
+            if leg not in self._learners:
+                self.learner(leg, len(sample.measured))
+        events = self._team.advance([samples.get(leg) for leg in self._learners])
+        decided = dict(zip(self._learners, events, strict=True))
+        return [event for leg in samples if (event := decided.get(leg)) is not None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -51,7 +51,8 @@ class Challenger:
         self._jobs = 0
         self._pending: tuple[int, int] | None = None  # job, ticks to go
         self._candidate: Array | None = None
-        self._gains: list[float] = []
+        # How far champion (over the noise) and candidate were off in the rows of its trial.
+        self._off: list[tuple[Sequence[float], Array]] = []
         self._tally = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
         self._reason: str | None = None
 
@@ -92,29 +93,40 @@ class Challenger:
         if result.status is not FitStatus.OK:
             self._refuse(f"the fit ended with '{result.status}'")
             return
-        self._candidate, self._gains = result.coefficients, []
+        self._candidate, self._off = result.coefficients, []
 
-    def compare(self, row: Row, model: LegModel) -> LegModel | None:
-        """Try the candidate on a row that neither has seen; the new model if it has won."""
+    @property
+    def trying(self) -> bool:
+        """Whether there is a candidate that wants :meth:`compare`."""
+        return self._candidate is not None
+
+    def compare(self, row: Row, champion: Sequence[float], model: LegModel) -> LegModel | None:
+        """Try the candidate on a row that neither has seen; the new model if it has won.
+
+        Args:
+            row: of a confirmed tick.
+            champion: (J,) how far the model in force was off there, over the noise.
+            model: in force.
+        """
         if self._candidate is None:
             return None
-        champion = np.square((row.target - row.theta @ model.coefficients) / self._noise)
-        candidate = np.square((row.target - row.theta @ self._candidate) / self._noise)
-        # One wild reading must not decide.
-        gain = np.minimum(champion, 25.0) - np.minimum(candidate, 25.0)
-        self._gains.append(float(gain.mean()))
-        if len(self._gains) < TRIAL_ROWS:
+        self._off.append((champion, row.target - row.theta @ self._candidate))
+        if len(self._off) < TRIAL_ROWS:
             return None
         coefficients, self._candidate = self._candidate, None
-        mean = float(np.mean(self._gains))
-        errors = mean / max(float(np.std(self._gains)) / len(self._gains) ** 0.5, 1e-12)
+        of_champion = np.square([champion for champion, _ in self._off])
+        of_candidate = np.square(np.array([off for _, off in self._off]) / self._noise)
+        # One wild reading must not decide.
+        gain = (np.minimum(of_champion, 25.0) - np.minimum(of_candidate, 25.0)).mean(axis=1)
+        mean = float(gain.mean())
+        errors = mean / max(float(gain.std()) / len(gain) ** 0.5, 1e-12)
         words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
         if errors < PROMOTE_ERRORS:
             self._refuse(words)
             return None
         self._tally["promoted"] += 1
         self._reason = f"promoted: {words}"
-        return dataclasses.replace(model, coefficients=coefficients, version=model.version + 1)
+        return model.moved(coefficients, model.version + 1)
 
     def withdraw(self) -> None:
         """The leg has changed: what was fitted to its past is void."""

@@ -165,9 +165,7 @@ class Follower:
         """
         if self._queue:
             for _ in range(min(self._share(budget), len(self._queue))):
-                row = self._queue.popleft()
-                self._compare(row)
-                self._rls.update(row.theta, row.target)
+                self._learn(self._queue.popleft())
             self._publish()
         self._challenger.tick()
 
@@ -287,12 +285,22 @@ class Follower:
         self.monitor.level = 1.0
         self._era += 1
 
+    def _learn(self, row: Row) -> None:
+        """Learn a row, and let a candidate, if there is one, be tried on it."""
+        innovations = self._rls.update(row.theta, row.target)
+        if self._challenger.trying:
+            self._promote(self._challenger.compare(row, innovations, self.model))
+
     def _compare(self, row: Row) -> None:
-        """Let a candidate, if there is one, be tried on a row before it is learned."""
-        promoted = self._challenger.compare(row, self.model)
-        if promoted is not None:
-            self.model = promoted
-            self._rls = self._recursion(promoted)
+        """Let a candidate be tried on a row that is not learned."""
+        if self._challenger.trying:
+            off = (row.target - row.theta @ self.model.coefficients) / self._noise
+            self._promote(self._challenger.compare(row, off.tolist(), self.model))
+
+    def _promote(self, model: LegModel | None) -> None:
+        if model is not None:
+            self.model = model
+            self._rls = self._recursion(model)
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:
         theta = np.array([row.theta for row in rows])
@@ -310,6 +318,4 @@ class Follower:
             self._rls = self._recursion(self._baseline)
             self._challenger.rolled_back("a coefficient was not finite")
             coefficients = self._rls.coefficients
-        self.model = dataclasses.replace(
-            self.model, coefficients=coefficients, version=max(1, self.model.version)
-        )
+        self.model = self.model.moved(coefficients, max(1, self.model.version))

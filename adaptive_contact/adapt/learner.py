@@ -1,8 +1,9 @@
 """The learner of one leg: samples in, contact events out.
 
 :class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
-state machine.  :func:`advance` takes several learners one tick further and evaluates their
-libraries and statistics together, which is what makes six legs cost little more than one.
+state machine.  A :class:`~adaptive_contact.adapt.advance.Team` takes several learners one tick
+further and evaluates their libraries and statistics together, which is what makes six legs cost
+little more than one.
 
 Recursive updates and refits have their place after the event: what a resolved swing confirms as
 free is learned there, a few rows per tick.
@@ -18,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.advance import Verdict, advance, within_domain
+from adaptive_contact.adapt.advance import Team, within_domain
 from adaptive_contact.adapt.baseline import (
     Baseline,
     LegBaseline,
@@ -27,6 +28,7 @@ from adaptive_contact.adapt.baseline import (
     thresholds_of,
     unlike,
 )
+from adaptive_contact.adapt.block import Verdict
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
@@ -39,6 +41,7 @@ from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import (
     ContactState,
     Decision,
+    NoiseModel,
     Tail,
     context_of,
     onset_fraction,
@@ -78,6 +81,12 @@ class ContactLearner:
         mode: how it follows changes of the leg.
         refitter: does the sparse refits; in line where absent.
 
+    Attributes:
+        tracker: the leg's recent past; None while there is no model.
+        thresholds: (windows,) of the statistic.
+        context: of the tick in hand, for its covariance.
+        unit: variance of its residual over the baseline's, one number or (J,).
+
     Raises:
         ConfigurationError: the robot has no such leg.
         BaselineError: the baseline belongs to another robot.
@@ -112,11 +121,12 @@ class ContactLearner:
         self._command_before = self._command
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
-        self._where = 0
+        self._alone: Team | None = None
+        self.context = 0
+        self.unit: Array | float = 1.0
         self.tracker: Tracker | None = None
         self.thresholds: Array | None = None
         self._quarantine = Quarantine(self._swing)
-        self._unit: Array | float = 1.0  # variance of this tick's residual over the baseline's
         self._cold: ColdStart | None = None
         self._started_cold = False
         if self._known is not None:
@@ -136,7 +146,9 @@ class ContactLearner:
         Returns:
             The change of contact that this sample decides, if it does.
         """
-        return advance([(self, sample)])[0]
+        if self._alone is None:
+            self._alone = Team([self])
+        return self._alone.advance([sample])[0]
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
@@ -154,12 +166,26 @@ class ContactLearner:
 
     @property
     def whitening(self) -> Array:
-        """(windows, J, J) for the context of the tick in hand."""
-        assert self._known is not None
-        whiten: Array = self._known.noise.whiten[self._where]
+        """(windows, J, J) for the tick in hand."""
+        whiten: Array = self.noise.whiten[self.context]
         # (J,) scales the columns, as it belongs to the residual's joints.
-        unit = self._unit
+        unit = self.unit
         return whiten / (math.sqrt(unit) if isinstance(unit, float) else np.sqrt(unit))
+
+    @property
+    def noise(self) -> NoiseModel:
+        """Residuals of the model known at the start, on free ticks."""
+        assert self._known is not None
+        return self._known.noise
+
+    def alike(self, other: ContactLearner) -> bool:
+        """Whether another's model is made of the same library, so that arrays can be shared."""
+        ours, theirs = self.tracker, other.tracker
+        if ours is None or theirs is None:
+            return False
+        return (
+            ours.model.library is theirs.model.library or ours.model.library == theirs.model.library
+        ) and self.noise.whiten.shape == other.noise.whiten.shape
 
     def drain_confirmed(self) -> list[int]:
         """Times of the ticks confirmed as free since the last call, ns."""
@@ -260,7 +286,7 @@ class ContactLearner:
         self._origin = origin if isinstance(origin, str) else "cold start"
         return None
 
-    # -- one tick, in the order `advance` calls it ----------------------------------------------
+    # -- one tick, in the order `Team` calls it -------------------------------------------------
 
     def admit(self, sample: ServoSample) -> bool:
         """Check a sample; True if it is to be judged and learned from."""
@@ -284,12 +310,16 @@ class ContactLearner:
             )
         return True
 
+    def watch(self, sample: ServoSample) -> None:
+        """A tick of a leg without a model: its commands are followed, a cold start goes on."""
+        self.command(sample)
+        self.learn()
+
     def observe(self, sample: ServoSample) -> bool:
-        """Take the reading into the window; True if its residual can be judged."""
+        """The tracker has taken the reading in; True if its residual can be judged."""
         tracker = self.tracker
-        if tracker is None:
-            return False
-        judged = tracker.observe(sample.measured, sample.valid)
+        assert tracker is not None
+        judged = tracker.judge()
         self._swing.observe(sample)
         if self._rate.off:  # the model speaks of ticks of another length
             tracker.restart()
@@ -298,23 +328,17 @@ class ContactLearner:
         if not judged or self._swing.ticks < 2:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
-        self._where = context_of(
+        self.context = context_of(
             self._command, self._command_before, self._swing.direction, self._quantum
         )
         if self._follower is not None and tracker.theta is not None:
-            self._unit = self._follower.variance(tracker.theta) * tracker.inflation
+            self.unit = self._follower.variance(tracker.theta) * tracker.inflation
         return True
 
-    def decide(self, verdict: Verdict | None, sample: ServoSample) -> ContactEvent | None:
-        """Turn the statistic of this tick into an event, or into none.
-
-        Args:
-            verdict: of this tick; None when it is not judged.
-            sample: the tick's.
-        """
+    def decide(self, verdict: Verdict, sample: ServoSample) -> ContactEvent | None:
+        """Turn the statistic of a tick that can be judged into an event, or into none."""
         tracker = self.tracker
-        if tracker is None or verdict is None:
-            return None
+        assert tracker is not None
         assert self.thresholds is not None
         loaded = self._state.loaded
         score, onset_ns = verdict.score, sample.t_ns
@@ -351,14 +375,17 @@ class ContactLearner:
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
-        """Take in the command written after the reading; True if a prediction is to be made."""
+        """Take in the command written after the reading; True if a prediction is to be made.
+
+        The tracker's window takes it in with those of the other legs.
+        """
         self._command_before, self._command = self._command, sample.desired
         self._swing.command()
         if self.tracker is None:
             return False
         preview = None if sample.preview is None else np.array(sample.preview)
-        ready = self.tracker.command(np.array(sample.desired), preview)
-        if self.tracker.full and not ready:
+        ready = self.tracker.commanded(preview)
+        if not ready and self.tracker.full:
             self._tally.counts["no_preview"] += 1
         # Between swings nothing is judged; who needs a prediction there asks the tracker.
         return ready and self._swing.ticks > 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from adaptive_contact.detect.noise import WINDOWS
 from adaptive_contact.identify import LegModel
 
-__all__ = ["LIFT_OFF_TICKS", "MAX_STEP_RAD_S", "Tracker"]
+if TYPE_CHECKING:
+    from adaptive_contact.adapt.block import Block
+
+__all__ = ["LIFT_OFF_TICKS", "MAX_STEP_RAD_S", "Tracker", "push", "take"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,30 +48,43 @@ UNSURE_VARIANCE: Final = 2.5
 
 
 class Tracker:
-    """Ring-free small arrays, lag 0 first: shifting a handful of rows is cheaper than indexing."""
+    """Ring-free small arrays, lag 0 first: shifting a handful of rows is cheaper than indexing.
+
+    Args:
+        model: that predicts.
+        quantum_rad: position step of the servos.
+
+    Attributes:
+        home: where the arrays live together with those of other legs; None for its own.
+        window: (w,) what a prediction is made from, in a row: ``measured``, ``desired``,
+            ``preview``.
+        history: (2, 3, J) rad, ``residuals`` of the last ticks, and the ``increments`` that were
+            predicted for them.
+        increment: (J,) rad, predicted for the tick to come, while ``predicted``.
+        theta: (p,) regressors of that prediction.
+        thetas: and those of the ticks observed, lag 0 first.
+        filled: samples in the window.
+        inflation: of the variance of the last residual.
+        usable: sound residuals of this swing, newest first.
+    """
 
     def __init__(self, model: LegModel, quantum_rad: float) -> None:
         library = model.library
         joints = len(library.joints)
         self.model = model
+        self.home: Block | None = None
         self._length = library.window.length
-        measured = library.window.past_measured + 1
-        desired = library.window.past_desired + 1
-        # One array, so that a prediction needs no copying together.
-        self._window = np.zeros((measured + desired + library.window.preview, joints))
-        self.measured = self._window[:measured]
-        self.desired = self._window[measured : measured + desired]
-        self.preview = self._window[measured + desired :]
-        self.window = self._window.reshape(-1)  # the same, in a row
-        self.theta: Array | None = None  # regressors of that prediction
-        self.thetas: tuple[Array, ...] = ()  # and of the ticks observed, lag 0 first
-        self.increment = np.zeros(joints)  # predicted for the tick to come
-        self.residuals = np.zeros((DEPTH, joints))
-        self.increments = np.zeros((DEPTH, joints))  # that were predicted for those residuals
-        self.filled = 0  # samples in the window
-        self.predicted = False  # whether `increment` holds
-        self.inflation = 1.0  # of the variance of the last residual
-        self.usable = 0  # sound residuals of this swing, newest first
+        self._measured = library.window.past_measured + 1
+        self._commands = self._measured + library.window.past_desired + 1
+        rows = self._commands + library.window.preview
+        self._look_at(np.zeros((rows, joints)), np.zeros((2, DEPTH, joints)), np.zeros(joints))
+        self.theta: Array | None = None
+        self.thetas: tuple[Array, ...] = ()
+        self.filled = 0
+        self.predicted = False
+        self.inflation = 1.0
+        self.usable = 0
+        self._sound, self._bad = True, False  # the reading taken last
         self._max_step = MAX_STEP_RAD_S * library.period_s
         self._stale_step = STALE_QUANTA * quantum_rad
         self._free_step = FREE_QUANTA * quantum_rad
@@ -77,6 +93,23 @@ class Tracker:
         self._last: Sequence[float] | None = None
         self._impossible = 0
         self._unsure = 0
+
+    def move(self, home: Block, row: int) -> None:
+        """Live with others: the arrays become a row of theirs, with the values they have."""
+        home.window[row] = self._window
+        home.history[:, row] = self.history
+        home.increment[row] = self.increment
+        self.home = home
+        self._look_at(home.window[row], home.history[:, row], home.increment[row])
+
+    def _look_at(self, window: Array, history: Array, increment: Array) -> None:
+        # One array, so that a prediction needs no copying together.
+        self._window, self.history, self.increment = window, history, increment
+        self.measured = window[: self._measured]
+        self.desired = window[self._measured : self._commands]
+        self.preview = window[self._commands :]
+        self.window = window.reshape(-1)
+        self.residuals, self.increments = history
 
     @property
     def full(self) -> bool:
@@ -105,38 +138,38 @@ class Tracker:
         Returns:
             Whether this tick's residual can be judged.
         """
-        reading, bad = self._repair(measured, valid)
-        sound = bad is None or not bad.all()
+        take(self.history, self.increment, self.measured, self.repair(measured, valid))
+        return self.judge()
+
+    def judge(self) -> bool:
+        """Whether the residual of the reading just taken can be judged; to be asked once."""
         if self.predicted:
-            self.residuals[1:] = self.residuals[:-1]
-            self.increments[1:] = self.increments[:-1]
-            self.increments[0] = self.increment
             assert self.theta is not None
             self.thetas = (self.theta, *self.thetas[: DEPTH - 1])
-            np.subtract(reading, self.measured[0], out=self.residuals[0])
-            self.residuals[0] -= self.increment
         self.inflation = 1.0
-        if bad is not None:  # the joints that did answer are judged all the same
+        if self._bad:  # the joints that did answer are judged all the same
             self._unsure = UNSURE_TICKS
             self.inflation = UNSURE_VARIANCE
         elif self._unsure:
             self._unsure -= 1
             self.inflation = UNSURE_VARIANCE
-        judged = self.predicted and sound
+        judged = self.predicted and self._sound
         self.usable = min(self.usable + 1, DEPTH) if judged else 0
-        self.measured[1:] = self.measured[:-1]
-        self.measured[0] = reading
         return judged
 
-    def command(self, desired: Array, preview: Array | None) -> bool:
+    def command(self, desired: Sequence[float] | Array, preview: Array | None) -> bool:
         """Take in the command written after the reading.
 
         Returns:
             Whether a prediction can be made from the window.
         """
-        self.desired[1:] = self.desired[:-1]
-        self.desired[0] = desired
-        self.filled = min(self.filled + 1, self._length)
+        push(self.desired, desired)
+        return self.commanded(preview)
+
+    def commanded(self, preview: Array | None) -> bool:
+        """A command has been taken; whether a prediction can be made from the window."""
+        if self.filled < self._length:
+            self.filled += 1
         ahead = len(self.preview)
         if ahead:
             if preview is None or len(preview) < ahead:
@@ -175,32 +208,33 @@ class Tracker:
         """
         self.predicted = math.isfinite(sum(increment.tolist()))
         if self.predicted:
-            self.theta, self.increment = theta, increment
+            self.theta = theta
+            self.increment[:] = increment
 
-    def _repair(
+    def repair(
         self, measured: Sequence[float], valid: Sequence[bool] | None
-    ) -> tuple[Array, Mask | None]:
-        """The reading as it enters the window, and which joints of it are substitutes, if any.
+    ) -> Sequence[float] | Array:
+        """The reading as it is to enter the window, (J,) rad, with substitutes for what is bad.
 
         Plain floats decide, as nearly every reading is good.
         """
-        reading = np.array(measured)
+        self._sound, self._bad = True, False
         last, self._last = self._last, measured
         if self.filled == 0 or last is None:
-            return reading, None
+            return measured
         steps = [abs(new - old) for new, old in zip(measured, last, strict=True)]
         bad = None
         if max(steps) > self._max_step:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
-                return reading, None
+                return measured
             bad = np.array(steps) > self._max_step
         else:
             self._impossible = 0
         missing = None if valid is None or all(valid) else ~np.array(valid, dtype=bool)
         if not all(steps) and self.predicted:
-            stale = self._stale_joints(reading, np.array(steps), missing)
+            stale = self._stale_joints(np.array(measured), np.array(steps), missing)
             if stale.any():
                 bad = stale if bad is None else bad | stale
         else:
@@ -208,9 +242,10 @@ class Tracker:
         if missing is not None:
             bad = missing if bad is None else bad | missing
         if bad is None:
-            return reading, None
+            return measured
+        self._bad, self._sound = True, not bad.all()
         substitute = self.measured[0] + self.increment if self._foreseen() else self.measured[0]
-        return np.where(bad, substitute, reading), bad
+        return np.where(bad, substitute, measured)
 
     def _foreseen(self) -> bool:
         """Whether there is a prediction for the tick to come; made now if there can be one."""
@@ -233,3 +268,30 @@ class Tracker:
         stale: Mask = still & (self._stale < most)
         self._stale = np.where(stale, self._stale + 1, 0)
         return np.asarray(stale)
+
+
+def take(
+    history: Array, increment: Array, measured: Array, reading: Sequence[float] | Array
+) -> None:
+    """Shift readings into windows, and what they leave of the predictions into histories.
+
+    What is entered where nothing was predicted means nothing, and is never counted as usable.
+
+    Args:
+        history: (2, ..., 3, J) rad.
+        increment: (..., J) rad that were predicted.
+        measured: (..., N + 1, J) rad.
+        reading: (..., J) rad.
+    """
+    history[..., 1:, :] = history[..., :-1, :]
+    newest = history[..., 0, :]
+    newest[1] = increment
+    np.subtract(reading, measured[..., 0, :], out=newest[0])
+    newest[0] -= increment
+    push(measured, reading)
+
+
+def push(rows: Array, newest: Sequence[float] | Array) -> None:
+    """Shift the newest of (..., J) into (..., lags, J), lag 0 first."""
+    rows[..., 1:, :] = rows[..., :-1, :]
+    rows[..., 0, :] = newest

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from adaptive_contact.detect.events import ContactState, Decision, onset_fraction
 from adaptive_contact.detect.noise import NoiseModel, context, context_of, fit_noise, lagged
-from adaptive_contact.detect.statistic import Statistic, statistic, stream_statistic
+from adaptive_contact.detect.statistic import (
+    Statistic,
+    history_statistic,
+    statistic,
+    stream_statistic,
+)
 from adaptive_contact.detect.tail import Tail, fit_tail
 
 __all__ = [
@@ -17,6 +22,7 @@ __all__ = [
     "context_of",
     "fit_noise",
     "fit_tail",
+    "history_statistic",
     "lagged",
     "onset_fraction",
     "statistic",

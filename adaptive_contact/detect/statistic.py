@@ -15,17 +15,19 @@ loaded after a stance is pushed along, not held back.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.detect.noise import WINDOWS, NoiseModel
 
-__all__ = ["Statistic", "statistic", "stream_statistic"]
+__all__ = ["Statistic", "history_statistic", "statistic", "stream_statistic"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+_WINDOWS: Final = np.asarray(WINDOWS)
 
 
 class Statistic(NamedTuple):
@@ -54,14 +56,21 @@ def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) ->
     Returns:
         Each is chi-square with J degrees of freedom on free ticks.
     """
-    total = np.cumsum(residual, axis=-2)
-    motion = np.cumsum(increment, axis=-2)
-    z = np.matmul(whiten, total[..., None])[..., 0]
-    expected = np.matmul(whiten, motion[..., None])[..., 0]
-    opposes = (z * expected).sum(axis=-1) < 0.0
-    square = np.square(z).sum(axis=-1)
-    within = np.asarray(WINDOWS) <= np.asarray(usable)[..., None]
-    value = np.where(within, np.where(opposes, square, 0.0), np.nan)
+    return history_statistic(np.stack([residual, increment]), whiten, usable)
+
+
+def history_statistic(history: Array, whiten: Array, usable: Ints) -> Statistic:
+    """The same for residuals and increments that lie together.
+
+    Args:
+        history: (2, ..., 3, J) rad.
+        whiten: (..., windows, J, J).
+        usable: (...,).
+    """
+    z = np.matmul(whiten, np.cumsum(history, axis=-2)[..., None])[..., 0]
+    square, product = (z * z[0]).sum(axis=-1)
+    within = np.asarray(usable)[..., None] >= _WINDOWS
+    value = np.where(within, np.where(product < 0.0, square, 0.0), np.nan)
     return Statistic(value, square[..., 0])
 
 

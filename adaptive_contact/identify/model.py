@@ -46,6 +46,10 @@ class LegModel:
         if not np.isfinite(self.coefficients).all():
             raise IdentificationError("model: a coefficient is not finite; fit it anew")
 
+    def moved(self, coefficients: Array, version: int) -> LegModel:
+        """The same model with other coefficients."""
+        return LegModel(self.library, coefficients, version)
+
     @property
     def support(self) -> NDArray[np.bool_]:
         """(p, J) which terms each joint uses."""

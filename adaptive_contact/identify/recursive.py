@@ -1,8 +1,9 @@
 r"""Recursive least squares that forgets only where it learns.
 
-One estimator for the J joints of a leg.  Each joint has its own covariance, as a square-root
-factor :math:`P_j = S_j S_j^\top`; terms outside a joint's support have zero rows in :math:`S_j`
-and therefore never move.  A row :math:`\varphi` with noise :math:`\sigma_j` enters by
+One estimator for the J joints of a leg.  Each joint has its own covariance over the terms of its
+own support, as a square-root factor :math:`P_j = S_j S_j^\top`; joints with fewer terms than the
+others are filled up with zeros, which stay zero.  A row :math:`\varphi` with noise
+:math:`\sigma_j` enters by
 
 .. math::
    v = S_j^\top \varphi / \sigma_j, \quad m = v^\top v, \quad
@@ -71,58 +72,73 @@ class RecursiveLeastSquares:
         self.settings = settings or RlsSettings()
         self.noise = noise.copy()
         self.rows = 0
-        self._terms = np.flatnonzero(support.any(axis=1))
-        self._support = support[self._terms].T.copy()  # (J, q)
-        self._scale = scale[self._terms]
         self._full = coefficients.copy()
-        self._xi = (coefficients[self._terms] * self._scale[:, None]).T.copy()  # (J, q), scaled
-        self._s = np.zeros((len(noise), len(self._terms), len(self._terms)))
+        counts = support.sum(axis=0)
+        size = int(counts.max(initial=0))
+        self._held = np.arange(size) < counts[:, None]  # (J, n); the rest is filling
+        self._index = np.zeros((len(noise), size), dtype=np.int64)  # places in a row of regressors
+        self._index[self._held] = np.nonzero(support.T)[1]
+        self._per_scale = np.where(self._held, 1.0 / scale[self._index], 0.0)
+        # Where they sit in the matrix of coefficients.
+        self._places = (self._index[self._held], np.nonzero(self._held)[0])
+        self._xi = self._scaled(coefficients)  # (J, n)
+        self._s = np.zeros((len(noise), size, size))
+        self._outer = np.empty_like(self._s)  # room for an update
         self.reset_covariance()
 
     @property
     def coefficients(self) -> Array:
         """(p, J) at present."""
-        self._full[self._terms] = self._xi.T / self._scale[:, None]
+        self._full[self._places] = (self._xi * self._per_scale)[self._held]
         return self._full.copy()
 
     @property
     def covariance(self) -> Array:
         """(J, q, q) of the scaled coefficients of :attr:`terms`."""
-        return np.asarray(self._s @ self._s.transpose(0, 2, 1))
+        factor = self.factor
+        return np.asarray(factor @ factor.transpose(0, 2, 1))
 
     @property
     def terms(self) -> NDArray[np.int64]:
         """(q,) rows of the coefficients that any joint may move."""
-        return self._terms
+        return np.unique(self._index[self._held])
 
     @property
     def support(self) -> NDArray[np.bool_]:
         """(p, J) terms that may move, per joint."""
-        full = np.zeros((len(self._full), len(self._support)), dtype=bool)
-        full[self._terms] = self._support.T
+        full = np.zeros(self._full.shape, dtype=bool)
+        full[self._places] = True
         return full
 
     @property
     def factor(self) -> Array:
-        """(J, q, q) square roots S of the covariance."""
-        return self._s
+        """(J, q, q) square roots S of the covariance, zero rows for terms a joint may not move."""
+        terms = self.terms
+        full = np.zeros((len(self._s), len(terms), len(terms)))
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            n = int(held.sum())
+            full[joint, np.searchsorted(terms, index[held]), :n] = self._s[joint, :n, :n]
+        return full
 
     def restore(self, coefficients: Array, factor: Array) -> None:
         """Take over a saved state: (p, J) coefficients and (J, q, q) square roots."""
         self.reseed(coefficients)
-        self._s = factor * self._support[:, :, None]
+        self._s[:] = 0.0
+        terms = self.terms
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            self._take_root(joint, factor[joint, np.searchsorted(terms, index[held])])
         self._bound()
 
     def reset_covariance(self) -> None:
         """Back to the prior: every term free to move by as much as it says."""
         self._s[:] = 0.0
-        index = np.arange(len(self._terms))
-        self._s[:, index, index] = self.settings.prior * self.noise[:, None] * self._support
+        index = np.arange(self._s.shape[1])
+        self._s[:, index, index] = self.settings.prior * self.noise[:, None] * self._held
 
     def reseed(self, coefficients: Array) -> None:
         """Take over the coefficients of an accepted refit; what was known of them stays known."""
         self._full = coefficients.copy()
-        self._xi = (coefficients[self._terms] * self._scale[:, None]).T.copy()
+        self._xi = self._scaled(coefficients)
 
     def uncertainty(self, theta: Array) -> Array:
         """Variance of a prediction that comes from the coefficients, over the noise's.
@@ -133,42 +149,52 @@ class RecursiveLeastSquares:
         Returns:
             (..., J), 0 for a model known exactly.
         """
-        phi = theta[..., self._terms] / self._scale
-        v = np.matmul(phi[..., None, None, :], self._s)[..., 0, :]
+        phi = theta[..., self._index] * self._per_scale
+        v = np.matmul(phi[..., None, :], self._s)[..., 0, :]
         return np.asarray(np.square(v).sum(axis=-1) / np.square(self.noise))
 
-    def update(self, theta: Array, target: Array) -> None:
+    def update(self, theta: Array, target: Array) -> list[float]:
         """Take in one row.
 
         Args:
             theta: (p,) regressors.
             target: (J,) rad, what they should have predicted.  A row with a value that is not
                 finite is left out.
+
+        Returns:
+            J innovations: how far the prediction was off before the row was learned, over the
+            noise.
         """
-        phi = theta[self._terms] / self._scale
-        innovations = ((target - self._xi @ phi) / self.noise).tolist()
+        phi = theta[self._index]
+        phi *= self._per_scale
+        predicted = np.matmul(self._xi[:, None, :], phi[:, :, None])[:, 0, 0]
+        innovations: list[float] = ((target - predicted) / self.noise).tolist()
         # A regressor that is not finite shows in every innovation.
         if not all(map(math.isfinite, innovations)):
-            return
-        v = np.matmul(phi, self._s)
+            return innovations
+        v = np.matmul(phi[:, None, :], self._s)[:, 0]
         v /= self.noise[:, None]
         sv = np.matmul(self._s, v[:, :, None])[:, :, 0]
+        excitation = np.matmul(v[:, None, :], v[:, :, None])[:, 0, 0].tolist()
+        settings = self.settings
         gains, rates = [], []
         # Plain floats: for three joints they are faster than arrays.
-        for innovation, m in zip(innovations, np.square(v).sum(axis=1).tolist(), strict=True):
+        for innovation, m in zip(innovations, excitation, strict=True):
             # Huber's weight on the innovation, in units of its own standard deviation.
             size = abs(innovation) / math.sqrt(1.0 + m)
-            weight = 1.0 if size <= self.settings.huber else self.settings.huber / size
+            weight = 1.0 if size <= settings.huber else settings.huber / size
             gains.append(weight * innovation / (1.0 + weight * m))
             # Without excitation (m = 0) there is nothing to learn and nothing to forget.
-            shrink = math.sqrt(1.0 / (self.settings.forgetting * (1.0 + weight * m))) - 1.0
+            shrink = math.sqrt(1.0 / (settings.forgetting * (1.0 + weight * m))) - 1.0
             rates.append(shrink / m if m > 1e-12 else 0.0)
         self._xi += sv * np.array(gains)[:, None]
         sv *= np.array(rates)[:, None]
-        self._s += sv[:, :, None] * v[:, None, :]
+        np.multiply(sv[:, :, None], v[:, None, :], out=self._outer)
+        self._s += self._outer
         self.rows += 1
         if self.rows % 64 == 0:
             self._bound()
+        return innovations
 
     def loosen(self, directions: Array) -> None:
         """Let the coefficients move along some directions: something about the leg has changed.
@@ -177,13 +203,26 @@ class RecursiveLeastSquares:
             directions: (J, d, p) standard deviations of a change along each direction, in raw
                 units of the coefficients.
         """
-        moves = directions[:, :, self._terms] * self._scale * self._support[:, None, :]
-        for joint in range(len(self._s)):
-            stacked = np.concatenate([self._s[joint].T, moves[joint]], axis=0)
-            triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0]
-            size = len(self._terms)
-            self._s[joint] = triangle[:size].T
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            moves = directions[joint][:, index[held]] / self._per_scale[joint, held]
+            n = int(held.sum())
+            self._take_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
         self._bound()
+
+    def _scaled(self, coefficients: Array) -> Array:
+        """(J, n) of (p, J)."""
+        joints = np.arange(len(self._index))[:, None]
+        scale = np.divide(
+            1.0, self._per_scale, where=self._held, out=np.zeros_like(self._per_scale)
+        )
+        return np.asarray(coefficients[self._index, joints] * scale)
+
+    def _take_root(self, joint: int, root: Array) -> None:
+        """Take (n, m) for the root of a joint's covariance, as the square one that equals it."""
+        n = len(root)
+        if n:
+            triangle = scipy.linalg.qr(root.T, mode="r", check_finite=False)[0][:n]
+            self._s[joint, :n, : len(triangle)] = triangle.T
 
     def _bound(self) -> None:
         limit = self.settings.bound * self.noise[:, None]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Team
 from adaptive_contact.robot import Robot, foot
 from adaptive_contact.score import (
     Events,
@@ -90,12 +90,11 @@ def play(
     learners = {leg: make(robot, leg, baseline) for leg in legs}
     events: dict[str, list[ContactEvent]] = {leg: [] for leg in legs}
     streams = [samples_of(run, leg) for leg in legs]
-    pairs = list(learners.values())
+    team = Team(list(learners.values()))
     spent = 0.0
     for samples in zip(*streams, strict=True):
-        work = list(zip(pairs, samples, strict=True))
         begin = time.perf_counter()
-        decided = advance(work)
+        decided = team.advance(samples)
         spent += time.perf_counter() - begin
         for leg, event in zip(legs, decided, strict=True):
             if event is not None:

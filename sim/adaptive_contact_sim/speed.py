@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.refit import Job
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.refits import ProcessRefitter
@@ -59,16 +59,17 @@ class _Watched(ProcessRefitter):
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
-    """Measure :func:`~adaptive_contact.adapt.learner.advance` over a run of all legs."""
+    """Measure :class:`~adaptive_contact.adapt.advance.Team` over a run of all legs."""
     legs = list(run.legs)
     refitter = _Watched()
     with threadpool_limits(1), contextlib.closing(refitter):
         learners = [ContactLearner(robot, leg, baseline, refitter=refitter) for leg in legs]
+        team = Team(learners)
         spent, during = [], []
         begun = time.process_time()
         for samples in zip(*(samples_of(run, leg) for leg in legs), strict=True):
             start = time.perf_counter()
-            advance(list(zip(learners, samples, strict=True)))
+            team.advance(samples)
             spent.append(time.perf_counter() - start)
             during.append(bool(refitter.open))
         total = time.process_time() - begun

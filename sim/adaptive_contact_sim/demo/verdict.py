@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt import ContactLearner, LearnerMode, shipped_baseline
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.gather import untouched
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
@@ -203,8 +203,9 @@ def _replay(
     }
     row = {leg: {int(t): i for i, t in enumerate(s.t_ns)} for leg, s in streams.items()}
     events: list[ContactEvent] = []
+    team = Team(list(learners.values()))
     for tick in control_ticks(records, lambda leg, _: leg in learners, Counts()):
-        decided = advance([(learners[leg], sample) for leg, sample in tick.items()])
+        decided = team.advance([tick.get(leg) for leg in learners])
         events += [event for event in decided if event is not None]
         for leg, sample in tick.items():
             at, tracker = row[leg].get(sample.t_ns), learners[leg].tracker

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Team
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -36,10 +37,9 @@ def play_streams(
     ]
     samples: list[list[ServoSample]] = [samples_of(s.run, s.leg) for s in streams]
     events: list[list[ContactEvent]] = [[] for _ in streams]
-    for tick in range(max((len(s) for s in samples), default=0)):
-        live = [i for i, own in enumerate(samples) if tick < len(own)]
-        decided = advance([(learners[i], samples[i][tick]) for i in live])
-        for i, event in zip(live, decided, strict=True):
+    team = Team(learners)
+    for tick in itertools.zip_longest(*samples):
+        for own, event in zip(events, team.advance(tick), strict=True):
             if event is not None:
-                events[i].append(event)
+                own.append(event)
     return [events_of(own) for own in events]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import adaptive_contact
 from adaptive_contact.adapt import ContactLearner
-from adaptive_contact.adapt.advance import advance
+from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
@@ -208,8 +208,9 @@ def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
         for i, leg in enumerate(legs)
         for variant in spec.variants
     ]
+    team = Team([watch.learner for _, watch in watches])
     for k, samples in enumerate(zip(*streams, strict=True)):
-        decided = advance([(watch.learner, samples[i]) for i, watch in watches])
+        decided = team.advance([samples[i] for i, _ in watches])
         over = [k > 0 and bool(s[k - 1]) and not s[k] for s in swings]
         for (i, watch), event in zip(watches, decided, strict=True):
             if event is not None:
