@@ -7,6 +7,7 @@ there, what every leg needs in every tick is done here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.tracker import Tracker, push, take
-from adaptive_contact.detect import history_statistic
+from adaptive_contact.detect import WINDOWS, whitened
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.learner import ContactLearner
@@ -26,15 +27,19 @@ Array = NDArray[np.float64]
 
 
 class Verdict(NamedTuple):
-    """What the statistic says of a tick.
+    """What is known of a tick that can be judged.
 
     Attributes:
         scores: statistic over threshold for each window, NaN where it reaches too far back.
         distance: of the last residual from zero, whitened and squared, in any direction.
+        residual: (J,) rad, that residual.
+        target: (J,) rad, the movement that was measured.
     """
 
     scores: list[float]
     distance: float
+    residual: Array
+    target: Array
 
     @property
     def score(self) -> float:
@@ -77,9 +82,13 @@ class Block:
         self._library = library
         self._models: list[LegModel | None] = [None] * rows
         self._coefficients = np.zeros((rows, library.size, joints))
-        self._whiten = np.array([learner.noise.whiten for learner in learners])
-        self._thresholds = np.array([learner.thresholds for learner in learners])
-        self._rows = np.arange(rows)
+        # Whitening of each row's tick in hand, and what it was made for: context and unit.
+        self._whiten = np.zeros((rows, len(WINDOWS), joints, joints))
+        self._made_for: list[tuple[int, float] | None] = [None] * rows
+        self._thresholds: list[list[float]] = [
+            [math.inf] * len(WINDOWS) if learner.thresholds is None else learner.thresholds.tolist()
+            for learner in learners
+        ]
 
     def take(self, rows: Sequence[int], readings: Sequence[Sequence[float] | Array]) -> None:
         """Take in readings, (J,) rad for each of some rows."""
@@ -100,32 +109,51 @@ class Block:
 
     def judge(self, rows: Sequence[int]) -> list[Verdict]:
         """What the statistic says of the last tick of some rows."""
-        usable = np.array([tracker.usable for tracker in self.trackers])
-        where = [learner.context for learner in self.learners]
-        said = history_statistic(
-            self.history * self._per_unit(), self._whiten[self._rows, where], usable
-        )
-        scores = (said.value / self._thresholds).tolist()
-        distances = said.distance.tolist()
-        return [Verdict(scores[row], distances[row]) for row in rows]
+        for row in rows:
+            self._whiten_for(row)
+        square, product = whitened(self.history, self._whiten)
+        squares, products = square.tolist(), product.tolist()
+        # Copies: who keeps them must not see the next tick's.
+        residual = self.history[0, :, 0].copy()
+        target = residual + self.history[1, :, 0]
+        said = []
+        for row in rows:
+            usable = self.trackers[row].usable
+            # For three windows plain floats are faster than arrays.
+            scores = [
+                math.nan if ticks > usable else value / limit if opposes < 0.0 else 0.0
+                for ticks, value, opposes, limit in zip(
+                    WINDOWS, squares[row], products[row], self._thresholds[row], strict=True
+                )
+            ]
+            said.append(Verdict(scores, squares[row][0], residual[row], target[row]))
+        return said
 
     def predict(self, rows: Sequence[int]) -> None:
         """Predict the next tick of some rows from their windows."""
-        for row, tracker in enumerate(self.trackers):
-            if tracker.model is not self._models[row]:
-                self._models[row] = tracker.model
-                self._coefficients[row] = tracker.model.coefficients
+        for row in rows:
+            model = self.trackers[row].model
+            if model is not self._models[row]:
+                self._models[row] = model
+                self._coefficients[row] = model.coefficients
         theta = self._library.evaluate_flat(self._flat)
         increment = np.matmul(theta[:, None, :], self._coefficients)[:, 0]
+        if len(rows) == len(self.trackers) and math.isfinite(increment.sum()):
+            self.increment[:] = increment
+            for tracker, regressors in zip(self.trackers, theta, strict=True):
+                tracker.theta, tracker.predicted = regressors, True
+            return
         for row in rows:
             self.trackers[row].foresee(theta[row], increment[row])
 
-    def _per_unit(self) -> Array:
-        """(L, 1, 1) or (L, 1, J), one over the unit that each row's residuals are told in."""
-        units = [learner.unit for learner in self.learners]
-        if all(isinstance(unit, float) for unit in units):
-            deviation = np.sqrt(np.array(units))[:, None, None]
+    def _whiten_for(self, row: int) -> None:
+        """Make a row's whitening that of its tick, which most often is that of the tick before."""
+        learner = self.learners[row]
+        context, unit = learner.context, learner.unit
+        if isinstance(unit, float):
+            if self._made_for[row] == (context, unit):
+                return
+            self._made_for[row] = (context, unit)
         else:
-            joints = self.increment.shape[1]
-            deviation = np.sqrt([np.broadcast_to(unit, joints) for unit in units])[:, None, :]
-        return np.asarray(1.0 / deviation)
+            self._made_for[row] = None
+        self._whiten[row] = learner.whitening

@@ -6,7 +6,6 @@ legs change, and learns from the lifts at once.
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 from collections import deque
 from typing import Any, Final
@@ -31,6 +30,7 @@ from adaptive_contact.adapt.snapshot import (
     segment_of,
     unpack_segment,
 )
+from adaptive_contact.errors import IdentificationError
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 from adaptive_contact.wire import RefitCounts, Status
@@ -68,11 +68,18 @@ class Follower:
         known: the baseline.
         mode: what it may do.
         refitter: does the sparse refits.
+
+    Attributes:
+        learning: whether it does anything at all.
+        gated: whether it learns from what is confirmed only, and lifts are heard as witnesses.
     """
 
     def __init__(self, leg: str, known: LegBaseline, mode: LearnerMode, refitter: Refitter) -> None:
         self.mode = mode
-        self.model = known.model
+        self.learning = mode is not LearnerMode.FROZEN
+        self.gated = mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
+        self._model = known.model
+        self._moved = False  # the recursion has, since the model was made
         self.monitor = DriftMonitor(len(known.noise.rms))
         self.buffer = SlidingBuffer()
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
@@ -90,14 +97,11 @@ class Follower:
     # -- what the detector asks -------------------------------------------------------------------
 
     @property
-    def learning(self) -> bool:
-        """Whether this follower does anything at all."""
-        return self.mode is not LearnerMode.FROZEN
-
-    @property
-    def gated(self) -> bool:
-        """Whether it learns from what is confirmed only, and lifts are heard as witnesses."""
-        return self.mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
+    def model(self) -> LegModel:
+        """In force; made when somebody asks, as most rows are learned while the leg stands."""
+        if self._moved:
+            self._publish()
+        return self._model
 
     def variance(self, theta: Array) -> Array | float:
         """Factor on the residual's variance at a tick: the level, and the model's own doubt.
@@ -128,7 +132,7 @@ class Follower:
     def learn_now(self, row: Row) -> None:
         """Ungated: any tick is learned as it comes, contact or not."""
         self._rls.update(row.theta, row.target)
-        self._publish()
+        self._moved = True
 
     def lift(self, rows: list[Row], region: int, t_ns: int) -> None:
         """The top of a swing has been passed.
@@ -166,7 +170,7 @@ class Follower:
         if self._queue:
             for _ in range(min(self._share(budget), len(self._queue))):
                 self._learn(self._queue.popleft())
-            self._publish()
+            self._moved = True
         self._challenger.tick()
 
     def _share(self, budget: int) -> int:
@@ -234,7 +238,7 @@ class Follower:
                 raise ImplausibleError(f"its status is {status!r}")
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
-        self.model = dataclasses.replace(self.model, coefficients=coefficients, version=version)
+        self._model, self._moved = self._model.moved(coefficients, version), False
         self._rls = rls
         self._rls.restore(coefficients, factor)
         self.monitor.resume(level, status)
@@ -281,7 +285,7 @@ class Follower:
         self._rls = self._recursion(self._baseline)
         self._queue.clear()
         self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
-        self._publish()
+        self._moved = True
         self.monitor.level = 1.0
         self._era += 1
 
@@ -289,7 +293,7 @@ class Follower:
         """Learn a row, and let a candidate, if there is one, be tried on it."""
         innovations = self._rls.update(row.theta, row.target)
         if self._challenger.trying:
-            self._promote(self._challenger.compare(row, innovations, self.model))
+            self._promote(self._challenger.compare(row, innovations, self._model))
 
     def _compare(self, row: Row) -> None:
         """Let a candidate be tried on a row that is not learned."""
@@ -299,7 +303,7 @@ class Follower:
 
     def _promote(self, model: LegModel | None) -> None:
         if model is not None:
-            self.model = model
+            self._model, self._moved = model, False
             self._rls = self._recursion(model)
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:
@@ -313,9 +317,11 @@ class Follower:
         )
 
     def _publish(self) -> None:
-        coefficients = self._rls.coefficients
-        if not np.isfinite(coefficients).all():
+        version = max(1, self._model.version)
+        try:
+            self._model = self._model.moved(self._rls.coefficients, version)
+        except IdentificationError:
             self._rls = self._recursion(self._baseline)
             self._challenger.rolled_back("a coefficient was not finite")
-            coefficients = self._rls.coefficients
-        self.model = self.model.moved(coefficients, max(1, self.model.version))
+            self._model = self._model.moved(self._rls.coefficients, version)
+        self._moved = False

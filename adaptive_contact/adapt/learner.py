@@ -126,6 +126,7 @@ class ContactLearner:
         self.unit: Array | float = 1.0
         self.tracker: Tracker | None = None
         self.thresholds: Array | None = None
+        self._threshold = math.inf  # of the window of one tick
         self._quarantine = Quarantine(self._swing)
         self._cold: ColdStart | None = None
         self._started_cold = False
@@ -339,7 +340,6 @@ class ContactLearner:
         """Turn the statistic of a tick that can be judged into an event, or into none."""
         tracker = self.tracker
         assert tracker is not None
-        assert self.thresholds is not None
         loaded = self._state.loaded
         score, onset_ns = verdict.score, sample.t_ns
         if score > 1.0 and self._quarantine.lift_first:
@@ -350,7 +350,7 @@ class ContactLearner:
             onset_ns = self._onset(sample, width)
         decision = self._state.swing_tick(
             score,
-            verdict.distance / float(self.thresholds[0]),
+            verdict.distance / self._threshold,
             sample.t_ns,
             onset_ns,
             descending=self._quarantine.lift_over,
@@ -358,10 +358,10 @@ class ContactLearner:
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
         elif not (loaded or self._state.contact):
-            self._recent.append(tracker.residuals[0].copy())
+            self._recent.append(verdict.residual)
         self._quarantine.enter(
             tracker.thetas[0],
-            tracker.residuals[0] + tracker.increments[0],
+            verdict.target,
             verdict.distance,
             t_ns=sample.t_ns,
             at=sample.desired,
@@ -394,11 +394,13 @@ class ContactLearner:
         """The tick's share of learning: rows that wait, and refits that are due."""
         if self._cold is not None:
             self._try_cold()
-        if self._follower is None or self.tracker is None or not self._follower.learning:
+        follower, tracker = self._quarantine.follower, self.tracker
+        if follower is None or tracker is None or not follower.learning:
             return
-        self._follower.tick(ROWS_PER_TICK)
-        self.tracker.model = self._follower.model
-        if self._follower.monitor.unfit:
+        follower.tick(ROWS_PER_TICK)
+        if self._swing.ticks:  # in stance nothing is predicted
+            tracker.model = follower.model
+        if follower.monitor.unfit:
             self._forget_baseline()
 
     # -- private -------------------------------------------------------------------------------
@@ -410,6 +412,7 @@ class ContactLearner:
         self._known, self._note = known, None
         self.tracker = Tracker(model, self._quantum)
         self.thresholds = thresholds_of(tails, self.robot.detector.false_alarms_per_hour)
+        self._threshold = float(self.thresholds[0])
         self._quarantine.follower = Follower(self.leg.id, known, self._mode, self._refitter)
 
     def _cold_start(self) -> ColdStart:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.swing import SwingWatch
 
@@ -92,14 +92,15 @@ class Quarantine:
         if follower is None or not follower.learning:
             return
         # The model's own doubt is part of the unit; the followed level is not.
-        level = distance * follower.monitor.level_in_force / len(target)
+        monitor, book = follower.monitor, self._book
+        level = distance * monitor.level_in_force / len(target)
         row = Row(theta, target, level, t_ns, swing.rising, free, swing.cleared)
-        if follower.mode is LearnerMode.UNGATED:
+        if not follower.gated:
             follower.learn_now(row)
             return
-        self._book.add(row, swing.ticks, descending=swing.descending)
-        follower.monitor.look(level)
-        lift = self._book.take_lift()
+        book.add(row, swing.ticks, descending=swing.descending)
+        monitor.look(level)
+        lift = book.take_lift() if book.topped else None
         if lift is None:
             return
         held = swing.judge_lift()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.noise import WINDOWS
+from adaptive_contact.detect import WINDOWS
 from adaptive_contact.identify import LegModel
 
 if TYPE_CHECKING:
@@ -233,7 +233,7 @@ class Tracker:
         else:
             self._impossible = 0
         missing = None if valid is None or all(valid) else ~np.array(valid, dtype=bool)
-        if not all(steps) and self.predicted:
+        if self.predicted and not all(steps) and self._doubtful(steps):
             stale = self._stale_joints(np.array(measured), np.array(steps), missing)
             if stale.any():
                 bad = stale if bad is None else bad | stale
@@ -253,6 +253,14 @@ class Tracker:
             theta = self.model.library.evaluate_flat(self.window)
             self.foresee(theta, theta @ self.model.coefficients)
         return self.predicted
+
+    def _doubtful(self, steps: Sequence[float]) -> bool:
+        """Whether a joint repeats its last reading while the model has it move."""
+        limit = self._stale_step
+        return any(
+            step == 0.0 and abs(expected) > limit
+            for step, expected in zip(steps, self.increment.tolist(), strict=True)
+        )
 
     def _stale_joints(self, reading: Array, steps: Array, missing: Mask | None) -> Mask:
         """Which joints repeat their last reading while the model has them move."""

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Final
 
@@ -122,16 +122,17 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.adapt.bank import LearnerBank
+    from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, replay_events
     from adaptive_contact.wire import JSON, encode
 
     robot, learned = _load(config, baseline)
     threadpool_limits(1)  # matrices this small only wait for each other in threads
-    bank = LearnerBank(robot, learned)
     counts = Counts()
     written = 0
     started_s = time.perf_counter()
-    with _output(out) as file:
+    with closing(WaitingRefitter()) as refitter, _output(out) as file:
+        bank = LearnerBank(robot, learned, refitter=refitter)
         for event in replay_events(recording, bank, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1

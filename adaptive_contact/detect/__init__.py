@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from adaptive_contact.detect.events import ContactState, Decision, onset_fraction
-from adaptive_contact.detect.noise import NoiseModel, context, context_of, fit_noise, lagged
-from adaptive_contact.detect.statistic import (
-    Statistic,
-    history_statistic,
-    statistic,
-    stream_statistic,
+from adaptive_contact.detect.noise import (
+    WINDOWS,
+    NoiseModel,
+    context,
+    context_of,
+    fit_noise,
+    lagged,
 )
+from adaptive_contact.detect.statistic import Statistic, statistic, stream_statistic, whitened
 from adaptive_contact.detect.tail import Tail, fit_tail
 
 __all__ = [
+    "WINDOWS",
     "ContactState",
     "Decision",
     "NoiseModel",
@@ -22,9 +25,9 @@ __all__ = [
     "context_of",
     "fit_noise",
     "fit_tail",
-    "history_statistic",
     "lagged",
     "onset_fraction",
     "statistic",
     "stream_statistic",
+    "whitened",
 ]

@@ -15,19 +15,17 @@ loaded after a stance is pushed along, not held back.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.detect.noise import WINDOWS, NoiseModel
 
-__all__ = ["Statistic", "history_statistic", "statistic", "stream_statistic"]
+__all__ = ["Statistic", "statistic", "stream_statistic", "whitened"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-_WINDOWS: Final = np.asarray(WINDOWS)
 
 
 class Statistic(NamedTuple):
@@ -56,22 +54,26 @@ def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) ->
     Returns:
         Each is chi-square with J degrees of freedom on free ticks.
     """
-    return history_statistic(np.stack([residual, increment]), whiten, usable)
-
-
-def history_statistic(history: Array, whiten: Array, usable: Ints) -> Statistic:
-    """The same for residuals and increments that lie together.
-
-    Args:
-        history: (2, ..., 3, J) rad.
-        whiten: (..., windows, J, J).
-        usable: (...,).
-    """
-    z = np.matmul(whiten, np.cumsum(history, axis=-2)[..., None])[..., 0]
-    square, product = (z * z[0]).sum(axis=-1)
-    within = np.asarray(usable)[..., None] >= _WINDOWS
+    square, product = whitened(np.stack([residual, increment]), whiten)
+    within = np.asarray(usable)[..., None] >= np.asarray(WINDOWS)
     value = np.where(within, np.where(product < 0.0, square, 0.0), np.nan)
     return Statistic(value, square[..., 0])
+
+
+def whitened(history: Array, whiten: Array) -> tuple[Array, Array]:
+    """The whitened sums of every window.
+
+    Args:
+        history: (2, ..., 3, J) rad, residuals and predicted increments, lag 0 first.
+        whiten: (..., windows, J, J).
+
+    Returns:
+        (..., windows) twice: the residuals' square, and their product with the increments, which
+        is negative where they oppose the motion.
+    """
+    z = np.matvec(whiten, np.cumsum(history, axis=-2))
+    square, product = np.vecdot(z, z[0])
+    return square, product
 
 
 def stream_statistic(

@@ -81,6 +81,9 @@ class RecursiveLeastSquares:
         self._per_scale = np.where(self._held, 1.0 / scale[self._index], 0.0)
         # Where they sit in the matrix of coefficients.
         self._places = (self._index[self._held], np.nonzero(self._held)[0])
+        # Inside, everything is in units of the noise: no division is left for a row.
+        self._per_noise = 1.0 / self.noise
+        self._to_raw = self._per_scale * self.noise[:, None]
         self._xi = self._scaled(coefficients)  # (J, n)
         self._s = np.zeros((len(noise), size, size))
         self._outer = np.empty_like(self._s)  # room for an update
@@ -89,7 +92,7 @@ class RecursiveLeastSquares:
     @property
     def coefficients(self) -> Array:
         """(p, J) at present."""
-        self._full[self._places] = (self._xi * self._per_scale)[self._held]
+        self._full[self._places] = (self._xi * self._to_raw)[self._held]
         return self._full.copy()
 
     @property
@@ -118,6 +121,7 @@ class RecursiveLeastSquares:
         for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
             n = int(held.sum())
             full[joint, np.searchsorted(terms, index[held]), :n] = self._s[joint, :n, :n]
+        full *= self.noise[:, None, None]
         return full
 
     def restore(self, coefficients: Array, factor: Array) -> None:
@@ -126,14 +130,15 @@ class RecursiveLeastSquares:
         self._s[:] = 0.0
         terms = self.terms
         for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
-            self._take_root(joint, factor[joint, np.searchsorted(terms, index[held])])
+            root = factor[joint, np.searchsorted(terms, index[held])]
+            self._take_root(joint, root / self.noise[joint])
         self._bound()
 
     def reset_covariance(self) -> None:
         """Back to the prior: every term free to move by as much as it says."""
         self._s[:] = 0.0
         index = np.arange(self._s.shape[1])
-        self._s[:, index, index] = self.settings.prior * self.noise[:, None] * self._held
+        self._s[:, index, index] = self.settings.prior * self._held
 
     def reseed(self, coefficients: Array) -> None:
         """Take over the coefficients of an accepted refit; what was known of them stays known."""
@@ -151,7 +156,7 @@ class RecursiveLeastSquares:
         """
         phi = theta[..., self._index] * self._per_scale
         v = np.matmul(phi[..., None, :], self._s)[..., 0, :]
-        return np.asarray(np.square(v).sum(axis=-1) / np.square(self.noise))
+        return np.asarray(np.square(v).sum(axis=-1))
 
     def update(self, theta: Array, target: Array) -> list[float]:
         """Take in one row.
@@ -167,15 +172,13 @@ class RecursiveLeastSquares:
         """
         phi = theta[self._index]
         phi *= self._per_scale
-        predicted = np.matmul(self._xi[:, None, :], phi[:, :, None])[:, 0, 0]
-        innovations: list[float] = ((target - predicted) / self.noise).tolist()
+        innovations: list[float] = (target * self._per_noise - np.vecdot(self._xi, phi)).tolist()
         # A regressor that is not finite shows in every innovation.
         if not all(map(math.isfinite, innovations)):
             return innovations
-        v = np.matmul(phi[:, None, :], self._s)[:, 0]
-        v /= self.noise[:, None]
-        sv = np.matmul(self._s, v[:, :, None])[:, :, 0]
-        excitation = np.matmul(v[:, None, :], v[:, :, None])[:, 0, 0].tolist()
+        v = np.vecmat(phi, self._s)
+        sv = np.matvec(self._s, v)
+        excitation = np.vecdot(v, v).tolist()
         settings = self.settings
         gains, rates = [], []
         # Plain floats: for three joints they are faster than arrays.
@@ -204,18 +207,16 @@ class RecursiveLeastSquares:
                 units of the coefficients.
         """
         for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
-            moves = directions[joint][:, index[held]] / self._per_scale[joint, held]
+            moves = directions[joint][:, index[held]] / self._to_raw[joint, held]
             n = int(held.sum())
             self._take_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
         self._bound()
 
     def _scaled(self, coefficients: Array) -> Array:
-        """(J, n) of (p, J)."""
+        """(J, n), in units of scale and noise, of (p, J)."""
         joints = np.arange(len(self._index))[:, None]
-        scale = np.divide(
-            1.0, self._per_scale, where=self._held, out=np.zeros_like(self._per_scale)
-        )
-        return np.asarray(coefficients[self._index, joints] * scale)
+        unit = np.where(self._held, self._to_raw, np.inf)
+        return np.asarray(coefficients[self._index, joints] / unit)
 
     def _take_root(self, joint: int, root: Array) -> None:
         """Take (n, m) for the root of a joint's covariance, as the square one that equals it."""
@@ -225,7 +226,7 @@ class RecursiveLeastSquares:
             self._s[joint, :n, : len(triangle)] = triangle.T
 
     def _bound(self) -> None:
-        limit = self.settings.bound * self.noise[:, None]
+        limit = self.settings.bound
         deviation = np.sqrt(np.square(self._s).sum(axis=2))
         over = deviation > limit
         if over.any():

@@ -26,7 +26,7 @@ from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
 from adaptive_contact.identify import FitStatus
 from adaptive_contact.service.refit_worker import read_frame, write_frame
 
-__all__ = ["ProcessRefitter"]
+__all__ = ["ProcessRefitter", "WaitingRefitter"]
 
 _log = structlog.get_logger()
 
@@ -88,6 +88,8 @@ class ProcessRefitter:
             self._process.kill()  # the thread notices, and reaps it
         if self._thread is not None:
             self._thread.join(1.0)
+        elif self._process is not None:
+            self._end_process()
 
     def _work(self) -> None:
         while True:
@@ -100,6 +102,7 @@ class ProcessRefitter:
             with self._changed:
                 if leg not in self._waiting:  # else it has been superseded
                     self._results[leg] = (job.number, result)
+                    self._changed.notify_all()
         self._end_process()
 
     def _do(self, job: Job) -> object:
@@ -120,13 +123,7 @@ class ProcessRefitter:
         """Send a job and read its result; None where the process died or took too long."""
         process = self._process
         if process is None:
-            process = self._process = subprocess.Popen(
-                [sys.executable, "-m", _MODULE],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env={**os.environ, **_ONE_THREAD},
-                start_new_session=True,  # a Ctrl-C is the service's to handle
-            )
+            process = self._process = _start()
         assert process.stdin is not None
         assert process.stdout is not None
         try:
@@ -150,6 +147,37 @@ class ProcessRefitter:
             if stream is not None:
                 with contextlib.suppress(OSError):  # what was never flushed has no reader
                     stream.close()
+
+
+class WaitingRefitter(ProcessRefitter):
+    """For replays, which have no clock to keep: a result that is asked for is waited for.
+
+    So the events are the same every time, while ticks and fits go on side by side.  The process
+    is started at once: what it has to import takes as long as a minute of recording.
+    """
+
+    def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
+        super().__init__(timeout_s)
+        self._process = _start()
+
+    def collect(self, leg: str, number: int) -> object | None:
+        """The result of a job that was submitted, as soon as it is there."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._results.get(leg, (None,))[0] == number,
+                timeout=2 * _TRIES * self._timeout_s,
+            )
+        return super().collect(leg, number)
+
+
+def _start() -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", _MODULE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, **_ONE_THREAD},
+        start_new_session=True,  # a Ctrl-C is the service's to handle
+    )
 
 
 def _failed(job: Job) -> object:

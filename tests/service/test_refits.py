@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import signal
@@ -14,7 +15,7 @@ import pytest
 
 from adaptive_contact.adapt.refit import InlineRefitter, RefitJob, RefitResult, Refitter
 from adaptive_contact.identify import Factor, FitStatus
-from adaptive_contact.service.refits import ProcessRefitter
+from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
 
 pytestmark = pytest.mark.e2e
 
@@ -102,6 +103,28 @@ def test_the_result_is_that_of_a_refit_in_line(refitter: ProcessRefitter) -> Non
     refitter.submit(job("lf", 5))
     assert isinstance(wait(refitter, "lf", 5), RefitResult)
     assert refitter.failures == 0
+
+
+def test_a_replay_waits_for_its_results() -> None:
+    inline = InlineRefitter()
+    with contextlib.closing(WaitingRefitter(timeout_s=20.0)) as refitter:
+        for number in (1, 2):
+            for leg in ("rf", "lf"):
+                inline.submit(job(leg, number))
+                refitter.submit(job(leg, number))
+            for leg in ("lf", "rf"):
+                expected, found = inline.collect(leg, number), refitter.collect(leg, number)
+                assert isinstance(expected, RefitResult)
+                assert isinstance(found, RefitResult)
+                assert np.array_equal(found.coefficients, expected.coefficients)
+
+
+def test_a_replay_without_refits_leaves_no_process() -> None:
+    refitter = WaitingRefitter()
+    process = refitter._process
+    assert process is not None
+    refitter.close()
+    assert process.poll() is not None
 
 
 def test_a_job_that_kills_its_process_once_is_repeated(
