@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.contacts import StoredContacts
 from adaptive_contact.adapt.refit import RefitJob, RefitResult, Refitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import FitStatus, LegModel
@@ -30,6 +31,8 @@ MIN_ROWS_PER_TERM: Final = 4
 TRIAL_ROWS: Final = 200
 # The candidate must be better by so many standard errors of the paired difference.
 PROMOTE_ERRORS: Final = 3.0
+# Of the stored contacts that the champion finds, it may miss this share.
+MISSED_SHARE: Final = 0.05
 
 
 class Challenger:
@@ -40,9 +43,13 @@ class Challenger:
         noise: (J,) rad.
         scale: (p,) typical size of each regressor.
         refitter: does the work.
+
+    Attributes:
+        contacts: that a candidate must find as well as the model in force does.
     """
 
     def __init__(self, leg: str, noise: Array, scale: Array, refitter: Refitter) -> None:
+        self.contacts = StoredContacts()
         self._leg = leg
         self._noise = noise
         self._scale = scale
@@ -124,6 +131,11 @@ class Challenger:
         if errors < PROMOTE_ERRORS:
             self._refuse(words)
             return None
+        known = self.contacts.found(model.coefficients)
+        missed = int((known & ~self.contacts.found(coefficients)).sum())
+        if missed > MISSED_SHARE * known.sum():
+            self._refuse(f"{words}, but misses {missed} of {known.sum()} stored contacts")
+            return None
         self._tally["promoted"] += 1
         self._reason = f"promoted: {words}"
         return model.moved(coefficients, model.version + 1)
@@ -131,6 +143,7 @@ class Challenger:
     def withdraw(self) -> None:
         """The leg has changed: what was fitted to its past is void."""
         self._pending, self._candidate = None, None
+        self.contacts.clear()
 
     def rolled_back(self, why: str) -> None:
         """Count a return to an earlier model."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import Challenger
+from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
 from adaptive_contact.adapt.monitor import LEVEL_RANGE, PATIENCE_SWINGS, DriftMonitor
@@ -154,6 +155,11 @@ class Follower:
     def descent(self, rows: list[Row], region: int) -> None:
         """The confirmed part of a descent."""
         self._confirm(rows, region)
+
+    def touched(self, touch: Touch) -> None:
+        """A contact was reported; while the leg is known, it is one to try candidates on."""
+        if self.monitor.status == "valid":
+            self._challenger.contacts.add(touch)
 
     def swing_done(self) -> None:
         """A swing has been resolved."""

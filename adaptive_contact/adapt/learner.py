@@ -30,6 +30,7 @@ from adaptive_contact.adapt.baseline import (
 )
 from adaptive_contact.adapt.block import Verdict
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
+from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
@@ -372,6 +373,7 @@ class ContactLearner:
         if decision.contact:
             self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, self._period_ns)
+            self._keep(tracker)
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
@@ -472,6 +474,16 @@ class ContactLearner:
         first = width - 1
         share = onset_fraction(tracker.residuals[first], tracker.increments[first])
         return sample.t_ns - first * period - round(share * period)
+
+    def _keep(self, tracker: Tracker) -> None:
+        """Keep what looked like a contact, for candidates to be tried on."""
+        follower = self._quarantine.follower
+        if follower is None or not follower.learning or self.thresholds is None:
+            return
+        target = tracker.residuals + tracker.increments
+        follower.touched(
+            Touch.of(tracker.thetas, target, self.whitening, self.thresholds, tracker.usable)
+        )
 
     def _event(self, decision: Decision, sample: ServoSample) -> ContactEvent:
         assert self.tracker is not None

@@ -1,0 +1,85 @@
+"""Contacts that were reported, kept to try new models on.
+
+A sparse refit is chosen on free ticks, which say nothing about what it would make of a touch: one
+that explains how legs stop on the ground would win there, and be blind.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.detect import WINDOWS, statistic
+
+__all__ = ["StoredContacts", "Touch"]
+
+Array = NDArray[np.float64]
+
+# As many as a minute of walking brings, half of them of the ground.
+MOST: Final = 40
+
+
+class Touch(NamedTuple):
+    """The ticks that decided a contact, and how they were judged.
+
+    Attributes:
+        theta: (3, p) regressors, lag 0 first; zero before the first usable one.
+        target: (3, J) rad, movements that were measured.
+        whiten: (windows, J, J).
+        limits: (windows,) thresholds.
+        usable: how many of the ticks count.
+    """
+
+    theta: Array
+    target: Array
+    whiten: Array
+    limits: Array
+    usable: int
+
+    @classmethod
+    def of(
+        cls, thetas: Sequence[Array], target: Array, whiten: Array, limits: Array, usable: int
+    ) -> Touch:
+        """From the regressors of the last ticks, newest first, of which some may be missing."""
+        theta = np.zeros((max(WINDOWS), len(thetas[0])))
+        known = min(usable, len(thetas))
+        theta[:known] = thetas[:known]
+        return cls(theta, target, whiten, limits, known)
+
+
+class StoredContacts:
+    """The newest contacts of one leg as it is now."""
+
+    def __init__(self) -> None:
+        self._kept: deque[Touch] = deque(maxlen=MOST)
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def add(self, touch: Touch) -> None:
+        """Keep one; the oldest goes if there are too many."""
+        self._kept.append(touch)
+
+    def clear(self) -> None:
+        """The leg has changed: what looked like contacts may have been the change."""
+        self._kept.clear()
+
+    def found(self, coefficients: Array) -> NDArray[np.bool_]:
+        """Which of them a model reports, whatever happened before.
+
+        Args:
+            coefficients: (p, J).
+
+        Returns:
+            (n,), oldest first.
+        """
+        if not self._kept:
+            return np.zeros(0, dtype=np.bool_)
+        theta, target, whiten, limits, usable = map(np.array, zip(*self._kept, strict=True))
+        increment = theta @ coefficients
+        said = statistic(target - increment, increment, whiten, usable)
+        return np.asarray((np.nan_to_num(said.value) / limits).max(axis=-1) > 1.0)

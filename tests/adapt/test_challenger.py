@@ -1,0 +1,121 @@
+"""Candidates against the model in force: on new free ticks, and on stored contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptive_contact.adapt import Baseline
+from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
+from adaptive_contact.adapt.contacts import MOST, StoredContacts, Touch
+from adaptive_contact.adapt.refit import RefitResult
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.identify import FitStatus, LegModel
+
+NOISE = np.array([0.01, 0.01, 0.01])
+
+
+class Given:
+    """Answers every job with the same candidate."""
+
+    def __init__(self, coefficients: np.ndarray) -> None:
+        self.coefficients = coefficients
+
+    def submit(self, job: object) -> None:
+        """Nothing to do."""
+
+    def collect(self, leg: str, number: int) -> RefitResult:
+        """The candidate."""
+        return RefitResult(number, FitStatus.OK, self.coefficients, 0.1, 1.0)
+
+
+@pytest.fixture
+def model(baseline: Baseline) -> LegModel:
+    """The first term alone, for every joint."""
+    of = baseline.legs["rf"].model
+    coefficients = np.zeros_like(of.coefficients)
+    coefficients[0] = 0.05
+    return of.moved(coefficients, 0)
+
+
+def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
+    """A free tick, in which only the first term is excited."""
+    theta = np.zeros(p)
+    theta[0] = rng.normal() + 2.0
+    target = theta[0] * truth + rng.normal(size=3) * NOISE
+    return Row(theta, target, 1.0, 0, lift=True, calm=True, cleared=True)
+
+
+def stopped(model: LegModel) -> Touch:
+    """A leg that should move by 0.1 rad and stands; the second term is excited there only."""
+    theta = np.zeros((3, model.library.size))
+    theta[:, 0], theta[:, 1] = 2.0, 1.0
+    whiten = np.broadcast_to(np.eye(3) / NOISE, (3, 3, 3))
+    return Touch.of(theta, np.zeros((3, 3)), whiten, np.full(3, 30.0), 1)
+
+
+def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challenger, LegModel]:
+    """After a whole trial on ticks that the candidate fits."""
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(candidate))
+    buffer = SlidingBuffer()
+    rng = np.random.default_rng(0)
+    p = model.library.size
+    for k in range(60):
+        buffer.add([row(rng, p, truth=0.06) for _ in range(12)], k % 3, 0)
+    for _ in range(contacts):
+        challenger.contacts.add(stopped(model))
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0)
+    for _ in range(REFIT_DUE_TICKS + 1):
+        challenger.tick()
+    assert challenger.trying
+    promoted = None
+    while challenger.trying:
+        new = row(rng, p, truth=0.06)
+        off = (new.target - new.theta @ model.coefficients) / NOISE
+        promoted = challenger.compare(new, off.tolist(), model)
+    return challenger, promoted or model
+
+
+def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
+    candidate = model.coefficients * 1.2
+    challenger, after = tried(model, candidate, contacts=20)
+    assert after.version == 1
+    np.testing.assert_array_equal(after.coefficients, candidate)
+    assert challenger.counts.promoted == 1
+    assert "noise variances better" in (challenger.counts.last_reason or "")
+
+
+def test_a_candidate_that_explains_contacts_away_is_refused(model: LegModel) -> None:
+    candidate = model.coefficients * 1.2
+    candidate[1] = -2.0 * candidate[0]  # so that a leg on the ground is expected to stand
+    challenger, after = tried(model, candidate, contacts=20)
+    assert after is model
+    assert challenger.counts.refused == 1
+    assert "misses 20 of 20 stored contacts" in (challenger.counts.last_reason or "")
+    # On free ticks alone it would have won.
+    assert tried(model, candidate, contacts=0)[1].version == 1
+
+
+def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:
+    challenger, after = tried(model, model.coefficients * 0.8, contacts=0)
+    assert after is model
+    assert challenger.counts.refused == 1
+
+
+def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
+    challenger.contacts.add(stopped(model))
+    challenger.withdraw()
+    assert len(challenger.contacts) == 0
+
+
+def test_the_newest_contacts_are_kept(model: LegModel) -> None:
+    stored = StoredContacts()
+    assert stored.found(model.coefficients).shape == (0,)
+    for _ in range(MOST + 5):
+        stored.add(stopped(model))
+    assert len(stored) == MOST
+    assert stored.found(model.coefficients).all()
+    assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"
