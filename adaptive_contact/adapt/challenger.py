@@ -20,6 +20,8 @@ __all__ = ["Challenger"]
 Array = NDArray[np.float64]
 
 REFIT_EVERY_SWINGS: Final = 20
+# Or after so long, for legs that step slowly.
+REFIT_EVERY_S: Final = 30.0
 # Ticks after its snapshot at which a result takes effect, so that a replay, which waits for it,
 # gives the same events as the live run, which does not.
 REFIT_DUE_TICKS: Final = 50
@@ -54,7 +56,8 @@ class Challenger:
         self._noise = noise
         self._scale = scale
         self._refitter = refitter
-        self._swings = 0
+        self._swings = self._ticks = 0  # since the last refit was asked for
+        self._early = False
         self._jobs = 0
         self._pending: tuple[int, int] | None = None  # job, ticks to go
         self._candidate: Array | None = None
@@ -71,7 +74,10 @@ class Challenger:
     def swing_done(self, model: LegModel, buffer: SlidingBuffer, era: int) -> None:
         """Ask for a refit when it is time and there is enough to fit to."""
         self._swings += 1
-        if self._pending or self._candidate is not None or self._swings < REFIT_EVERY_SWINGS:
+        if self._pending or self._candidate is not None:
+            return
+        waited_s = self._ticks * model.library.period_s
+        if self._swings < REFIT_EVERY_SWINGS and waited_s < REFIT_EVERY_S and not self._early:
             return
         p, joints = model.coefficients.shape
         fit, held_out = buffer.factors(p, joints, era=era)
@@ -79,13 +85,15 @@ class Challenger:
             return
         prior = np.diag(self._scale * PRIOR_ROWS**0.5)
         fit.add(prior, prior @ model.coefficients)
-        self._swings = 0
+        self._swings = self._ticks = 0
+        self._early = False
         self._jobs += 1
         self._refitter.submit(RefitJob(self._leg, self._jobs, fit, held_out, self._noise))
         self._pending = (self._jobs, REFIT_DUE_TICKS)
 
     def tick(self) -> None:
         """Collect a result that is due."""
+        self._ticks += 1
         if self._pending is None:
             return
         job, wait = self._pending
@@ -141,8 +149,9 @@ class Challenger:
         return model.moved(coefficients, model.version + 1)
 
     def withdraw(self) -> None:
-        """The leg has changed: what was fitted to its past is void."""
+        """The leg has changed: what was fitted to its past is void, a new fit does not wait."""
         self._pending, self._candidate = None, None
+        self._early = True
         self.contacts.clear()
 
     def rolled_back(self, why: str) -> None:

@@ -7,7 +7,12 @@ import pytest
 
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
-from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
+from adaptive_contact.adapt.challenger import (
+    REFIT_DUE_TICKS,
+    REFIT_EVERY_S,
+    REFIT_EVERY_SWINGS,
+    Challenger,
+)
 from adaptive_contact.adapt.contacts import MOST, StoredContacts, Touch
 from adaptive_contact.adapt.refit import RefitResult
 from adaptive_contact.adapt.segments import Row
@@ -21,9 +26,11 @@ class Given:
 
     def __init__(self, coefficients: np.ndarray) -> None:
         self.coefficients = coefficients
+        self.asked = 0
 
     def submit(self, job: object) -> None:
-        """Nothing to do."""
+        """Count it."""
+        self.asked += 1
 
     def collect(self, leg: str, number: int) -> RefitResult:
         """The candidate."""
@@ -102,6 +109,34 @@ def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:
     challenger, after = tried(model, model.coefficients * 0.8, contacts=0)
     assert after is model
     assert challenger.counts.refused == 1
+
+
+def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
+    model: LegModel,
+) -> None:
+    given = Given(model.coefficients)
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
+    rng = np.random.default_rng(0)
+    p = model.library.size
+    few, enough = SlidingBuffer(), SlidingBuffer()
+    for buffer, segments in ((few, 3), (enough, 60)):
+        for k in range(segments):
+            buffer.add([row(rng, p, truth=0.05) for _ in range(12)], k % 3, 0)
+
+    def swing(buffer: SlidingBuffer, ticks: int) -> int:
+        for _ in range(ticks):
+            challenger.tick()
+        challenger.swing_done(model, buffer, 0)
+        challenger._pending = None  # the result does not matter here
+        return given.asked
+
+    assert [swing(enough, 20) for _ in range(REFIT_EVERY_SWINGS)][-2:] == [0, 1]
+    slow = round(REFIT_EVERY_S / model.library.period_s / 4) + 1
+    assert [swing(enough, slow) for _ in range(4)] == [1, 1, 1, 2]
+    challenger.withdraw()
+    assert swing(few, 20) == 2, "there is too little of the changed leg"
+    assert swing(enough, 20) == 3, "as soon as there is enough"
+    assert swing(enough, 20) == 3
 
 
 def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:
