@@ -26,6 +26,7 @@ from adaptive_contact_sim.trials.replay import (
     save_replay,
 )
 from adaptive_contact_sim.trials.spec import RecordingSpec, ReplaySpec, Scenario
+from adaptive_contact_sim.workers import leave_with_parent
 
 __all__ = ["Done", "Folders", "Job", "jobs", "run"]
 
@@ -179,4 +180,5 @@ def _do(job: Job, folders: Folders) -> Done:
 
 def _obey_interrupts() -> None:
     """In a worker: Ctrl-C goes to the whole group; leave without a word, the parent speaks."""
+    leave_with_parent()
     signal.signal(signal.SIGINT, lambda *_: os._exit(_INTERRUPTED))
