@@ -82,6 +82,14 @@ def foot_point(
     Returns:
         x, y, z in m, equal to ``foot(q, ...)``.
     """
+    if axes[0] == "yaw" and "yaw" not in axes[1:]:  # as nearly all legs are: in one plane
+        pitch = z = 0.0
+        reach = lengths_m[0]
+        for i in range(1, len(axes)):
+            pitch += q[i]
+            reach += lengths_m[i] * math.cos(pitch)
+            z += lengths_m[i] * math.sin(pitch)
+        return reach * math.cos(q[0]), reach * math.sin(q[0]), z
     pitch = yaw = x = y = z = 0.0
     for angle, length, axis in zip(q, lengths_m, axes, strict=True):
         if axis == "pitch":

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import foot, inverse, link_angles
+from adaptive_contact.robot import foot, foot_point, inverse, link_angles
 
 LENGTHS = (0.052, 0.066, 0.138)
 AXES = ("yaw", "pitch", "pitch")
@@ -58,3 +58,16 @@ def test_the_inverse_wants_three_links() -> None:
 
 def test_link_angles_add_pitches_only() -> None:
     np.testing.assert_allclose(link_angles([0.5, 0.2, -1.0], AXES), [0.0, 0.2, -0.8])
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [("yaw", "pitch", "pitch"), ("yaw", "pitch"), ("pitch", "yaw", "pitch"), ("pitch",), ("yaw",)],
+)
+def test_the_place_of_one_posture_is_that_of_many(axes: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(len(axes))
+    lengths = rng.uniform(0.02, 0.2, size=len(axes))
+    angles = rng.uniform(-3.0, 3.0, size=(50, len(axes)))
+    expected = foot(angles, lengths, axes)
+    found = [foot_point(q, lengths.tolist(), axes) for q in angles.tolist()]
+    np.testing.assert_allclose(found, expected, atol=1e-15)
