@@ -48,7 +48,9 @@ _SHOWING: Final = frozenset(
         "tables.py",
         "tables_detection.py",
         "tables_format.py",
+        "tables_identification.py",
         "tables_logs.py",
+        "tables_workspace.py",
     }
 )
 # Of the simulator, what turns recordings into samples, rows and truth.
