@@ -8,13 +8,15 @@ import pytest
 from adaptive_contact_sim.experiments.store import plain
 from adaptive_contact_sim.experiments.tables import sections
 from adaptive_contact_sim.experiments.workspace import (
-    _CELL_M,
     _difference,
-    _edges,
-    _extent,
-    _map,
     nearest_regions,
     workspace,
+)
+from adaptive_contact_sim.experiments.workspace_maps import (
+    _CELL_M,
+    _edges,
+    map_extent,
+    residual_map,
 )
 
 
@@ -34,9 +36,9 @@ def test_a_region_without_rows_is_nobodys_neighbour() -> None:
 
 def test_the_maps_extent_is_that_of_its_cells() -> None:
     """A residual at one place is drawn at that place."""
-    left, right, bottom, top = _extent()
+    left, right, bottom, top = map_extent()
     place = np.array([0.2, 0.0, 0.131])  # above the span asked for, within the last cell
-    grid = np.array(_map(np.tile(place, (20, 1)), np.full((20, 3), 0.01)), dtype=np.float64)
+    grid = np.array(residual_map(np.tile(place, (20, 1)), np.full((20, 3), 0.01)), dtype=np.float64)
     lines, columns = grid.shape
     assert right - left == pytest.approx(columns * _CELL_M)
     assert top - bottom == pytest.approx(lines * _CELL_M)

@@ -10,6 +10,24 @@ import numpy as np
 
 from adaptive_contact.errors import MissingExtraError
 from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.experiments.figures_detection import (
+    limits_figure,
+    roc_figure,
+    tails_figure,
+)
+from adaptive_contact_sim.experiments.figures_format import (
+    BLUE,
+    FONT_PT,
+    GREEN,
+    GREY,
+    JOINT_COLOURS,
+    JOINTS,
+    ORANGE,
+    PURPLE,
+    RED,
+    YELLOW,
+    new_figure,
+)
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.workspace import WORKSPACES, Space
 
@@ -20,34 +38,18 @@ if TYPE_CHECKING:
 __all__ = ["draw_all"]
 
 _DPI: Final = 100
-_JOINTS: Final = ("coxa", "femur", "tibia")
-# Okabe and Ito's colours, told apart by everybody; the paper's own where it names one.
-_BLUE, _ORANGE, _GREEN, _RED, _SKY, _PURPLE, _GREY = (
-    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#666666",
-)  # fmt: skip
-_YELLOW: Final = "#E6C800"
-_JOINT_COLOURS: Final = (_BLUE, _ORANGE, _GREEN)
 # Figure 4: the paper's colours; line and mark tell curves that lie on each other apart.
 _CURVES: Final = {
     "all": ("black", "-", "o"),
-    "position": (_BLUE, "--", "s"),
-    "velocity": (_ORANGE, "-.", "^"),
-    "acceleration": (_GREEN, ":", "v"),
+    "position": (BLUE, "--", "s"),
+    "velocity": (ORANGE, "-.", "^"),
+    "acceleration": (GREEN, ":", "v"),
 }
 _NAIVE: Final = "#B3261E"
+# Where marks of the naive lines are drawn, beside those of the curves.
+_NAIVE_AT: Final = (1e-4, 6e-4, 6e-3, 6e-2, 0.6, 6.0, 20.0)
 # Where the other legs' feet stand, from each coxa axis, m.
 _STAND_M: Final = (0.115, 0.0, -0.165)
-_STYLES: Final = {
-    "default": (_BLUE, "-", 2.2),
-    "servo ratio": (_BLUE, "-", 1.8),
-    "servo rule": (_SKY, "--", 1.4),
-    "paper ratio": (_ORANGE, "-", 1.4),
-    "paper rule": (_RED, "-", 1.8),
-    "analytical ratio": (_GREEN, "-", 1.4),
-    "analytical rule": (_GREEN, "--", 1.4),
-    "tracking": (_PURPLE, "-", 1.4),
-    "naive": (_GREY, "-", 1.4),
-}
 
 
 def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
@@ -73,13 +75,14 @@ def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
         "paper-responses": (_responses, results.get("responses")),
         "paper-sweep": (_sweep, results.get("identification")),
         "paper-collision": (_collision, results.get("collisions")),
-        "paper-roc": (_roc, results.get("detection")),
-        "paper-limits": (_limits, results.get("detection")),
+        "paper-roc": (roc_figure, results.get("detection")),
+        "paper-tails": (tails_figure, results.get("detection")),
+        "paper-limits": (limits_figure, results.get("detection")),
         "paper-residual-map": (_maps, results.get("workspace")),
     }
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
-    with mpl.rc_context({"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}):
+    with mpl.rc_context({"font.size": FONT_PT, "axes.grid": True, "grid.alpha": 0.25}):
         for name, (draw, data) in drawings.items():
             if data is None:
                 continue
@@ -89,22 +92,17 @@ def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     return files
 
 
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def _workspace(data: Any) -> Figure:
     """Figure 3: the grid of 1 cm that the leg reaches, both subspaces, the feet's places.
 
     From above the two subspaces cover the same ground: the upper one is a frame around the lower.
     """
     del data
-    figure = _figure(9.0, 5.2)
+    figure = new_figure(9.0, 5.2)
     top, side = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     geometry = LegGeometry.of()
     lower, upper = WORKSPACES["paper"]
+    top.margins(0.09)
     index = LEGS.index("rf")
     step = np.arange(-0.26, 0.2601, 0.01)
 
@@ -115,8 +113,8 @@ def _workspace(data: Any) -> Figure:
     level = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
     heights = [sum(space.height_m) / 2 for space in (lower, upper)]
     for space, height, colour, label, size in (
-        (upper, heights[1], _YELLOW, "upper subspace", 7.0),
-        (lower, heights[0], _BLUE, "lower subspace", 3.5),
+        (upper, heights[1], YELLOW, "upper subspace", 7.0),
+        (lower, heights[0], BLUE, "lower subspace", 3.5),
     ):
         inside = _inside(space, points)
         side.plot(points[inside, 0], points[inside, 2], "s", color=colour, ms=4, label=label)
@@ -127,7 +125,7 @@ def _workspace(data: Any) -> Figure:
             top.plot(turned[:, 0], turned[:, 1], ".", color="black", ms=1.8)
         inside = _inside(space, flat)
         top.plot(turned[inside, 0], turned[inside, 1], "s", color=colour, ms=size)
-    side.plot([_STAND_M[0]], [_STAND_M[2]], "o", color=_GREEN, label="feet of the others")
+    side.plot([_STAND_M[0]], [_STAND_M[2]], "o", color=GREEN, label="feet of the others")
     side.set(
         xlabel="from the coxa axis (m)",
         ylabel="over the coxa (m)",
@@ -135,13 +133,13 @@ def _workspace(data: Any) -> Figure:
         aspect="equal",
     )
     handles, labels = side.get_legend_handles_labels()
-    handles += top.plot(geometry.mounts_m[:, 0], geometry.mounts_m[:, 1], "D", color=_GREY, ms=5)
+    handles += top.plot(geometry.mounts_m[:, 0], geometry.mounts_m[:, 1], "D", color=GREY, ms=5)
     figure.legend(handles, [*labels, "coxa axes"], loc="outside lower center", ncols=3)
     feet = geometry.to_body(np.tile(np.array(_STAND_M), (len(LEGS), 1)))
     for i, name in enumerate(LEGS):
         if i != index:
-            top.plot(*feet[i, :2], "o", color=_GREEN)
-            top.annotate(name, feet[i, :2], xytext=(6, 6), textcoords="offset points", color=_GREEN)
+            top.plot(*feet[i, :2], "o", color=GREEN)
+            top.annotate(name, feet[i, :2], xytext=(6, 6), textcoords="offset points", color=GREEN)
     top.set(
         xlabel="forward (m)",
         ylabel="left (m)",
@@ -163,7 +161,7 @@ def _inside(space: Space, points: Any) -> Any:
 
 def _responses(data: Any) -> Figure:
     """Figure 2: femur response, command and prediction."""
-    figure = _figure(8.0, 5.0)
+    figure = new_figure(8.0, 5.0)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     t = np.array(data["t_s"])
     t = t - t[0]
@@ -171,8 +169,8 @@ def _responses(data: Any) -> Figure:
     upper.plot(t, data["measured"], "-", color="#C8A400", lw=2.5, label="measured")
     measured = np.array(data["measured"], dtype=float)
     for name, title, colour, mark in (
-        ("paper", "predicted, paper's library", _BLUE, "."),
-        ("servo", "predicted, servo law", _RED, "x"),
+        ("paper", "predicted, paper's library", BLUE, "."),
+        ("servo", "predicted, servo law", RED, "x"),
     ):
         told = np.array(data[name], dtype=float)
         status = data["status"][name]
@@ -192,7 +190,7 @@ def _responses(data: Any) -> Figure:
 def _sweep(data: Any) -> Figure:
     """Figure 4, and under it what R² does not show."""
     sweeps = data["sweeps"]
-    figure = _figure(3.1 * len(sweeps), 9.6)
+    figure = new_figure(2.75 * len(sweeps), 9.6)
     grid = figure.subplots(
         4, len(sweeps), sharex="col", sharey="row", squeeze=False, height_ratios=(1.5, 0.9, 1, 1)
     )
@@ -207,12 +205,11 @@ def _sweep(data: Any) -> Figure:
             # Accuracies near 1 above, what the naive prediction scores below, on its own scale:
             # no line is left out because it lies too low.
             above.semilogx(lam, values, color=colour, ls=style, marker=mark, ms=3.5, label=name)
-            if naive is not None:
-                for axes in (above, beneath):
-                    axes.axhline(
-                        naive, color=_NAIVE, ls=style, lw=1.5, marker=mark, ms=3.5,
-                        markevery=(0.05, 0.3), label=f"naive, {name}",
-                    )  # fmt: skip
+            for axes in (above, beneath) if naive is not None else ():
+                axes.semilogx(
+                    _NAIVE_AT, np.full(len(_NAIVE_AT), naive), color=_NAIVE, ls=style, lw=1.3,
+                    marker=mark, ms=4.5, mfc="white", label=f"naive, {name}",
+                )  # fmt: skip
         w = sweep["window"]
         norm = ", normalised" if sweep["normalised"] else ""
         above.set(
@@ -222,16 +219,16 @@ def _sweep(data: Any) -> Figure:
         )
         middle: Axes = grid[2][column]
         below: Axes = grid[3][column]
-        for joint, colour in enumerate(_JOINT_COLOURS):
+        for joint, colour in enumerate(JOINT_COLOURS):
             values = np.array([p["test"]["over_floor"][joint] for p in points])
-            middle.loglog(lam, values, color=colour, label=_JOINTS[joint])
+            middle.loglog(lam, values, color=colour, label=JOINTS[joint])
             below.loglog(lam, [p["terms"][joint] for p in points], color=colour)
         middle.axhline(1.5, color="black", lw=0.8, ls=":")
         middle.set_ylim(1, 90)
         below.set(xlabel="λ", ylim=(1, 400))
         for axes in grid[:, column]:
             if sweep["picked"] is not None:
-                axes.axvline(sweep["picked"], color=_PURPLE, lw=1.4)
+                axes.axvline(sweep["picked"], color=PURPLE, lw=1.4)
             if sweep["emptied_at"] is not None:
                 axes.axvspan(sweep["emptied_at"], 20.0, color="black", alpha=0.12, lw=0)
             axes.axvline(5.0, color="black", lw=0.8, ls="--")
@@ -261,7 +258,7 @@ def _sweep(data: Any) -> Figure:
 def _collision(data: Any) -> Figure:
     """Figure 5: one collision, from the body's attitude to the detection."""
     trace = data["trace"]
-    figure = _figure(8.6, 9.6)
+    figure = new_figure(8.6, 9.6)
     axes = figure.subplots(5, 1, sharex=True)
     fine, ticks = np.array(trace["fine_ms"]), np.array(trace["tick_ms"])
     tracking, residual, difference = (
@@ -269,16 +266,16 @@ def _collision(data: Any) -> Figure:
         for name in ("tracking_deg", "residual_deg", "difference_deg")
     )
     tilt, torque = np.array(trace["tilt_deg"]), np.array(trace["torque_nm"])
-    for j, colour in enumerate(_JOINT_COLOURS):
+    for j, colour in enumerate(JOINT_COLOURS):
         axes[0].plot(fine, tilt[:, j], color=colour, label=("x", "y", "z")[j])
-        axes[1].plot(fine, torque[:, j], color=colour, label=_JOINTS[j])
+        axes[1].plot(fine, torque[:, j], color=colour, label=JOINTS[j])
         axes[2].plot(ticks, tracking[:, j], color=colour)
         axes[3].plot(ticks, residual[:, j], color=colour)
         axes[4].plot(ticks, difference[:, j], ".-", color=colour, lw=1)
-        limit = data["limit_deg"][j]
+        limit = data["limit_deg"][j]  # dots set off, so that equal thresholds all show
         if limit is not None:
-            label = f"threshold, {_JOINTS[j]}"
-            axes[4].axhline(limit, color=colour, lw=1.4, ls=":", label=label)
+            label = f"threshold, {JOINTS[j]}"
+            axes[4].axhline(limit, color=colour, lw=1.6, ls=(2 * j, (2, 4)), label=label)
     labels = (
         "body attitude\n(deg)",
         "joint torque\n(N m)",
@@ -289,9 +286,9 @@ def _collision(data: Any) -> Figure:
     events = [
         (trace["moves_ms"], "black", ":", 1.4, "leg moves"),
         (trace["onset_ms"], "black", "-", 1.4, "touch"),
-        *((when, _RED, "-", 4.5, "paper's rule") for when in trace["paper_ms"]),
+        *((when, RED, "-", 4.5, "paper's rule") for when in trace["paper_ms"]),
         # Thinner and dashed over the other: both are seen where they coincide.
-        *((when, _BLUE, (0, (3, 3)), 2.0, "default detector") for when in trace["default_ms"]),
+        *((when, BLUE, (0, (3, 3)), 2.0, "default detector") for when in trace["default_ms"]),
     ]
     for one, label in zip(axes, labels, strict=True):
         one.set_ylabel(label)
@@ -320,82 +317,12 @@ def _collision(data: Any) -> Figure:
     return figure
 
 
-def _roc(data: Any) -> Figure:
-    """Headline recall against false alarms, thresholds swept."""
-    figure = _figure(7.4, 5.2)
-    axes = figure.subplots()
-    hours = data["figures"]["default"]["false_alarms"]["all"]["hours"]
-    # What was never seen is drawn where half an alarm would be.
-    least = 0.5 / max(hours, 1e-9)
-    for name, title in data["detectors"].items():
-        colour, style, width = _STYLES[name]
-        figures = data["figures"][name]
-        if "roc" not in figures:
-            rate = max(figures["false_alarms"]["all"]["per_hour"] or 0.0, least)
-            recall = figures["summary"]["rows"]["headline"]["recall"]
-            axes.plot(
-                [rate], [100 * (recall or 0)], "*", color="black", ms=13, label=title, zorder=5
-            )
-            continue
-        points = [p for p in figures["roc"] if p["per_hour"] is not None]
-        axes.plot(
-            [max(p["per_hour"], least) for p in points],
-            [100 * (p["recall"] or 0) for p in points],
-            style, color=colour, lw=width, label=title,
-        )  # fmt: skip
-        aim = [p for p in points if abs(p["factor"] - 1.0) < 1e-6]
-        for p in aim:
-            axes.plot([max(p["per_hour"], least)], [100 * (p["recall"] or 0)], "o", color=colour)
-    axes.axvline(5.0, color="black", lw=0.8, ls=":")
-    axes.axhline(99.0, color="black", lw=0.8, ls=":")
-    axes.set(
-        xscale="log",
-        ylim=(-2, 102),
-        xlabel=f"false alarms per robot-hour ({hours:.1f} h; left edge: none seen)",
-        ylabel="recall, hard ground, ≥ 0.2 m/s (%)",
-    )
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=3)
-    return figure
-
-
-def _limits(data: Any) -> Figure:
-    """Recall against approach speed and contact force, with 95 % intervals."""
-    figure = _figure(8.0, 4.3)
-    left, right = figure.subplots(1, 2, sharey=True)
-    shown = ("default", "servo ratio", "paper rule", "analytical ratio", "tracking")
-    for axes, field, label in (
-        (left, "by_speed", "speed at touch (m/s), hard ground"),
-        (right, "by_force", "force, mean over 20 ms (N)"),
-    ):
-        for offset, name in enumerate(shown):
-            bins = [b for b in data["figures"][name][field] if b["touches"]]
-            centre = np.array([np.sqrt(max(b["low"], 0.01) * b["high"]) for b in bins])
-            recall = 100 * np.array([b["recall"] for b in bins])
-            spread = 100 * np.array([b["interval"] for b in bins])
-            colour, style, _ = _STYLES[name]
-            if name == "default":
-                colour = "black"
-            axes.errorbar(
-                centre * (1 + 0.03 * (offset - 2)),
-                recall,
-                yerr=np.abs(spread.T - recall),
-                color=colour, ls=style, marker="o", ms=3, lw=1.2, elinewidth=0.7,
-                label=data["detectors"][name],
-            )  # fmt: skip
-        axes.set(xscale="log", xlabel=label, ylim=(-2, 102))
-    left.set_ylabel("recall (%)")
-    handles, labels = right.get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=3)
-    return figure
-
-
 def _maps(data: Any) -> Figure:
     """Residual over the workspace, before and after."""
     import matplotlib as mpl
 
     names = [n for n, library in data["libraries"].items() if library["map_before"] is not None]
-    figure = _figure(8.0, 3.7 * max(len(names), 1))
+    figure = new_figure(7.4, 3.9 * max(len(names), 1))
     grid = figure.subplots(max(len(names), 1), 2, sharex=True, sharey=True, squeeze=False)
     norm = mpl.colors.LogNorm(1.0, 30.0)
     image = None
@@ -416,7 +343,7 @@ def _maps(data: Any) -> Figure:
                 axes.plot(
                     [low, high, high, low, low],
                     [*np.repeat(space.height_m, 2), space.height_m[0]],
-                    color=_RED, lw=1.4, ls="--",
+                    color=RED, lw=1.4, ls="--",
                 )  # fmt: skip
         grid[line][0].set_ylabel("height (m)")
     for axes in grid[-1]:

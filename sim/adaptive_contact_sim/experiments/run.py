@@ -26,7 +26,7 @@ from adaptive_contact_sim.experiments.compression import compare_all
 from adaptive_contact_sim.experiments.data import Stream, join, load, parallel, record_all
 from adaptive_contact_sim.experiments.detection import detection
 from adaptive_contact_sim.experiments.detectors import DETECTORS
-from adaptive_contact_sim.experiments.evaluation import evaluate, jobs_of
+from adaptive_contact_sim.experiments.evaluation import ONLINE, evaluate, jobs_of
 from adaptive_contact_sim.experiments.identification import identification
 from adaptive_contact_sim.experiments.logs import run_logs
 from adaptive_contact_sim.experiments.models import learn_robot, learned
@@ -200,7 +200,7 @@ class _Runner:
         with self._bar("every detector on every stream", sum(len(j.pieces) for j in jobs)) as tell:
             for _, done in parallel(evaluate, jobs, self.workers):
                 tell(float(done))
-        with self._bar("scoring, thresholds swept", len(DETECTORS) + 1) as tell:
+        with self._bar("scoring, thresholds swept", len(DETECTORS) + len(ONLINE)) as tell:
             return plain(detection(self.root, self.plan, tell))  # half a minute: made anew
 
     def workspace(self) -> Any:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from adaptive_contact_sim.experiments.tables_format import Section, Table, number, per_joint
+from adaptive_contact_sim.experiments.tables_format import (
+    Section,
+    Table,
+    number,
+    per_joint,
+    percent,
+)
 
 __all__ = ["workspace_section"]
 
@@ -108,24 +114,35 @@ def _workspace_decision(data: Any) -> str:
 
 
 def _before(data: Any) -> str:
-    """Why the model of the paper's subspaces fails beyond them."""
-    told = []
+    """Why the model of the paper's subspaces fails on other swings."""
+    floor = data["floor_deg"]
+    told, known, step = [], {}, None
     for name, library in data["libraries"].items():
         before = library["before"]
-        if not before or before["inside_deg"] is None or before["outside_deg"] is None:
+        if not before or before.get("unknown_deg") is None or before["known_deg"] is None:
             continue
-        inside, outside = (before[k] / data["floor_deg"] for k in ("inside_deg", "outside_deg"))
+        known[name], step = before["known_share"], before["command_step_deg"]
         told.append(
-            f"{name}: {number(inside, 1)} times the floor within the column of the subspaces, "
-            f"{number(outside, 1)} beyond (condition "
+            f"{name} {number(before['known_deg'] / floor, 1)} times the floor on windows within "
+            f"what it was fitted to ({percent(before['known_share'])} of them) and "
+            f"**{number(before['unknown_deg'] / floor, 1)} times beyond** (at the paper's places "
+            f"{_times(before['inside_deg'], floor)}, elsewhere "
+            f"{_times(before['outside_deg'], floor)}; condition "
             f"{per_joint([before['condition']], 0, scientific=True)})"
         )
-    if not told:
+    if not told or step is None:
         return ""
     return (
-        f"The maps, leg-run {data['mapped']}: a model of the paper's two subspaces has, "
-        f"{'; '.join(told)}. That is extrapolation: where the foot stays in a column, products and "
-        "squares of the angles are nearly sums of each other, the fit leaves their coefficients "
-        "large and of opposite sign, and beyond the column they no longer cancel. The servo's law "
-        "holds everywhere, so that the same rows say enough."
+        f"The maps, leg-run {data['mapped']}, and why the paper's library is so bad before: the "
+        f"model of the paper's two subspaces has, {'; '.join(told)}. `Within` are windows whose "
+        "regressors together (their leverage) are no further out than any it was fitted to. It is "
+        "the motion more than the place: the paper's segments change a command by at most "
+        f"{number(step[0], 0)}° a tick (99 %), these swings by {number(step[1], 0)}°. Products and "
+        "squares of the angles are nearly sums of each other on the segments, their coefficients "
+        "large and of opposite sign; in faster turns they no longer cancel. The servo's saturating "
+        "law holds there as well."
     )
+
+
+def _times(value: float | None, floor: float) -> str:
+    return "-" if value is None else f"{value / floor:.1f}"

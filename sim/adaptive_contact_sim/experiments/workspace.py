@@ -49,7 +49,14 @@ from adaptive_contact_sim.experiments.store import (
     plain,
     source_fingerprint,
 )
-from adaptive_contact_sim.workspace import WORKSPACES
+from adaptive_contact_sim.experiments.workspace_maps import (
+    cylinder,
+    map_extent,
+    norm_deg,
+    paper_column,
+    residual_map,
+    where_it_fails,
+)
 
 __all__ = ["compare_regions", "study_leg_run", "workspace", "workspace_pieces"]
 
@@ -57,12 +64,6 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 REGIONS: Final = 8
-# Grid of the maps, m, over reach and height of the foot.
-_CELL_M: Final = 0.015
-_REACH_M: Final = (0.08, 0.26)
-_HEIGHT_M: Final = (-0.145, 0.13)
-# Windows in a cell that make a figure.
-_MIN_CELL: Final = 15
 # λ in units of the residual: an eighth of the data must not keep every term.
 _THRESHOLD: Final = 0.1
 _ROLES: Final[tuple[Role, ...]] = ("train", "tune", "stand")
@@ -153,7 +154,7 @@ def workspace(studies: Mapping[str, Any]) -> dict[str, Any]:
         }
     return {
         "floor_deg": float(np.degrees(noise_floor())),
-        "extent_m": _extent(),
+        "extent_m": map_extent(),
         "leg_runs": len(studies),
         "mapped": mapped,
         "libraries": libraries,
@@ -200,7 +201,7 @@ def _compare(
     assert leg.lengths_m is not None
     where = foot(fitted.measured[:, 0], leg.lengths_m, leg.joint_axes)
     tried = foot(held.measured[:, 0], leg.lengths_m, leg.joint_axes)
-    edges = np.median(_cylinder(where), axis=0)
+    edges = np.median(cylinder(where), axis=0)
     region, held_region = _region(where, edges), _region(tried, edges)
     factors = [
         factor_of(library, pick(fitted, region == r), fitted.increment[region == r])
@@ -237,24 +238,25 @@ def _compare(
             what: None if status[what] in NO_MODEL else rms_deg(residual[what]) for what in used
         },
         "by_region_deg": {
-            what: [_norm(residual[what][held_region == r]) for r in range(REGIONS)]
+            what: [norm_deg(residual[what][held_region == r]) for r in range(REGIONS)]
             for what in ("one model", "one per region")
             if status[what] not in NO_MODEL
         },
     }
-    if before is not None:
+    if paper is not None and before is not None:
         known = before.status not in NO_MODEL
-        column = _column(tried)
         left = residual["paper's subspaces"]
         tree["before"] = {
             "status": before.status.value,
             "condition": told_condition(before.condition),
-            "inside_rows": int(np.count_nonzero(column)),
-            "inside_deg": _norm(left[column]) if known else None,
-            "outside_deg": _norm(left[~column]) if known else None,
+            **(
+                where_it_fails(library, subspaces, held, left, paper_column(tried)) if known else {}
+            ),
         }
-        tree["map_before"] = _map(tried, left) if known else None
-        tree["map_after"] = None if one.status in NO_MODEL else _map(tried, residual["one model"])
+        tree["map_before"] = residual_map(tried, left) if known else None
+        tree["map_after"] = (
+            None if one.status in NO_MODEL else residual_map(tried, residual["one model"])
+        )
     return tree
 
 
@@ -285,15 +287,6 @@ def nearest_regions(point: Array, region: Ints) -> list[int]:
     distance[~np.isfinite(distance)] = np.inf
     np.fill_diagonal(distance, np.inf)
     return [int(i) for i in distance.argmin(axis=1)]
-
-
-def _column(point: Array) -> NDArray[np.bool_]:
-    """Mask of feet within the paper's subspaces, or between them, where its segments pass."""
-    low, high = WORKSPACES["paper"]
-    yaw, reach, height = _cylinder(point).T
-    inside = (yaw >= low.yaw_rad[0]) & (yaw <= low.yaw_rad[1])
-    inside &= (reach >= low.reach_m[0]) & (reach <= low.reach_m[1])
-    return np.asarray(inside & (height >= low.height_m[0]) & (height <= high.height_m[1]))
 
 
 def _mean(values: Sequence[Sequence[float] | None]) -> list[float] | None:
@@ -339,14 +332,8 @@ def _joined(streams: Sequence[Stream], library: Library) -> Rows:
     )
 
 
-def _cylinder(point: Array) -> Array:
-    """(n, 3) yaw, reach, height."""
-    yaw = np.arctan2(point[:, 1], point[:, 0])
-    return np.stack([yaw, np.hypot(point[:, 0], point[:, 1]), point[:, 2]], axis=1)
-
-
 def _region(point: Array, edges: Array) -> Ints:
-    above = (_cylinder(point) > edges).astype(np.int64)
+    above = (cylinder(point) > edges).astype(np.int64)
     return np.asarray(above @ np.array([4, 2, 1]))
 
 
@@ -359,37 +346,3 @@ def _fit(factor: Factor) -> _Model:
     sparse = fit_sparse(factor, FitSettings(threshold=_THRESHOLD, unit=unit))
     fit = sparse if sparse.status is FitStatus.OK else whole
     return _Model(fit.status, fit.coefficients, fit.condition)
-
-
-def _norm(residual: Array) -> float | None:
-    """Root mean square over all joints, degrees; None without rows."""
-    return float(np.degrees(np.sqrt(np.square(residual).mean()))) if len(residual) else None
-
-
-def _edges(span: tuple[float, float]) -> Array:
-    """Lower edges of the cells that cover a span; the last may reach beyond it."""
-    cells = int(np.ceil((span[1] - span[0]) / _CELL_M - 1e-9))
-    return np.asarray(span[0] + _CELL_M * np.arange(cells))
-
-
-def _extent() -> list[float]:
-    """Reach and height of the maps' outer edges, m: whole cells, not the spans asked for."""
-    ends = [(edges[0], edges[-1] + _CELL_M) for edges in map(_edges, (_REACH_M, _HEIGHT_M))]
-    return [float(v) for pair in ends for v in pair]
-
-
-def _map(point: Array, residual: Array) -> list[list[float | None]]:
-    """Root mean square over the floor, by height (rows) and reach (columns)."""
-    reach = np.hypot(point[:, 0], point[:, 1])
-    columns, lines = _edges(_REACH_M), _edges(_HEIGHT_M)
-    square = np.square(residual).mean(axis=1)
-    grid: list[list[float | None]] = []
-    for low in lines:
-        line: list[float | None] = []
-        for left in columns:
-            inside = (reach >= left) & (reach < left + _CELL_M)
-            inside &= (point[:, 2] >= low) & (point[:, 2] < low + _CELL_M)
-            enough = np.count_nonzero(inside) >= _MIN_CELL
-            line.append(float(np.sqrt(square[inside].mean()) / noise_floor()) if enough else None)
-        grid.append(line)
-    return grid
