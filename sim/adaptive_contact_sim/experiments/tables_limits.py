@@ -50,7 +50,8 @@ def limits_section(data: Any) -> Section:
     slowest, fastest = (f(steps.values()) / period for f in (min, max))
     mid = data["figures"]["default"]["mid"]
     text = (
-        f"A servo step is {math.degrees(limits['step_rad']):.3f}°: at a stretched leg's foot {moved}. "
+        f"A servo step is {math.degrees(limits['step_rad']):.3f}°: at a stretched leg's foot "
+        f"{moved}. "
         "What moves the leg by less than that within the window cannot be seen in positions: a "
         f"foot that is stopped falls a step behind within one tick from {slowest:.3f} (tibia) to "
         f"{fastest:.3f} m/s (coxa) on, within the longest window, three ticks, from "
