@@ -181,6 +181,7 @@ def test_the_papers_fit_equals_discrete_sindy_with_its_own_library(
         threshold=threshold, alpha=0.05, normalize_columns=normalised,
     )  # fmt: skip
     expected = in_our_order(coefficients, state.shape[1] + control.shape[1])
+    assert (expected != 0).any()
     np.testing.assert_array_equal(fit.coefficients != 0, expected != 0)
     np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
 
