@@ -32,8 +32,9 @@ __all__ = ["Fitted", "fitted", "predictions", "responses"]
 Array = NDArray[np.float64]
 
 FEMUR: Final = 1
-# Ticks of the test stream that are drawn: three swings.
-_SHOWN: Final = slice(1000, 1070)
+# Ticks of the test stream that are drawn, three swings, from this one on where there are so many.
+_FIRST: Final = 1000
+_DRAWN: Final = 70
 
 
 class Fitted(NamedTuple):
@@ -79,16 +80,18 @@ def responses(
 ) -> dict[str, Any]:
     """What Figure 2 draws."""
     windows: dict[LibraryName, Window] = {"paper": PAPER_WINDOW, "servo": Window()}
+    first = max(min(_FIRST, len(test.swing) - _DRAWN), 0)
+    drawn = slice(first, first + _DRAWN)
     shown: dict[str, Any] = {
-        "t_s": np.arange(len(test.swing))[_SHOWN] * 0.02,
-        "measured": np.degrees(test.measured[_SHOWN, FEMUR]),
-        "desired": np.degrees(test.desired[_SHOWN, FEMUR]),
-        "swing": test.swing[_SHOWN],
+        "t_s": np.arange(len(test.swing))[drawn] * 0.02,
+        "measured": np.degrees(test.measured[drawn, FEMUR]),
+        "desired": np.degrees(test.desired[drawn, FEMUR]),
+        "swing": test.swing[drawn],
         "status": {},
     }
     for name, window in windows.items():
         fit = fitted(robot, train, name, window, thresholds[name])
         told = predictions(fit.model, test.measured, test.desired)
         shown["status"][name] = fit.status.value
-        shown[name] = np.degrees(told[_SHOWN, FEMUR])
+        shown[name] = np.degrees(told[drawn, FEMUR])
     return shown

@@ -111,6 +111,14 @@ def _arm_verdict(arm: Mapping[str, Any]) -> str:
                 f"**on {protocol} the {best} library is better "
                 f"({number(known[best], 3)}° against {number(known['servo'], 3)}°)**"
             )
+    for protocol in ("unseen motions", "unseen moments"):
+        alarms = arm[protocol].get("false_alarms") or {}
+        if alarms.get("per_hour") is not None and alarms["events"] > 1 + 3 * alarms["expected"]:
+            told.append(
+                f"**on {protocol} its likelihood ratio misses its aim of "
+                f"{number(alarms['aim_per_hour'], 0)} false alarm per robot-hour "
+                f"({number(alarms['per_hour'], 0)})**"
+            )
     if not told:
         return ""
     return f"The default's library (servo) on the arm with {arm['joints']}: {'; '.join(told)}."
