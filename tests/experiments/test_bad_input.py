@@ -45,7 +45,10 @@ def quick_study(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def told(robot: Robot, train: Stream, test: Stream, folder: Path) -> dict[str, Any]:
     """The study's tree, after all that shows it was made of it."""
-    tree: dict[str, Any] = {"identification": plain(study.identification(robot, train, test))}
+    steps: list[float] = []
+    found = study.identification(robot, train, test, steps.append)
+    assert sum(steps) == pytest.approx(1.0)
+    tree: dict[str, Any] = {"identification": plain(found)}
     assert len(sections(tree)) == 2
     headline(tree)
     draw_all(tree, folder)
@@ -142,7 +145,9 @@ def test_collisions_without_a_model_are_not_called_missed(
     robot: Robot, free_stream: Stream, tmp_path: Path
 ) -> None:
     few = short(free_stream, 200)
-    tree = plain(ten_collisions(robot, few, few, 2))
+    steps: list[float] = []
+    tree = plain(ten_collisions(robot, few, few, 2, steps.append))
+    assert sum(steps) == pytest.approx(1.0)
     assert tree["status"]["paper"] == "too_few_rows"
     assert "free ticks" in tree["status"]["default"]
     section = sections({"collisions": tree})[0]

@@ -6,6 +6,7 @@ Nothing here is a number of its own: every figure is read from the results' tree
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -222,6 +223,17 @@ def _decided(row: Mapping[str, Any], status: Mapping[str, str | None], name: str
     return "missed" if row[f"{name}_ms"] is None else number(row[f"{name}_ms"], 0)
 
 
+def _found_of(data: Any) -> str:
+    """Which of both found how many, and how soon; who is better, whoever it is."""
+    told = []
+    for name, title in (("paper", "the paper's rule"), ("default", "the default")):
+        if data["status"][name] is None:
+            known = sorted(r[f"{name}_ms"] for r in data["table"] if r[f"{name}_ms"] is not None)
+            median = f", median {statistics.median(known):.0f} ms" if known else ""
+            told.append(f"{title} found {len(known)} of {len(data['table'])}{median}")
+    return f"{'; '.join(told)}.".capitalize() if told else ""
+
+
 def _collisions(data: Any) -> list[Section]:
     rows = [
         [
@@ -238,7 +250,8 @@ def _collisions(data: Any) -> list[Section]:
             "Leg rf onto a plate within the paper's subspaces. The paper's rule has its "
             "threshold at the largest value on the free test segments "
             f"({per_joint(data['limit_deg'])}°); latencies are from the true touch to the deciding "
-            "sample."
+            "sample. "
+            + _found_of(data)
             + "".join(
                 f" **No model of the {named}: {data['status'][name]}.**"
                 for name, named in (("paper", "paper's rule"), ("default", "default"))

@@ -327,6 +327,14 @@ def _learned(data: Any) -> Section:
                 residuals,
             ),
             Table(
+                "Forms of the analytical model, one-step RMS on tuning streams",
+                ["form", "RMS °", "compared as a detector"],
+                [
+                    ["tuned observer", per_joint(analytical["observer"], 3), "yes, the stronger"],
+                    ["last two positions alone", per_joint(analytical["positions only"], 3), "no"],
+                ],
+            ),
+            Table(
                 "Channels used (joints 0 to 2, or windows), and recall on tuning collisions",
                 ["detector", "channels", "recall"],
                 channels,

@@ -56,8 +56,9 @@ def identification_sections(data: Any) -> list[Section]:
         f"rounding to steps of 0.293°; measured against the true angles it is "
         f"{per_joint(data['reading_noise_deg'], 4)}°. `picked` is the sparsest λ at which every "
         "joint's error on held-out swings of the training set is within 0.5 % of its best, which "
-        "is the product's own rule. R² `all` is that of the whole state, older positions included, "
-        "which a model only has to copy." + _at_five(data["sweeps"])
+        "is the product's own rule (the smallest λ where their best lie apart). R² `all` is that "
+        "of the whole state, older positions included, which a model only has to copy."
+        + _at_five(data["sweeps"])
     )
     header = [
         "convention", "λ", "terms", "status", "R² all", "position", "velocity", "acceleration",
@@ -172,8 +173,17 @@ def _at_five(sweeps: Sequence[Mapping[str, Any]]) -> str:
         told += f"it leaves no usable model in {'; '.join(emptied)}"
     if kept:
         told += f"{', and ' if emptied else ''}one in {'; '.join(kept)}"
+    if kept:
+        told += (
+            ". The λ the paper selects can only have been meant for columns that are normalised, "
+            "or for other units than these"
+        )
+    else:
+        told += (
+            ". On normalised columns a λ grows with the square root of the number of rows: the "
+            "paper's has to come from more of them, or from other units"
+        )
     return (
-        told + ". The λ the paper selects can therefore only have been meant for columns that are "
-        "normalised, or for other units than these; it is no constant to be carried over, and the "
-        "λ used here is chosen on held-out swings."
+        told + "; it is no constant to be carried over, and the λ used here is chosen on held-out "
+        "swings."
     )
