@@ -32,6 +32,7 @@ from adaptive_contact_sim.experiments.touched import (
     outcome_of,
     peaks,
     rows_of,
+    slips,
     what_alarms_are,
 )
 from adaptive_contact_sim.experiments.variants import AIMS, at_other_aims, play_at, play_ungated
@@ -115,6 +116,24 @@ def test_misses_kinds_and_limits_hold_to_the_same_headline(streams: list[Touched
     bins = binned(streams, outcomes["default"], "speed_m_s", (0.0, 0.1, 0.2, 2.5), ())
     assert [b["touches"] for b in bins] == [1, 0, 3]
     assert [b["found"] for b in bins] == [1, 0, 3]
+
+
+def test_slips_are_fast_touches_soon_after_another_contact(streams: list[Touched]) -> None:
+    """The second contact of a swing, 100 ms after the first has let go."""
+    t = streams[1]
+    first = t.truth.truth
+    onset = int(first.t_ns[0])
+    truth = TruthChanges(
+        t_ns=onset + np.array([0, 60, 160, 400]) * 1_000_000,
+        contact=np.array([True, False, True, False]),
+        speed_m_s=np.array([0.05, np.nan, 0.6, np.nan]),
+        soft=np.zeros(4, dtype=bool),
+        grazing=np.zeros(4, dtype=bool),
+        force_n=np.full(4, 5.0),
+    )
+    slipped = t._replace(truth=dataclasses.replace(t.truth, truth=truth))
+    assert slips([slipped]) == {"touches": 1, "soon": 1}
+    assert slips(streams) == {"touches": 2, "soon": 0}
 
 
 def test_curves_are_of_the_headlines_touches(streams: list[Touched]) -> None:

@@ -30,6 +30,7 @@ from adaptive_contact_sim.experiments.models import learned
 from adaptive_contact_sim.experiments.plan import Plan, Role
 from adaptive_contact_sim.experiments.store import Store
 from adaptive_contact_sim.experiments.touched import (
+    SLIP_MS,
     Touched,
     binned,
     by_kind,
@@ -40,6 +41,7 @@ from adaptive_contact_sim.experiments.touched import (
     peaks,
     row_figures,
     rows_of,
+    slips,
     touched_streams,
     what_alarms_are,
 )
@@ -79,6 +81,7 @@ def detection(
         progress(1.0)
     figures[DEFAULT]["misses"] = misses(touched, outcomes, slow=False)
     figures[DEFAULT]["slow_misses"] = misses(touched, outcomes, slow=True)
+    figures[DEFAULT]["slips"] = slips(touched) | {"within_ms": SLIP_MS}
     robot = shipped_robot()
     return {
         "detectors": ONLINE | {name: d.title for name, d in DETECTORS.items()},

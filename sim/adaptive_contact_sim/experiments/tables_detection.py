@@ -72,8 +72,8 @@ def _main(data: Any) -> Section:
         + _free(data)
         + " `not counted`: a threshold so low that more than 3 % of the ticks of some stream pass "
         "it. The headline leaves out the streams of slow approaches, whose touches all have rows "
-        "of their own: what is touched at speed there is touched by a foot that slipped off an "
-        "edge and falls after a command that creeps"
+        "of their own: what is touched at speed there is mostly touched by a foot that slipped off "
+        "an edge and falls after a command that creeps"
     )
     text += (
         f"; with those touches it is {both['found']} of {both['touches']} "
@@ -269,15 +269,16 @@ def _unseen(default: Any) -> str:
             f" Of the {len(misses)} headline touches missed that are listed, {by_none} are found "
             "by no detector at all, the one with the simulator's own equations included."
         )
-    if slow:
+    row, slips = default["summary"]["rows"].get(SLOW_FAST), default["slips"]
+    if row:
         by_none = sum(not m["found_by"] for m in slow)
-        row = default["summary"]["rows"][SLOW_FAST]
         told += (
             f" Of the {row['touches']} fast touches in slow approaches {row['found']} are found; "
-            f"of the {len(slow)} missed that are listed {by_none} by no detector: a foot that "
-            "slips off an edge falls after a command that creeps, and meets the ground about where "
-            "the command would have stopped it. It touches at speed, and nothing departs from the "
-            "prediction."
+            f"of the {len(slow)} missed that are listed {by_none} by no detector. {slips['soon']} "
+            f"of the {slips['touches']} come within {number(slips['within_ms'], 0)} ms of the end "
+            "of another contact: a foot that slips off an edge falls after a command that creeps, "
+            "and meets the ground about where the command would have stopped it. It touches at "
+            "speed, and nothing departs from the prediction."
         )
     return told
 

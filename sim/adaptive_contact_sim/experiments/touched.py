@@ -1,9 +1,10 @@
 """Streams with contacts, what every detector says of them, and which touches make the headline.
 
 A slow approach (2 to 10 cm/s) has a row of its own.  What is touched at speed in such a stream is
-touched by a foot that slipped off an edge: it falls after a command that creeps, and meets the
-ground about where the command would have stopped it.  Those touches are no headline; they are shown
-in a row of their own, and together with the headline in another.
+mostly touched by a foot that slipped off an edge (:func:`slips` counts them): it falls after a
+command that creeps, and meets the ground about where the command would have stopped it.  Those
+touches are no headline; they are shown in a row of their own, and together with the headline in
+another.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ from adaptive_contact_sim.experiments.variants import AIMS, aim_name
 
 __all__ = [
     "BOTH",
+    "SLIP_MS",
     "SLOW_FAST",
     "SLOW_KINDS",
     "Touched",
@@ -58,6 +60,7 @@ __all__ = [
     "outcome_of",
     "peaks",
     "rows_of",
+    "slips",
     "touched_streams",
     "what_alarms_are",
 ]
@@ -70,6 +73,9 @@ SLOW_KINDS: Final = ("hard slow",)
 # Names of the rows that divide the score's own headline row.
 SLOW_FAST: Final = "fast touches in slow approaches"
 BOTH: Final = "headline and fast touches in slow approaches"
+# A touch so soon after the end of another contact is that of a foot that slipped, ms: a leg that is
+# lifted on purpose is in the air for longer.
+SLIP_MS: Final = 300.0
 _SHOWN_MISSES: Final = 60
 _WINDOW_NS: Final = 120_000_000
 _LONG_WINDOW_NS: Final = 500_000_000
@@ -283,6 +289,19 @@ def misses(
                 }
             )
     return found[:_SHOWN_MISSES]
+
+
+def slips(touched: Sequence[Touched]) -> dict[str, int]:
+    """Fast touches in slow approaches, and those soon after another contact ended: of a slip."""
+    total = soon = 0
+    for t in touched:
+        table = match(t.truth, _nothing()).touches
+        for onset, row in zip(table.onset_ns, table.row, strict=True):
+            if t.piece.kind in SLOW_KINDS and row == ROWS.index(Row.HEADLINE):
+                after = _after_release(t.truth, int(onset))
+                total += 1
+                soon += after is not None and after <= SLIP_MS
+    return {"touches": total, "soon": soon}
 
 
 def _after_release(truth: LegStream, onset_ns: int) -> float | None:
