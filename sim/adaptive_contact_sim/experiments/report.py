@@ -22,9 +22,9 @@ _CAPTIONS: Final = {
     "paper-workspace": "Figure 3 of the paper: workspace (1 cm grid), subspaces, places of feet. "
     "From above the upper subspace shows around the lower one.",
     "paper-responses": "Figure 2 of the paper: femur command, response, predictions; shaded: hold.",
-    "paper-sweep": "Figure 4 of the paper (top), the naive prediction on its own scale, and what "
-    "R² does not show. Violet: the λ picked on held-out swings; dashed: λ = 5; grey: some state "
-    "has lost all its terms.",
+    "paper-sweep": "Figure 4 of the paper (top), the naive prediction (test set) on its own scale, "
+    "and what R² does not show. Violet: the λ picked on held-out swings; dashed: λ = 5; grey: some "
+    "state has lost all its terms.",
     "paper-collision": "Figure 5 of the paper: one collision (the one drawn in the table). The "
     "predicted error is the reading less what was foretold a tick before; the rule looks at the "
     "change of its size.",
