@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -12,11 +13,12 @@ from adaptive_contact.errors import ConfigurationError
 
 __all__ = ["paper"]
 
+_OUT: Final = Path("out/paper")
+_LOGS: Final = Path("../shared/data")
+
 
 def paper(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")] = Path(
-        "out/paper"
-    ),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")] = _OUT,
     quick: Annotated[
         bool, typer.Option("--quick", help="A few minutes: fewer legs, fewer hours.")
     ] = False,
@@ -33,7 +35,7 @@ def paper(
         typer.Option(
             "--logs", metavar="PATH", help="Recordings of real servos; skipped where absent."
         ),
-    ] = Path("../shared/data"),
+    ] = _LOGS,
     docs: Annotated[
         Path | None,
         typer.Option("--docs", metavar="FILE.md", help="Write the results as a document, too."),
@@ -46,6 +48,7 @@ def paper(
     import dataclasses
 
     from rich.console import Console
+    from threadpoolctl import threadpool_limits
 
     from adaptive_contact_sim.experiments.report import write_document
 
@@ -55,8 +58,25 @@ def paper(
     plan = dataclasses.replace(QUICK if quick else FULL, seed=seed)
     stages = [name for name in STAGES if not stage or name in stage]
     console = Console()
+    options: dict[str, list[object]] = {
+        "--out": [out] if out != _OUT else [],
+        "--seed": [seed] if seed else [],
+        "--workers": [workers] if workers else [],
+        "--stage": [*(stage or ())],
+        "--logs": [logs] if logs is not None and logs != _LOGS else [],
+        "--docs": [docs] if docs is not None else [],
+    }
     try:
-        results = run_paper(out, plan, workers=workers, stages=stages, logs=logs, console=console)
+        with threadpool_limits(1):  # matrices this small only wait for each other in threads
+            results = run_paper(
+                out,
+                plan,
+                workers=workers,
+                stages=stages,
+                logs=logs,
+                console=console,
+                command=_command(quick, options),
+            )
     except KeyboardInterrupt:
         console.print("\ninterrupted; the same command goes on from here")
         raise typer.Exit(130) from None
@@ -64,3 +84,12 @@ def paper(
         write_document(results, docs, docs.parent / "pictures")
         console.print(f"wrote {docs}")
     console.print(f"wrote {out / 'report.html'}, {out / 'results.json'}, {out / 'figures'}/")
+
+
+def _command(quick: bool, options: dict[str, list[object]]) -> str:
+    """What was typed, as it can be typed again: all options that are not left as they are."""
+    words = ["adaptive-contact", "paper", *(["--quick"] if quick else [])]
+    for name, values in options.items():
+        for value in values:
+            words += [name, str(value)]
+    return shlex.join(words)

@@ -9,15 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.identify import Window, leg_library
+from adaptive_contact.identify import FitStatus, Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments import identification as study
+from adaptive_contact_sim.experiments.collisions import ten_collisions
 from adaptive_contact_sim.experiments.compression import compare
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.figures import draw_all
-from adaptive_contact_sim.experiments.rows import free_rows
+from adaptive_contact_sim.experiments.responses import fitted, responses
+from adaptive_contact_sim.experiments.rows import free_rows, worst
 from adaptive_contact_sim.experiments.store import plain
 from adaptive_contact_sim.experiments.tables import headline, sections
+from adaptive_contact_sim.experiments.workspace import compare_regions, workspace
 
 
 def altered(stream: Stream, **arrays: np.ndarray) -> Stream:
@@ -42,7 +45,10 @@ def quick_study(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def told(robot: Robot, train: Stream, test: Stream, folder: Path) -> dict[str, Any]:
     """The study's tree, after all that shows it was made of it."""
-    tree: dict[str, Any] = {"identification": plain(study.identification(robot, train, test))}
+    steps: list[float] = []
+    found = study.identification(robot, train, test, steps.append)
+    assert sum(steps) == pytest.approx(1.0)
+    tree: dict[str, Any] = {"identification": plain(found)}
     assert len(sections(tree)) == 2
     headline(tree)
     draw_all(tree, folder)
@@ -115,3 +121,52 @@ def test_the_comparison_of_too_few_rows_says_so(robot: Robot, free_stream: Strea
     result = compare(short(free_stream, 60), leg_library(robot, robot.leg("rf")), 0.1, repeats=1)
     assert result.kept == [0, 0, 0]
     assert not result.same_support
+
+
+def test_the_worst_status_stands_for_several_fits() -> None:
+    assert worst([]) is FitStatus.OK
+    assert worst([FitStatus.OK, FitStatus.EMPTIED, FitStatus.OK]) is FitStatus.EMPTIED
+    assert worst([FitStatus.TOO_FEW_ROWS, FitStatus.OK]) is FitStatus.TOO_FEW_ROWS
+
+
+def test_too_few_rows_foretell_nothing(robot: Robot, free_stream: Stream, tmp_path: Path) -> None:
+    few = short(free_stream, 200)
+    model, status = fitted(robot, few, "paper", study.PAPER_WINDOW, 0.1)
+    assert model is None
+    assert status is FitStatus.TOO_FEW_ROWS
+    shown = plain(responses(robot, few, free_stream, {"paper": 0.1, "servo": 0.1}))
+    assert shown["status"] == {"paper": "too_few_rows", "servo": "ok"}
+    assert set(shown["paper"]) == {None}
+    assert None not in shown["servo"]
+    assert draw_all({"responses": shown}, tmp_path)
+
+
+def test_collisions_without_a_model_are_not_called_missed(
+    robot: Robot, free_stream: Stream, tmp_path: Path
+) -> None:
+    few = short(free_stream, 200)
+    steps: list[float] = []
+    tree = plain(ten_collisions(robot, few, few, 2, steps.append))
+    assert sum(steps) == pytest.approx(1.0)
+    assert tree["status"]["paper"] == "too_few_rows"
+    assert "free ticks" in tree["status"]["default"]
+    section = sections({"collisions": tree})[0]
+    assert [row[3:] for row in section.tables[0].rows] == [["no model"] * 2] * 2
+    assert "too_few_rows" in section.text
+    assert draw_all({"collisions": tree}, tmp_path)
+
+
+def test_regions_with_too_few_rows_have_a_status_and_no_error(
+    robot: Robot, free_stream: Stream, tmp_path: Path
+) -> None:
+    """295 terms in eight regions of a tenth of the rows: some region has no model of its own."""
+    few = short(free_stream, 900)
+    tree = plain(workspace({"0-rf": compare_regions(robot, [few], [free_stream], few)}))
+    paper = tree["libraries"]["paper"]
+    assert paper["status"]["one model"] == "ok"
+    assert paper["status"]["one per region"] == "too_few_rows"
+    assert paper["rms_deg"]["one per region"] is None
+    assert paper["difference"]["all regions seen"]["mean"] is None
+    rows = {tuple(r[:2]): r for r in sections({"workspace": tree})[0].tables[0].rows}
+    assert rows["paper", "one per region"][3:] == ["too_few_rows", "-"]
+    assert draw_all({"workspace": tree}, tmp_path)

@@ -163,20 +163,25 @@ def test_the_refit_cuts_singular_values_where_pysindy_cuts_them(
 
 
 @pytest.mark.parametrize("window", [SMALL, PAPER])
-@pytest.mark.parametrize("threshold", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize(
+    ("threshold", "normalised"),
+    [(0.0, False), (0.01, False), (0.1, False), (0.0, True), (0.2, True), (1.0, True)],
+)
 def test_the_papers_fit_equals_discrete_sindy_with_its_own_library(
-    robot: Robot, free_stream: Stream, window: Window, threshold: float
+    robot: Robot, free_stream: Stream, window: Window, threshold: float, normalised: bool
 ) -> None:
-    """Eq. 8 in PySINDy's own words, raw units, all delayed states predicted."""
+    """Eq. 8 in PySINDy's own words, all delayed states predicted; raw and normalised columns."""
     library, windows, state, control = system(robot, free_stream, "paper", window)
     new = (windows.measured[:, 0] + windows.increment)[:, None]
     following = np.concatenate([new, windows.measured[:, :-1]], axis=1).reshape(len(state), -1)
-    fit = paper_fit(factor_of(library, windows, following), threshold)
+    fit = paper_fit(factor_of(library, windows, following), threshold, normalised=normalised)
     theirs = ps.PolynomialLibrary(degree=2) + ps.FourierLibrary(n_frequencies=1)
     coefficients = discrete_sindy(
-        theirs, state, control, following, threshold=threshold, alpha=0.05
-    )
+        theirs, state, control, following,
+        threshold=threshold, alpha=0.05, normalize_columns=normalised,
+    )  # fmt: skip
     expected = in_our_order(coefficients, state.shape[1] + control.shape[1])
+    assert (expected != 0).any()
     np.testing.assert_array_equal(fit.coefficients != 0, expected != 0)
     np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
 

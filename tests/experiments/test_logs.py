@@ -75,13 +75,74 @@ def test_both_formats_are_fitted_and_tabled(tmp_path: Path) -> None:
         assert arm[protocol]["false_alarms"]["ticks"] > 4000
     pendulum = tree["pendulum"]
     assert pendulum["gains"] == [100.0, 200.0]
-    assert set(pendulum["libraries"]["servo"]["refitted_deg"]) == {"100", "200"}
+    servo_law = pendulum["libraries"]["servo"]
+    assert set(servo_law["rms_deg"]["100"]) == set(servo_law["rms_deg"]) == {"100", "200"}
+    assert set(servo_law["status"]["100"].values()) == {"ok"}
     # Turns are unwrapped: no reading leaps by a turn.
     assert max(pendulum["naive_deg"].values()) < 6.0
     assert any("without torque" in row["reason"] for row in tree["skipped"])
     text = sections({"logs": tree})[0]
     assert len(text.tables) == 3
     assert all(len(row) == len(t.header) for t in text.tables for row in t.rows)
+
+
+def test_a_library_with_too_few_rows_has_a_status_and_no_error(tmp_path: Path) -> None:
+    """373 terms of the paper's library and 216 rows: zeros would predict as well as nothing."""
+    rng = np.random.default_rng(3)
+    arrays = {}
+    for i in range(6):
+        goal, position = servo(rng, 60, joints=6)
+        arrays |= {f"m{i}/t": np.arange(60) * 0.02, f"m{i}/goal": goal, f"m{i}/pos": position}
+    np.savez(tmp_path / "arm.npz", **arrays)
+    steps: list[float] = []
+    tree = run_logs(tmp_path / "arm.npz", steps.append)
+    assert sum(steps) == pytest.approx(1.0)
+    part = tree["arms"][0]["unseen motions"]
+    assert part["status"]["paper"] == "too_few_rows"
+    assert part["rms_deg"]["paper"] is None
+    assert part["status"]["linear"] == "ok"
+    assert len(part["rms_deg"]["linear"]) == 6
+    section = sections({"logs": tree})[0]
+    rows = {tuple(r[:2]): r for r in section.tables[0].rows}
+    assert rows["unseen motions", "paper"][3:] == ["too_few_rows", "-"]
+    assert "paper library is better" not in section.text
+
+
+def test_one_fold_without_a_model_is_enough_to_tell_no_error(tmp_path: Path) -> None:
+    """The long motion is missing from two of five folds; the last has it."""
+    rng = np.random.default_rng(4)
+    arrays = {}
+    for i, n in enumerate((55, 55, 400, 55, 55)):
+        goal, position = servo(rng, n, joints=4)
+        arrays |= {f"m{i}/t": np.arange(n) * 0.02, f"m{i}/goal": goal, f"m{i}/pos": position}
+    np.savez(tmp_path / "arm.npz", **arrays)
+    part = run_logs(tmp_path / "arm.npz")["arms"][0]["unseen motions"]
+    assert 3 * 54 < part["terms"]["paper"]["size"] < 399
+    assert part["status"]["paper"] == "too_few_rows"
+    assert part["rms_deg"]["paper"] is None
+
+
+def test_fixed_and_refitted_models_have_not_seen_the_trajectory_that_is_tried(
+    tmp_path: Path,
+) -> None:
+    """The same runs under two gains: then a model of the other gain is the refitted one."""
+    for gain in (100, 200):
+        for run in range(3):
+            write_pendulum(tmp_path / f"p{gain}{run}.json", gain, run)
+    for library in run_logs(tmp_path)["pendulum"]["libraries"].values():
+        rms = library["rms_deg"]
+        assert rms["100"]["200"] == rms["200"]["200"] == rms["200"]["100"] > 0.0
+
+
+def test_a_single_trajectory_leaves_nothing_to_fit_and_says_so(tmp_path: Path) -> None:
+    for gain in (100, 200):
+        write_pendulum(tmp_path / f"p{gain}.json", gain, seed=7)
+    tree = run_logs(tmp_path)
+    library = tree["pendulum"]["libraries"]["servo"]
+    assert library["rms_deg"]["100"] == {"100": None, "200": None}
+    assert library["status"]["100"]["200"] == "too_few_rows"
+    cells = [cell for row in sections({"logs": tree})[0].tables[0].rows[1:] for cell in row[2:]]
+    assert all(cell.startswith("too_few_rows") for cell in cells)
 
 
 def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
@@ -191,6 +252,7 @@ def test_the_real_pendulum_prefers_a_refit_of_its_own_gain() -> None:
     pendulum = tree["pendulum"]
     assert pendulum["runs"] == 16
     servo_law = pendulum["libraries"]["servo"]
+    rms = servo_law["rms_deg"]
     for gain in ("100", "200"):
-        assert servo_law["refitted_deg"][gain] < 0.2 * pendulum["naive_deg"][gain]
-    assert servo_law["fixed_deg"]["100"]["800"] > 2.0 * servo_law["refitted_deg"]["800"]
+        assert rms[gain][gain] < 0.2 * pendulum["naive_deg"][gain]
+    assert rms["100"]["800"] > 2.0 * rms["800"]["800"]

@@ -7,8 +7,15 @@ from typing import Any
 import pytest
 
 from adaptive_contact_sim.experiments.detection import _rate
+from adaptive_contact_sim.experiments.identification import (
+    SINGULAR,
+    _sparsest,
+    told_condition,
+)
 from adaptive_contact_sim.experiments.store import plain
 from adaptive_contact_sim.experiments.tables import headline
+from adaptive_contact_sim.experiments.tables_detection import _free
+from adaptive_contact_sim.experiments.tables_format import per_joint
 
 
 def found(
@@ -18,6 +25,7 @@ def found(
     p95: float = 30.0,
     alarms: int = 3,
     hours: float = 10.5,
+    worst: tuple[float, ...] = (0.23, 0.25, 0.23),
 ) -> dict[str, Any]:
     row = {
         "recall": recall,
@@ -33,6 +41,7 @@ def found(
     tree = {
         "figures": {"default": default},
         "residual_deg": {"stand": {"servo": [0.22, 0.24, 0.23]}},
+        "worst_leg_run": {"stand": {"servo": {"leg_run": "2-lm", "rms_deg": worst}}},
     }
     return {"detection": plain(tree)}
 
@@ -44,17 +53,19 @@ def verdicts(results: dict[str, Any]) -> list[bool | None]:
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        ({}, [True, True, True, True]),
-        ({"recall": 0.98}, [False, True, True, True]),
+        ({}, [True, True, True, True, True]),
+        ({"recall": 0.98}, [False, True, True, True, True]),
         # Kept so far, but not on as many as were asked for: no verdict.
-        ({"touches": 999}, [None, None, True, True]),
-        ({"hours": 9.9}, [True, True, None, True]),
+        ({"touches": 999}, [None, None, True, True, True]),
+        ({"hours": 9.9}, [True, True, None, True, True]),
         # Broken is broken, on however few.
-        ({"touches": 999, "recall": 0.98, "median": 21.0}, [False, False, True, True]),
-        ({"hours": 0.1, "alarms": 1}, [True, True, False, True]),
-        ({"p95": 40.1}, [True, False, True, True]),
-        ({"alarms": 53}, [True, True, False, True]),
-        ({"median": None}, [True, None, True, True]),
+        ({"touches": 999, "recall": 0.98, "median": 21.0}, [False, False, True, True, True]),
+        ({"hours": 0.1, "alarms": 1}, [True, True, False, True, True]),
+        ({"p95": 40.1}, [True, False, True, True, True]),
+        ({"alarms": 53}, [True, True, False, True, True]),
+        ({"median": None}, [True, None, True, True, True]),
+        # All leg-runs pooled hide one that is worse.
+        ({"worst": (0.23, 0.26, 0.23)}, [True, True, True, True, False]),
     ],
 )
 def test_verdicts(changed: dict[str, Any], expected: list[bool | None]) -> None:
@@ -93,3 +104,41 @@ def test_what_was_not_counted_has_no_rate() -> None:
         "count": -1, "hours": 1.0, "per_hour": None, "interval": [None, None]
     }  # fmt: skip
     assert _rate(0, 0)["per_hour"] is None
+
+
+def test_the_residual_is_labelled_as_what_it_is() -> None:
+    pooled, worst = headline(found())[3:]
+    assert "models as fitted" in pooled.what
+    assert "all leg-runs pooled" in pooled.what
+    assert "the worst leg-run (2-lm)" in worst.what
+    assert worst.measured == "1.36 1.48 1.36 ×"
+
+
+def test_no_alarm_in_few_hours_only_bounds_the_rate() -> None:
+    alarms = {"free": _rate(10, 540_000 * 10), "stand": _rate(0, 324_000)}
+    told = _free({"figures": {"default": {"false_alarms": plain(alarms)}}})
+    assert "10 and 0 false alarms" in told
+    # 95 % of nothing seen: 3.69 over 0.6 h.
+    assert "None in 0.60 h standing only bounds the rate: up to 6.1 per robot-hour" in told
+    assert "hung up only bounds" not in told
+
+
+def test_what_has_no_model_and_what_is_singular_are_no_dashes() -> None:
+    assert per_joint([1.234, SINGULAR, None], 1) == "1.2 infinite (singular) -"
+    assert told_condition(float("inf")) == SINGULAR
+    assert told_condition(12.0) == 12.0
+
+
+def test_every_joint_has_a_say_in_the_sparsest_model() -> None:
+    """A mean would pick 0.3: the first joint gains there what the second loses."""
+    points = [
+        {"lambda": 0.1, "held_out_rms": [0.200, 0.200]},
+        {"lambda": 0.3, "held_out_rms": [0.198, 0.203]},
+        {"lambda": 1.0, "held_out_rms": [0.300, 0.300]},
+    ]
+    assert _sparsest(points[:1] + points[2:]) == 0.1
+    assert _sparsest([]) is None
+    # Their best lie apart: the smallest.
+    assert _sparsest(points) == 0.1
+    near = [*points[:1], {"lambda": 0.3, "held_out_rms": [0.2005, 0.2009]}, points[2]]
+    assert _sparsest(near) == 0.3

@@ -74,6 +74,38 @@ def test_an_unknown_stage_is_told(tmp_path: Path) -> None:
     assert "identification" in str(result.exception)
 
 
+def test_the_report_tells_the_whole_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All options, and one BLAS thread while it runs."""
+    import typer
+    from threadpoolctl import threadpool_info
+
+    from adaptive_contact.cli.paper import paper
+    from adaptive_contact_sim.experiments import run
+
+    threads: list[int] = []
+
+    def told(_: object) -> dict[str, str]:
+        threads.extend(pool["num_threads"] for pool in threadpool_info())
+        return {"skipped_stage": "for a test"}
+
+    monkeypatch.setattr(run._Runner, "logs", told)
+    app = typer.Typer()
+    app.command()(paper)
+    document = tmp_path / "a page.md"
+    words = ["--quick", "--out", str(tmp_path / "out"), "--seed", "7", "--stage", "logs"]
+    result = CliRunner().invoke(app, [*words, "--docs", str(document)])
+    assert result.exit_code == 0, result.output
+    command = f"adaptive-contact paper {' '.join(words)} --docs '{document}'"
+    # In the order of the options' own list.
+    assert sorted(command.split()) == sorted(
+        json.loads((tmp_path / "out" / "results.json").read_text())["command"].split()
+    )
+    assert f"--docs '{document}'" in document.read_text()
+    assert set(threads) == {1}
+
+
 def test_streams_side_by_side_decide_what_they_decide_alone(
     robot: Robot, touched_stream: Stream
 ) -> None:

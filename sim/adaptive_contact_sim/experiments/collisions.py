@@ -9,6 +9,7 @@ test segments.  The default detector has its own threshold, from the same segmen
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -16,11 +17,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt import Baseline, ContactLearner
+from adaptive_contact.adapt import ContactLearner
 from adaptive_contact.adapt.training import learn, swing_ticks
 from adaptive_contact.detect.baseline_events import alarm_ticks
 from adaptive_contact.detect.baselines import JUDGED_AFTER_TICKS, Prediction, paper_rule
-from adaptive_contact.identify import Window
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.identify import LegModel, Window
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.phase import directions
 from adaptive_contact.score import find_swings
@@ -78,7 +80,13 @@ class _Listener:
         plant.servos.rub = listen  # type: ignore[method-assign]
 
 
-def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dict[str, Any]:
+def ten_collisions(
+    robot: Robot,
+    train: Stream,
+    test: Stream,
+    count: int,
+    progress: Callable[[float], None] = lambda _: None,
+) -> dict[str, Any]:
     """Record collisions within the paper's subspaces, and detect them.
 
     Args:
@@ -86,9 +94,11 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
         train: the paper's training segments of the same leg.
         test: its test segments.
         count: how many.
+        progress: told the share of the whole that each step adds.
 
     Returns:
-        A table of collisions, and the traces of one of them.
+        A table of collisions, the traces of one of them, and how each detector's fit ended: one
+        that has nothing to go by finds nothing, and says why.
     """
     leg = LEGS.index(train.leg)
     motion = PoseSettings(
@@ -121,17 +131,24 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
     desired = np.array([r[1] for r in rows])
     swing = np.array([r[2] for r in rows])
 
-    model = fitted(robot, train, "paper", PAPER_WINDOW, _THRESHOLD)
+    progress(0.2)
+    model, status = fitted(robot, train, "paper", PAPER_WINDOW, _THRESHOLD)
     told = predictions(model, measured, desired)
     difference = paper_rule(Prediction(measured - told, np.zeros_like(measured)))
     limit = _found_threshold(model, test)
+    progress(0.3)
     judged = swing_ticks(swing) > JUDGED_AFTER_TICKS
     score = np.where(judged, (difference / limit).max(axis=1), np.nan)
     t_ns = np.arange(len(swing), dtype=np.int64) * 20_000_000
     number = find_swings(t_ns, swing).of_tick
     falling = np.roll(directions(desired, robot.leg(train.leg)), 1) == 1
     paper_ticks = alarm_ticks(score, number, 1.0, falling & judged)
-    default_ticks = _default(robot, train, test, measured, desired, swing)
+    reason = None
+    try:
+        default_ticks = _default(robot, train, test, measured, desired, swing)
+    except IdentificationError as error:
+        default_ticks, reason = np.zeros(0, dtype=np.int64), str(error)
+    progress(0.5)
     table = []
     for step, speed, force in touches[:count]:
         onset_ms = step * sim.plant.step_s * 1e3
@@ -150,6 +167,10 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
         "table": table,
         "limit_deg": np.degrees(limit).tolist(),
         "drawn": shown,
+        "status": {
+            "paper": status.value if model is None else None,
+            "default": reason,
+        },
         "trace": _trace(
             heard,
             table[shown],
@@ -164,12 +185,14 @@ def ten_collisions(robot: Robot, train: Stream, test: Stream, count: int) -> dic
     }
 
 
-def _found_threshold(model: Any, test: Stream) -> Array:
-    """(3,) the largest change of the absolute error on judged free ticks."""
+def _found_threshold(model: LegModel | None, test: Stream) -> Array:
+    """(3,) the largest change of the absolute error on judged free ticks; NaN without a model."""
     told = predictions(model, test.measured, test.desired)
     change = paper_rule(Prediction(test.measured - told, np.zeros_like(told)))
     judged = swing_ticks(test.swing) > JUDGED_AFTER_TICKS
-    return np.asarray(np.nanmax(change[judged], axis=0))
+    known = change[judged]
+    known = known[np.isfinite(known).all(axis=1)]
+    return known.max(axis=0) if len(known) else np.full(told.shape[1], np.nan)
 
 
 def _default(
@@ -180,15 +203,18 @@ def _default(
     desired: Array,
     swing: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
-    """Ticks at which the default detector tells a contact."""
+    """Ticks at which the default detector tells a contact.
+
+    Raises:
+        IdentificationError: too little to learn from.
+    """
     training = learn(
         robot,
         {train.leg: [train.stretch, test.stretch]},
         origin="the paper's dataset",
         window=Window(),
     )
-    baseline: Baseline = training.baseline
-    learner = ContactLearner(robot, train.leg, baseline)
+    learner = ContactLearner(robot, train.leg, training.baseline)
     ticks = []
     for k in range(len(swing)):
         event = learner.update(

@@ -126,18 +126,22 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
     )
 
 
-def compare_all(robot: Robot, stream: Stream) -> list[Comparison]:
+def compare_all(
+    robot: Robot, stream: Stream, progress: Callable[[float], None] = lambda _: None
+) -> list[Comparison]:
     """Both libraries, at a λ that keeps nearly every term and at one that leaves the sparse model.
 
     Args:
         robot: whose leg it is.
         stream: the paper's training segments.
+        progress: told the share of the whole that each comparison adds.
     """
     leg = robot.leg(stream.leg)
-    return [
-        compare(stream, leg_library(robot, leg, name, window), threshold)
-        for name, window, threshold in _COMPARED
-    ]
+    found = []
+    for name, window, threshold in _COMPARED:
+        found.append(compare(stream, leg_library(robot, leg, name, window), threshold))
+        progress(1.0 / len(_COMPARED))
+    return found
 
 
 def compare_full(

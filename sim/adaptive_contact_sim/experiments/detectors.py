@@ -196,15 +196,19 @@ def _rule(model: str) -> Callable[[Bench, Evidence], Array]:
     return lambda _, evidence: paper_rule(evidence.predictions[model])
 
 
-# The ungated recursive learner of the design's section 6 comes with the adaptive learner
-# (adaptive_contact.adapt); it is compared in the drift scenarios, where it matters.
+# The detectors that learn as they go, the default and the ungated one, are played sample by sample
+# (evaluation.py).
 DETECTORS: Final[dict[str, Detector]] = {
     "servo ratio": Detector("servo law, likelihood ratio (frozen)", _ratio("servo"), False),
     "servo rule": Detector("servo law, paper's rule", _rule("servo"), True),
     "paper ratio": Detector("paper's library, likelihood ratio", _ratio("paper"), False),
     "paper rule": Detector("the paper: its library, its rule", _rule("paper"), True),
-    "analytical ratio": Detector("analytical model, likelihood ratio", _ratio("analytical"), False),
-    "analytical rule": Detector("analytical model, paper's rule", _rule("analytical"), True),
+    "analytical ratio": Detector(
+        "analytical model (tuned observer), likelihood ratio", _ratio("analytical"), False
+    ),
+    "analytical rule": Detector(
+        "analytical model (tuned observer), paper's rule", _rule("analytical"), True
+    ),
     "tracking": Detector(
         "tracking error", lambda bench, e: tracking_error(e.motion, bench.lag), True
     ),

@@ -1,7 +1,8 @@
 """Every detector on the report's streams, piece by piece, in processes.
 
-Of free streams only counts are kept: alarms at every swept threshold, judged ticks, residuals.  Of
-streams with contacts every score is kept, as the sweep has to be matched against the truth.
+Of free streams only counts are kept: alarms at every swept threshold, ticks above it, judged ticks,
+residuals.  Of streams with contacts every score is kept, as the sweep has to be matched against the
+truth.
 """
 
 from __future__ import annotations
@@ -14,20 +15,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.detect.baseline_events import alarm_ticks
-from adaptive_contact.robot import shipped_robot
+from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Events
-from adaptive_contact_sim.experiments.data import load
+from adaptive_contact_sim.experiments.data import Stream, load
 from adaptive_contact_sim.experiments.detectors import DETECTORS, Evidence, evidence_of
 from adaptive_contact_sim.experiments.models import Learned, learned, models_key
 from adaptive_contact_sim.experiments.online import play_streams
 from adaptive_contact_sim.experiments.plan import GantrySettings, Piece, Plan
 from adaptive_contact_sim.experiments.store import Store, plain
+from adaptive_contact_sim.experiments.variants import (
+    AIMS,
+    aim_name,
+    at_other_aims,
+    play_at,
+    play_ungated,
+)
 
-__all__ = ["FACTORS", "MODELS", "evaluate", "jobs_of", "read_job"]
+__all__ = [
+    "AIM",
+    "DEFAULT",
+    "FACTORS",
+    "MODELS",
+    "NEAR_TURN_TICKS",
+    "ONLINE",
+    "TOP_SCORE",
+    "UNGATED",
+    "evaluate",
+    "jobs_of",
+    "online_events",
+    "read_job",
+]
 
-# Swept thresholds, over those of the aim; the middle one is the aim itself.
-FACTORS: Final = np.geomspace(0.1, 10.0, 41)
-AIM: Final = 20
+# Swept thresholds, over those of the aim, 15 to a decade.  Far below it: a heavy tail sets an aim's
+# threshold hundreds of times above what most ticks score.
+FACTORS: Final = np.geomspace(1e-3, 10.0, 61)
+AIM: Final = 45  # where the factor is 1
+# Detectors that run sample by sample and learn as they go.
+DEFAULT: Final = "default"
+UNGATED: Final = "ungated"
+ONLINE: Final = {
+    DEFAULT: "default: servo law, likelihood ratio, online",
+    UNGATED: "servo law, likelihood ratio, ungated recursive least squares",
+}
+# Free ticks that set a tail: above this score, and how many of those are among the first after the
+# turn from lift to descent, where the command runs away from the leg and the servos saturate.
+TOP_SCORE: Final = 0.1
+NEAR_TURN_TICKS: Final = 5
 MODELS: Final = ("servo", "paper", "analytical")
 # Runs of a hung-up robot, of six streams each, that are evaluated side by side.
 _RUNS_TOGETHER: Final = 3
@@ -88,12 +121,10 @@ def _evaluate(store: Store, job: Job) -> dict[str, NDArray[Any]]:
     robot = shipped_robot()
     streams = [load(store, piece) for piece in job.pieces]
     evidence = evidence_of(robot, streams, known.models, known.gains)
-    events = play_streams(robot, known.baselines, streams)
-    out: dict[str, NDArray[Any]] = {}
-    for index, (own, told) in enumerate(zip(evidence, events, strict=True)):
+    out = _online(robot, job.plan, known, streams)
+    for index, own in enumerate(evidence):
         prefix = f"{index}/"
         free = own.stream.piece.role in ("free", "stand")
-        out |= {prefix + k: v for k, v in _default(told).items()}
         out |= {prefix + k: v for k, v in _residuals(own).items()}
         out[prefix + "descending"] = own.descending
         out[prefix + "judged"] = np.array(np.count_nonzero(own.motion.judged & own.free))
@@ -102,16 +133,45 @@ def _evaluate(store: Store, job: Job) -> dict[str, NDArray[Any]]:
             score = known.bench.score(detector, own)
             if free:
                 out[f"{prefix}alarms/{detector}"] = _sweep(own, score)
+                out |= {f"{prefix}{k}/{detector}": v for k, v in _tail(own, score).items()}
             else:
                 out[f"{prefix}score/{detector}"] = score.astype(np.float32)
     return out
 
 
-def _default(events: Events) -> dict[str, NDArray[Any]]:
+def _online(
+    robot: Robot, plan: Plan, known: Learned, streams: Sequence[Stream]
+) -> dict[str, NDArray[Any]]:
+    """Events of the learners, at the product's aim, ungated, and at other aims where asked."""
+    played = {
+        DEFAULT: play_streams(robot, known.baselines, streams),
+        UNGATED: play_ungated(robot, known.baselines, streams),
+    }
+    if all(at_other_aims(plan, stream.piece) for stream in streams):
+        for per_hour in AIMS:
+            played[aim_name(per_hour)] = play_at(per_hour, robot, known.baselines, streams)
     return {
-        "default/t_ns": events.t_ns,
-        "default/contact": events.contact,
-        "default/onset_ns": events.onset_ns,
+        f"{index}/online/{name}/{field}": getattr(told, field)
+        for name, events in played.items()
+        for index, told in enumerate(events)
+        for field in Events._fields
+    }
+
+
+def _tail(own: Evidence, score: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """How high free ticks score: how many, above every threshold, the top ones after the turn."""
+    known = own.free & np.isfinite(score)
+    ordered = np.sort(score[known])
+    turn = np.flatnonzero(np.diff(own.descending.astype(np.int8)) == 1)
+    near = np.zeros(len(score), dtype=np.bool_)
+    for shift in range(1, NEAR_TURN_TICKS + 1):
+        near[np.minimum(turn + shift, len(score) - 1)] = True
+    top = known & (score > TOP_SCORE)
+    return {
+        "known": np.array(len(ordered)),
+        "above": len(ordered) - np.searchsorted(ordered, FACTORS, side="right"),
+        "top": np.array([np.count_nonzero(top), np.count_nonzero(top & near)]),
+        "near": np.array(np.count_nonzero(known & near)),
     }
 
 
@@ -136,7 +196,9 @@ def _sweep(own: Evidence, score: NDArray[np.float64]) -> NDArray[np.int64]:
     return counts
 
 
-def default_events(result: dict[str, NDArray[Any]], index: int) -> Events:
-    """The default detector's events of a job's piece."""
-    prefix = f"{index}/default/"
-    return Events(*(result[prefix + field] for field in ("t_ns", "contact", "onset_ns")))
+def online_events(result: dict[str, NDArray[Any]], index: int, name: str) -> Events | None:
+    """A learner's events of a job's piece; None where it was not played."""
+    prefix = f"{index}/online/{name}/"
+    if f"{prefix}t_ns" not in result:
+        return None
+    return Events(*(result[prefix + field] for field in Events._fields))

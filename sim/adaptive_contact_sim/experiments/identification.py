@@ -10,7 +10,7 @@ command, the number of terms and the condition number.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -50,7 +50,10 @@ PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
 # Log-spaced, three to a decade, and the paper's own choice.
 LAMBDAS: Final = tuple(sorted({round(10.0 ** (e / 3), 6) for e in range(-12, 7)} | {5.0}))
 PAPER_LAMBDA: Final = 5.0
-# The sparsest model whose held-out error is within this of the best is picked.
+# What stands for the condition number of columns that repeat each other.
+SINGULAR: Final = "infinite (singular)"
+# The sparsest model whose held-out error is within this of the best, for every joint, is picked:
+# the product's rule (docs/decisions/0005-half-a-tick.md).
 TOLERANCE: Final = 1.005
 FOLDS: Final = 5
 # Our own sweep, in units of the residual.
@@ -63,6 +66,7 @@ CONVENTIONS: Final = (
     ("rad", True, Window(past_measured=1, past_desired=1, preview=1)),
 )
 _STEP_RAD: Final = 1e-3
+_SELECTED: Final[tuple[LibraryName, ...]] = ("paper", "servo")
 _WINDOWS: Final = (
     ("linear", (1, 1, 0)),
     ("linear", (3, 3, 0)),
@@ -80,13 +84,19 @@ _WINDOWS: Final = (
 )
 
 
-def identification(robot: Robot, train: Stream, test: Stream) -> dict[str, Any]:
+def identification(
+    robot: Robot,
+    train: Stream,
+    test: Stream,
+    progress: Callable[[float], None] = lambda _: None,
+) -> dict[str, Any]:
     """All of section 4.2 on one training and one test stream.
 
     Args:
         robot: whose leg it is.
         train: the paper's training segments.
         test: its test segments.
+        progress: told the share of the whole that each step adds.
 
     Returns:
         A tree of figures, see the keys.
@@ -100,6 +110,16 @@ def identification(robot: Robot, train: Stream, test: Stream) -> dict[str, Any]:
         swept = leg_library(robot, leg, "paper", window)
         fitted, tried = free_rows(train, swept), free_rows(test, swept)
         sweeps.append(_sweep(swept, fitted, tried, unit, normalised))
+        progress(0.6 / len(CONVENTIONS))
+    selection = []
+    for name in _SELECTED:
+        selection.append(_selection(robot, leg, name, train, test))
+        progress(0.3 / len(_SELECTED))
+    windows = []
+    for named, (past_measured, past_desired, preview) in _WINDOWS:
+        window = Window(past_measured, past_desired, preview)
+        windows.append(_window_row(robot, leg, named, window, train, test))
+        progress(0.1 / len(_WINDOWS))
     return {
         "window": dataclasses.asdict(PAPER_WINDOW),
         "rows": {"train": len(rows.swing), "test": len(held.swing)},
@@ -107,8 +127,8 @@ def identification(robot: Robot, train: Stream, test: Stream) -> dict[str, Any]:
         "reading_noise_deg": rms_deg(test.measured - test.arrays.angle),
         "naive": _scores(held.windows, held.windows.measured[:, 0], states=None),
         "sweeps": sweeps,
-        "selection": [_selection(robot, leg, name, train, test) for name in ("paper", "servo")],
-        "windows": [_window_row(robot, leg, n, Window(*w), train, test) for n, w in _WINDOWS],
+        "selection": selection,
+        "windows": windows,
     }
 
 
@@ -153,7 +173,7 @@ def _sweep(
         "window": dataclasses.asdict(library.window),
         "size": library.size,
         "ridge": RIDGE,
-        "condition": _condition(r),
+        "condition": told_condition(_condition(r)),
         "points": points,
         "emptied_at": emptied[0] if emptied else None,
         "picked": picked,
@@ -161,12 +181,17 @@ def _sweep(
 
 
 def _sparsest(points: Sequence[dict[str, Any]]) -> float | None:
-    """The largest λ whose held-out error is near the best; None where no fit keeps all joints."""
+    """The largest λ at which every joint's held-out error is near its best.
+
+    A mean over joints would let one of them pay for the others' sparsity.  The smallest λ where the
+    joints' best lie apart; None where no fit keeps all joints.
+    """
     if not points:
         return None
-    errors = [float(np.mean(p["held_out_rms"])) for p in points]
-    near = [p for p, e in zip(points, errors, strict=True) if e <= TOLERANCE * min(errors)]
-    return float(max(p["lambda"] for p in near))
+    errors = np.array([p["held_out_rms"] for p in points], dtype=np.float64)
+    near = (errors <= TOLERANCE * errors.min(axis=0)).all(axis=1)
+    values = [float(p["lambda"]) for p in points]
+    return max((v for v, n in zip(values, near, strict=True) if n), default=min(values))
 
 
 def _in_unit(windows: Rows, factor: float) -> Rows:
@@ -240,16 +265,21 @@ def _sensitivity(library: Library, windows: Rows, coefficients: Array) -> list[f
     return slopes
 
 
-def _support_condition(r: Array, coefficients: Array) -> list[float | None]:
+def _support_condition(r: Array, coefficients: Array) -> list[float | str | None]:
     """Condition number of each joint's kept columns, scaled to unit norm; None without any."""
-    values: list[float | None] = []
+    values: list[float | str | None] = []
     for column in coefficients.T:
         kept = r[:, column != 0.0]
         if kept.shape[1] == 0:
             values.append(None)
             continue
-        values.append(_condition(kept / np.linalg.norm(kept, axis=0)))
+        values.append(told_condition(_condition(kept / np.linalg.norm(kept, axis=0))))
     return values
+
+
+def told_condition(condition: float) -> float | str:
+    """A condition number as the results hold it: JSON knows no infinity, and none is not known."""
+    return condition if np.isfinite(condition) else SINGULAR
 
 
 def _condition(matrix: Array) -> float:
@@ -352,7 +382,7 @@ def _window_row(
         "window": [window.past_measured, window.past_desired, window.preview],
         "terms": library.size,
         "status": fit.status.value,
-        "condition": fit.condition,
+        "condition": told_condition(fit.condition),
         "test_rms_deg": rms_deg(residual),
         "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(residual)],
     }

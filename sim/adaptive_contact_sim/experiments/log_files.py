@@ -59,6 +59,7 @@ class Recording:
         kind: ``arm`` or ``pendulum``.
         measured, desired: (n, J) rad; desired is the command written at the tick.
         gain: proportional gain, where it is told.
+        trajectory: what was driven, where it is told; several runs may share it.
         repaired: readings that were no angle of the servo, replaced by a straight line.
     """
 
@@ -68,6 +69,7 @@ class Recording:
     desired: Array
     gain: float | None = None
     repaired: int = 0
+    trajectory: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +147,7 @@ def _arm(file: Path) -> Iterator[Recording | str]:
             if not 1 <= goal.shape[1] <= _MAX_JOINTS:
                 yield f"motion '{motion}': {goal.shape[1]} joints; expected 1 to {_MAX_JOINTS}"
                 continue
-            yield from _stretches(motion, "arm", t, pos, goal, None)
+            yield from _stretches(motion, motion, "arm", t, pos, goal, None)
 
 
 def _pendulum(file: Path) -> Iterator[Recording | str]:
@@ -160,14 +162,16 @@ def _pendulum(file: Path) -> Iterator[Recording | str]:
     gain = table.get("kp")
     if gain is None:
         raise ValueError("no 'kp'")
-    name = f"{table.get('trajectory', file.stem)}, kp {gain}"
+    trajectory = str(table.get("trajectory", file.stem))
+    name = f"{trajectory}, kp {gain}"
     if left_out:
         yield f"{left_out} of {len(table['entries'])} rows without torque left out"
-    yield from _stretches(name, "pendulum", t, pos, goal, float(gain))
+    yield from _stretches(name, trajectory, "pendulum", t, pos, goal, float(gain))
 
 
 def _stretches(
     name: str,
+    trajectory: str,
     kind: Literal["arm", "pendulum"],
     t: Array,
     pos: Array,
@@ -201,7 +205,7 @@ def _stretches(
         if len(measured) < _MIN_ROWS:
             short.append(len(measured))
             continue
-        yield Recording(name, kind, measured, desired, gain, repaired)
+        yield Recording(name, kind, measured, desired, gain, repaired, trajectory)
     if short:
         yield (
             f"'{name}': {len(short)} of {len(begins) - 1} stretches without a gap of {_GAP_S} s "

@@ -4,13 +4,14 @@ Recordings of an arm are dealt into five folds twice: by motion, so that a model
 of a kind it has never seen, and by blocks of ten seconds, so that it knows the kind but not the
 moment.  Models are fitted to three fifths; λ, noise and thresholds are taken from another fifth;
 errors and alarms are counted on the last, in turn.  For a pendulum recorded at several gains, a
-model of one gain is tried at the others as it is, and refitted there with each run held out.
+model of one gain is tried at the others as it is, beside one fitted there; the trajectory that is
+tried is held out of both, so that nothing but the gain tells them apart.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,11 +27,19 @@ from adaptive_contact.detect.baselines import (
     likelihood_ratio,
 )
 from adaptive_contact.errors import IdentificationError
-from adaptive_contact.identify import Factor, FitSettings, Library, LibraryName, Window, fit_sparse
+from adaptive_contact.identify import (
+    Factor,
+    FitSettings,
+    FitStatus,
+    Library,
+    LibraryName,
+    Window,
+    fit_sparse,
+)
 from adaptive_contact.identify.window import Rows, stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact_sim.experiments.log_files import PERIOD_S, Recording, load_logs
-from adaptive_contact_sim.experiments.rows import blockwise, factor_of
+from adaptive_contact_sim.experiments.rows import NO_MODEL, blockwise, factor_of, worst
 
 __all__ = ["run_logs"]
 
@@ -52,11 +61,12 @@ _WINDOWS: Final[dict[LibraryName, Window]] = {
 _QUANTUM_RAD: Final = 0.001534  # 4096 steps a turn, both servos
 
 
-def run_logs(path: Path) -> dict[str, Any]:
+def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Fit and test on all recordings of a path.
 
     Args:
         path: a file, or a folder.
+        progress: told the share of the whole that each step adds.
 
     Returns:
         A tree of figures, with what was skipped and why.
@@ -76,11 +86,17 @@ def run_logs(path: Path) -> dict[str, Any]:
     for recording in logs.recordings:
         if recording.kind == "arm":
             arms.setdefault(recording.measured.shape[1], []).append(recording)
-    for joints, recordings in sorted(arms.items()):
-        tree["arms"].append({"joints": joints, **_arm(recordings)})
     pendulum = [r for r in logs.recordings if r.kind == "pendulum"]
+    # An arm's slope and two ways to hold out, a pendulum's slope and one.
+    steps = len(arms) * (1 + 2 * len(_WINDOWS)) + bool(pendulum) * (1 + len(_WINDOWS))
+
+    def done() -> None:
+        progress(1.0 / steps)
+
+    for joints, recordings in sorted(arms.items()):
+        tree["arms"].append({"joints": joints, **_arm(recordings, done)})
     if pendulum:
-        tree["pendulum"] = _pendulum(pendulum)
+        tree["pendulum"] = _pendulum(pendulum, done)
     return tree
 
 
@@ -110,19 +126,19 @@ def _factor(library: Library, recordings: Sequence[Recording]) -> Factor:
     return Factor.merged(parts, library.size, len(library.joints))
 
 
-def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[str, Array]:
+def _fit(factor: Factor, tuning: Factor | None = None) -> tuple[FitStatus, Array]:
     """Status and coefficients of the λ that predicts the tuning rows best; of λ = 0 without any."""
     plain = fit_sparse(factor, FitSettings())
-    if plain.status != "ok" or tuning is None:
-        return plain.status.value, plain.coefficients
+    if plain.status is not FitStatus.OK or tuning is None:
+        return plain.status, plain.coefficients
     unit = tuple(np.maximum(plain.rms, 1e-9).tolist())
     best, error = plain.coefficients, float((tuning.rms(plain.coefficients) / unit).mean())
     for threshold in _THRESHOLDS[1:]:
         fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=unit))
         told = float((tuning.rms(fit.coefficients) / unit).mean())
-        if fit.status == "ok" and told < error:
+        if fit.status is FitStatus.OK and told < error:
             best, error = fit.coefficients, told
-    return "ok", best
+    return FitStatus.OK, best
 
 
 def _residual(library: Library, coefficients: Array, recording: Recording) -> Array:
@@ -135,10 +151,11 @@ def _rms_deg(parts: Sequence[Array]) -> list[float]:
     return [float(v) for v in np.degrees(np.sqrt(np.square(joined).mean(axis=0)))]
 
 
-def _arm(recordings: list[Recording]) -> dict[str, Any]:
+def _arm(recordings: list[Recording], done: Callable[[], None]) -> dict[str, Any]:
     """One-step errors of every library, and false alarms of the servo law's."""
     joints = recordings[0].measured.shape[1]
     slope = _best_slope(recordings, joints)
+    done()
     out: dict[str, Any] = {
         "motions": [r.name for r in recordings],
         "rows": int(sum(len(r.measured) for r in recordings)),
@@ -148,7 +165,7 @@ def _arm(recordings: list[Recording]) -> dict[str, Any]:
     blocks = [block for r in recordings for block in _blocks(r)]
     for name, parts in (("unseen motions", recordings), ("unseen moments", blocks)):
         out[name] = (
-            _folded(parts, joints, slope)
+            _folded(parts, joints, slope, done)
             if len(parts) >= FOLDS
             else {"status": f"{len(parts)} parts; expected at least {FOLDS} to hold some out"}
         )
@@ -168,13 +185,16 @@ def _blocks(recording: Recording) -> list[Recording]:
     ]
 
 
-def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, Any]:
-    """Every part predicted by models of others."""
+def _folded(
+    parts: Sequence[Recording], joints: int, slope: float, done: Callable[[], None]
+) -> dict[str, Any]:
+    """Every part predicted by models of others; no error is told where a fold has no model."""
     out: dict[str, Any] = {"rms_deg": {}, "terms": {}, "status": {}}
     for name in _WINDOWS:
         library = _library(name, joints, slope)
         factors = [_factor(library, [r]) for r in parts]
         held, over, ticks, terms = [], 0, 0, []
+        ended: list[FitStatus] = []
         reason: str | None = None
         for fold in range(FOLDS):
             tested = [r for i, r in enumerate(parts) if i % FOLDS == fold]
@@ -186,16 +206,18 @@ def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, 
                 Factor.merged(trained, library.size, joints),
                 Factor.merged((factors[i] for i in tuning), library.size, joints),
             )
-            out["status"][name] = status
+            ended.append(status)
             terms.append(np.count_nonzero(coefficients, axis=0))
             held += [_residual(library, coefficients, r) for r in tested]
-            if name == "servo" and status == "ok":
+            if name == "servo" and status is FitStatus.OK:
                 try:
                     counted = _alarms(library, coefficients, [parts[i] for i in tuning], tested)
                     over, ticks = over + counted[0], ticks + counted[1]
                 except IdentificationError as error:
                     reason = str(error)
-        out["rms_deg"][name] = _rms_deg(held)
+        status = worst(ended)
+        out["status"][name] = status.value
+        out["rms_deg"][name] = None if status in NO_MODEL else _rms_deg(held)
         out["terms"][name] = {"size": library.size, "kept": np.mean(terms, axis=0).tolist()}
         if name == "servo":
             out["false_alarms"] = {
@@ -204,8 +226,9 @@ def _folded(parts: Sequence[Recording], joints: int, slope: float) -> dict[str, 
                 "per_hour": over / (ticks / ROBOT_HOUR_TICKS) if ticks else None,
                 "aim_per_hour": _AIM_PER_HOUR,
                 "expected": _AIM_PER_HOUR * ticks / ROBOT_HOUR_TICKS,
-                "reason": reason,
+                "reason": reason or (status.value if status in NO_MODEL else None),
             }
+        done()
     return out
 
 
@@ -273,11 +296,22 @@ def _alarms(
     return over, ticks
 
 
-def _pendulum(recordings: list[Recording]) -> dict[str, Any]:
-    """A model of one gain at the others, fixed and refitted (each run held out in turn)."""
+def _pendulum(recordings: list[Recording], done: Callable[[], None]) -> dict[str, Any]:
+    """Models of every gain at every gain, the trajectory that is tried held out of all of them.
+
+    A model tried at its own gain is the refitted one: it differs from the fixed ones in the gain
+    of its rows, and in nothing else.
+    """
     slope = _best_slope(recordings, 1)
+    done()
     gains = sorted({r.gain for r in recordings if r.gain is not None})
-    out: dict[str, Any] = {"runs": len(recordings), "gains": gains, "slope_rad": slope}
+    trajectories = sorted({r.trajectory for r in recordings})
+    out: dict[str, Any] = {
+        "runs": len(recordings),
+        "gains": gains,
+        "trajectories": trajectories,
+        "slope_rad": slope,
+    }
     out["naive_deg"] = {
         f"{g:g}": _rms_deg([np.diff(r.measured, axis=0) for r in recordings if r.gain == g])[0]
         for g in gains
@@ -285,38 +319,40 @@ def _pendulum(recordings: list[Recording]) -> dict[str, Any]:
     libraries: dict[str, Any] = {}
     for name in _WINDOWS:
         library = _library(name, 1, slope)
-        factors = {id(r): _factor(library, [r]) for r in recordings}
-        fixed: dict[str, dict[str, float]] = {}
-        refitted: dict[str, float] = {}
+        factors = [_factor(library, [r]) for r in recordings]
+        rms: dict[str, dict[str, float | None]] = {}
+        status: dict[str, dict[str, str]] = {}
         for gain in gains:
-            at = [r for r in recordings if r.gain == gain]
-            coefficients = _chosen(library, [factors[id(r)] for r in at])[1]
-            fixed[f"{gain:g}"] = {
-                f"{other:g}": _rms_deg(
-                    [_residual(library, coefficients, r) for r in recordings if r.gain == other]
-                )[0]
-                for other in gains
-                if other != gain
+            held: dict[float, list[Array]] = {g: [] for g in gains}
+            ended: dict[float, list[FitStatus]] = {g: [] for g in gains}
+            for trajectory in trajectories:
+                others = [
+                    factor
+                    for factor, r in zip(factors, recordings, strict=True)
+                    if r.gain == gain and r.trajectory != trajectory
+                ]
+                fit, coefficients = _chosen(library, others)
+                for r in recordings:
+                    if r.trajectory == trajectory and r.gain is not None:
+                        held[r.gain].append(_residual(library, coefficients, r))
+                        ended[r.gain].append(fit)
+            known = {g: worst(ended[g]) for g in gains}
+            status[f"{gain:g}"] = {f"{g:g}": known[g].value for g in gains}
+            rms[f"{gain:g}"] = {
+                f"{g:g}": None if known[g] in NO_MODEL else _rms_deg(held[g])[0] for g in gains
             }
-            held = []
-            for run in at:
-                rest = [factors[id(r)] for r in at if r is not run]
-                status, own = _chosen(library, rest)
-                if status == "ok":
-                    held.append(_residual(library, own, run))
-            if held:
-                refitted[f"{gain:g}"] = _rms_deg(held)[0]
-        libraries[name] = {"fixed_deg": fixed, "refitted_deg": refitted, "size": library.size}
+        libraries[name] = {"rms_deg": rms, "status": status, "size": library.size}
+        done()
     out["libraries"] = libraries
     return out
 
 
-def _chosen(library: Library, factors: Sequence[Factor]) -> tuple[str, Array]:
+def _chosen(library: Library, factors: Sequence[Factor]) -> tuple[FitStatus, Array]:
     """Fit all factors with the λ that predicts each of them best from the others."""
     whole = Factor.merged(factors, library.size, 1)
     plain = fit_sparse(whole, FitSettings())
-    if plain.status != "ok" or len(factors) < 2:
-        return plain.status.value, plain.coefficients
+    if plain.status is not FitStatus.OK or len(factors) < 2:
+        return plain.status, plain.coefficients
     unit = tuple(np.maximum(plain.rms, 1e-9).tolist())
     errors = []
     for threshold in _THRESHOLDS:
@@ -325,8 +361,8 @@ def _chosen(library: Library, factors: Sequence[Factor]) -> tuple[str, Array]:
         for i, held in enumerate(factors):
             rest = Factor.merged((f for k, f in enumerate(factors) if k != i), library.size, 1)
             fit = fit_sparse(rest, settings)
-            error += float(held.rms(fit.coefficients)[0]) if fit.status == "ok" else np.inf
+            error += float(held.rms(fit.coefficients)[0]) if fit.status is FitStatus.OK else np.inf
         errors.append(error)
     threshold = _THRESHOLDS[int(np.argmin(errors))]
     fit = fit_sparse(whole, FitSettings(threshold=threshold, unit=unit))
-    return fit.status.value, fit.coefficients
+    return fit.status, fit.coefficients

@@ -19,14 +19,23 @@ __all__ = ["write_document", "write_report"]
 
 _TITLE: Final = "Leg contact detection from positions: the paper, and what it leaves out"
 _CAPTIONS: Final = {
-    "paper-workspace": "Figure 3 of the paper: workspace (1 cm grid), subspaces, places of feet.",
+    "paper-workspace": "Figure 3 of the paper: workspace (1 cm grid), subspaces, places of feet. "
+    "From above the upper subspace shows around the lower one.",
     "paper-responses": "Figure 2 of the paper: femur command, response, predictions; shaded: hold.",
-    "paper-sweep": "Figure 4 of the paper (top), and what R² does not show. Violet: the λ picked "
-    "on held-out swings; dashed: λ = 5; grey: some state has lost all its terms.",
-    "paper-collision": "Figure 5 of the paper: one collision (the one drawn in the table).",
-    "paper-roc": "Thresholds swept; circles: the aim of one false alarm per hour; star: the "
-    "default detector as it runs.",
-    "paper-limits": "Recall against speed and force.",
+    "paper-sweep": "Figure 4 of the paper (top), the naive prediction (test set) on its own scale, "
+    "and what R² does not show. Violet: the λ picked on held-out swings; dashed: λ = 5; grey: some "
+    "state has lost all its terms.",
+    "paper-collision": "Figure 5 of the paper: one collision (the one drawn in the table). The "
+    "predicted error is the reading less what was foretold a tick before; the rule looks at the "
+    "change of its size.",
+    "paper-roc": "Thresholds swept, on the headline's touches; circles: the aim of one false alarm "
+    "per hour. Star: the default detector as it runs, squares: played at other aims; cross: the "
+    "ungated learner. What was never seen is drawn where half an alarm would be.",
+    "paper-tails": "Share of free ticks that score above a value, and above it the highest score "
+    "within 120 ms of a headline touch (5, 50, 95 %): a detector finds the touches that score "
+    "right of its threshold.",
+    "paper-limits": "Recall against speed and force; shaded: what a servo step is at a stretched "
+    "leg's foot (speed: in one tick and in three; force: against the servo's drive).",
     "paper-residual-map": "Residual over the workspace, before and after; dashed: the paper's "
     "subspaces; white: not enough held-out swings, or out of reach.",
 }

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import Factor, FitSettings, Library, Rows, fit_sparse, stack
+from adaptive_contact.identify import (
+    Factor,
+    FitSettings,
+    FitStatus,
+    Library,
+    Rows,
+    fit_sparse,
+    stack,
+)
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.servo import QUANTUM_RAD
 
 __all__ = [
+    "NO_MODEL",
     "FreeRows",
     "blockwise",
     "factor_of",
@@ -22,6 +32,7 @@ __all__ = [
     "pick",
     "residual_unit",
     "rms_deg",
+    "worst",
 ]
 
 Array = NDArray[np.float64]
@@ -31,6 +42,14 @@ Ints = NDArray[np.int64]
 BLOCK: Final = 20_000
 # What a joint that never moves leaves as its residual, rad.
 _LEAST: Final = 1e-9
+# Fits that end so leave nothing but zeros: an error of theirs would be that of no prediction.
+NO_MODEL: Final = frozenset({FitStatus.TOO_FEW_ROWS, FitStatus.NOT_FINITE})
+_SEVERITY: Final = (
+    FitStatus.OK,
+    FitStatus.EMPTIED,
+    FitStatus.NOT_FINITE,
+    FitStatus.TOO_FEW_ROWS,
+)
 
 
 class FreeRows(NamedTuple):
@@ -110,6 +129,11 @@ def factor_of(library: Library, windows: Rows, target: Array) -> Factor:
         )
         factor.add(theta, target[part])
     return factor
+
+
+def worst(statuses: Iterable[FitStatus]) -> FitStatus:
+    """The status of several fits that make one figure: that of the worst; ok without any."""
+    return max(statuses, key=_SEVERITY.index, default=FitStatus.OK)
 
 
 def residual_unit(factor: Factor) -> tuple[float, ...]:

@@ -26,11 +26,11 @@ from adaptive_contact_sim.experiments.compression import compare_all
 from adaptive_contact_sim.experiments.data import Stream, join, load, parallel, record_all
 from adaptive_contact_sim.experiments.detection import detection
 from adaptive_contact_sim.experiments.detectors import DETECTORS
-from adaptive_contact_sim.experiments.evaluation import evaluate, jobs_of
+from adaptive_contact_sim.experiments.evaluation import ONLINE, evaluate, jobs_of
 from adaptive_contact_sim.experiments.identification import identification
 from adaptive_contact_sim.experiments.logs import run_logs
 from adaptive_contact_sim.experiments.models import learn_robot, learned
-from adaptive_contact_sim.experiments.plan import LegRun, Piece, Plan, Role
+from adaptive_contact_sim.experiments.plan import Piece, Plan, Role
 from adaptive_contact_sim.experiments.report import write_report
 from adaptive_contact_sim.experiments.responses import responses
 from adaptive_contact_sim.experiments.store import (
@@ -39,7 +39,11 @@ from adaptive_contact_sim.experiments.store import (
     plain,
     source_fingerprint,
 )
-from adaptive_contact_sim.experiments.workspace import workspace
+from adaptive_contact_sim.experiments.workspace import (
+    study_leg_run,
+    workspace,
+    workspace_pieces,
+)
 
 __all__ = ["STAGES", "run_paper"]
 
@@ -67,6 +71,7 @@ def run_paper(
     stages: Sequence[str] = STAGES,
     logs: Path | None = None,
     console: Console | None = None,
+    command: str | None = None,
 ) -> dict[str, Any]:
     """Run the experiments and write results, figures and report.
 
@@ -77,6 +82,7 @@ def run_paper(
         stages: which, of :data:`STAGES`.
         logs: recordings of real servos; the stage is skipped with a reason where absent.
         console: where progress goes.
+        command: what was typed, with all its options, for the report.
 
     Returns:
         The tree written to ``results.json``.
@@ -90,7 +96,7 @@ def run_paper(
     results: dict[str, Any] = {
         "v": 1,
         "plan": plain(plan),
-        "command": f"adaptive-contact paper{' --quick' if plan.name == 'quick' else ''}",
+        "command": command or f"adaptive-contact paper{' --quick' if plan.name == 'quick' else ''}",
         "machine": {
             "processor": platform.processor() or platform.machine(),
             "cores": os.cpu_count(),
@@ -139,9 +145,9 @@ class _Runner:
         """Section 4.2."""
         train, test = self._paper_streams()
         key = [self._paper_key(), source_fingerprint()]
-        with self._told("identification: sweeps of λ, windows, libraries"):
+        with self._bar("identification: sweeps of λ, windows, libraries", 1.0) as tell:
             return self.store.tree(
-                "identification", key, lambda: identification(self.robot, train, test)
+                "identification", key, lambda: identification(self.robot, train, test, tell)
             )
 
     def responses(self, identified: Any) -> Any:
@@ -158,22 +164,22 @@ class _Runner:
         """The compressed fit against PySINDy's own."""
         train, _ = self._paper_streams()
         key = [self._paper_key(), source_fingerprint()]
-        with self._told("compressed regression against raw rows"):
+        with self._bar("compressed regression against raw rows", 1.0) as tell:
             return self.store.tree(
                 "compression",
                 key,
-                lambda: compare_all(self.robot, train),
+                lambda: compare_all(self.robot, train, tell),
             )
 
     def collisions(self) -> Any:
         """Section 4.3, the ten collisions."""
         train, test = self._paper_streams()
         key = [self._paper_key(), source_fingerprint(), self.plan.collisions]
-        with self._told("ten collisions"):
+        with self._bar("ten collisions", 1.0) as tell:
             return self.store.tree(
                 "collisions",
                 key,
-                lambda: ten_collisions(self.robot, train, test, self.plan.collisions),
+                lambda: ten_collisions(self.robot, train, test, self.plan.collisions, tell),
             )
 
     def detection(self) -> Any:
@@ -194,36 +200,26 @@ class _Runner:
         with self._bar("every detector on every stream", sum(len(j.pieces) for j in jobs)) as tell:
             for _, done in parallel(evaluate, jobs, self.workers):
                 tell(float(done))
-        with self._bar("scoring, thresholds swept", len(DETECTORS) + 1) as tell:
+        with self._bar("scoring, thresholds swept", len(DETECTORS) + len(ONLINE)) as tell:
             return plain(detection(self.root, self.plan, tell))  # half a minute: made anew
 
     def workspace(self) -> Any:
-        """One model or several."""
-        train, _ = self._paper_streams()
-        own = LegRun(0, train.leg)
-        roles: tuple[Role, ...] = ("train", "tune", "stand")
-        pieces = {
-            role: [
-                p
-                for p in self.plan.pieces(role)
-                if p.leg_run == own and p.kind in ("descent", "slow", "forward")
-            ]
-            for role in roles
-        }
-        flat = [p for own_pieces in pieces.values() for p in own_pieces]
+        """One model or several, of every leg-run."""
+        self._paper_parts()
+        flat = [
+            piece
+            for leg_run in self.plan.leg_runs
+            for own in workspace_pieces(self.plan, leg_run).values()
+            for piece in own
+        ]
         self._record("the whole workspace", flat)
-        key = [self._paper_key(), source_fingerprint(), [plain(p) for p in flat]]
-        with self._told("one model of the workspace, or several"):
-            return self.store.tree(
-                "workspace",
-                key,
-                lambda: workspace(
-                    self.robot,
-                    train,
-                    [load(self.store, p) for p in pieces["train"] + pieces["tune"]],
-                    [load(self.store, p) for p in pieces["stand"]],
-                ),
-            )
+        items = [(self.root, self.plan, leg_run) for leg_run in self.plan.leg_runs]
+        found: dict[str, Any] = {}
+        with self._bar("one model of the workspace, or several", len(items)) as tell:
+            for _, (name, tree) in parallel(study_leg_run, items, self.workers):
+                found[name] = tree
+                tell(1.0)
+        return plain(workspace({run.name: found[run.name] for run in self.plan.leg_runs}))
 
     def logs(self) -> Any:
         """Real servos, where their recordings are."""
@@ -244,10 +240,10 @@ class _Runner:
             for p in sorted(path.rglob("*") if path.is_dir() else [path])
             if p.is_file()
         ]
-        with self._told("recordings of real servos"):
+        with self._bar("recordings of real servos", 1.0) as tell:
             try:
                 return self.store.tree(
-                    "logs", [source_fingerprint(), str(path), stamps], lambda: run_logs(path)
+                    "logs", [source_fingerprint(), str(path), stamps], lambda: run_logs(path, tell)
                 )
             except RecordingError as error:
                 return {"skipped_stage": str(error)}

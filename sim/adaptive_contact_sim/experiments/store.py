@@ -44,11 +44,18 @@ _SHOWING: Final = frozenset(
     {
         "detection.py",
         "figures.py",
+        "figures_detection.py",
+        "figures_format.py",
         "report.py",
         "tables.py",
         "tables_detection.py",
         "tables_format.py",
+        "tables_identification.py",
+        "tables_limits.py",
         "tables_logs.py",
+        "tables_workspace.py",
+        "touched.py",
+        "verdicts.py",
     }
 )
 # Of the simulator, what turns recordings into samples, rows and truth.

@@ -40,10 +40,16 @@ def interval(ends: Sequence[float | None]) -> str:
     return "-" if None in ends else f"{100 * (ends[0] or 0):.1f}–{100 * (ends[1] or 0):.1f}"
 
 
-def per_joint(values: Sequence[float | None], digits: int = 2, *, scientific: bool = False) -> str:
-    """Values side by side."""
+def per_joint(
+    values: Sequence[float | str | None] | None, digits: int = 2, *, scientific: bool = False
+) -> str:
+    """Values side by side; a text, such as that of an infinite one, stands as it is."""
     form = f".{digits}e" if scientific else f".{digits}f"
-    return " ".join("-" if v is None else format(v, form) for v in values)
+    if values is None:
+        return "-"
+    return " ".join(
+        "-" if v is None else v if isinstance(v, str) else format(v, form) for v in values
+    )
 
 
 def skipped(rows: Sequence[Mapping[str, Any]]) -> str:
