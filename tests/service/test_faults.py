@@ -174,6 +174,25 @@ def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run:
     assert served.stop() == 0
 
 
+def test_a_source_restarted_that_counts_anew(serve: Any, rig: ModuleType) -> None:
+    """Without `run`; its clock is the wall's and goes on, its numbers begin again."""
+    served = serve()
+    listener = rig.Listener(served.endpoint)
+    first = rig.Robot50(served.endpoint, epoch_ns=10**18, first=5000)
+    with rig.closing(listener, first):
+        listener.steady(first, "rf", 2)
+    listener = rig.Listener(served.endpoint)
+    second = rig.Robot50(served.endpoint, epoch_ns=10**18 + 10**12)
+    with rig.closing(listener, second):
+        began = time.monotonic()
+        assert listener.wait_event("rf", after=began) - began < RECOVERY_S
+        listener.steady(second, "rf")
+        assert listener.statuses["rf"].rejects == {"duplicate_seq": 9}
+        assert listener.statuses["rf"].missed == 0
+        assert "duplicate_seq 9" in watched(listener.link)
+    assert served.stop() == 0
+
+
 def test_two_publishers_of_one_leg(serve: Any, rig: ModuleType) -> None:
     served = serve()
     old = rig.Robot50(served.endpoint, ("lf", "rf"), run=1)
