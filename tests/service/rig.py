@@ -7,6 +7,7 @@ touch for ten ticks and are free for ten, so that what every event must say is k
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import socket
 import threading
@@ -14,8 +15,12 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from rich.console import Console
+
+from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.watch_table import headline, table
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -222,3 +227,21 @@ def closing(*things: Any) -> Iterator[None]:
         for thing in things:
             stack.callback(thing.close)
         yield
+
+
+def watched(link: Link, line: str = "", timeout_s: float = 20.0) -> str:
+    """What `watch` shows, once it has heard the service and every leg, and shows a line."""
+    feed = Feed(link)
+    until = time.monotonic() + timeout_s
+    shown = ""
+    while True:
+        view = feed.view(time.monotonic_ns())
+        if view.service is not None and all(leg.status is not None for leg in view.legs):
+            text = io.StringIO()
+            Console(file=text, width=240).print(table(view))
+            # The lines over the table as they are, not as they are folded to its width.
+            shown = f"{headline(view).plain}\n{text.getvalue()}"
+            if line in shown:
+                return shown
+        assert time.monotonic() < until, f"'{line}' is not in {shown or 'nothing'}"
+        time.sleep(0.05)

@@ -6,13 +6,10 @@ what a person sees of the fault: in LearnerStatus, in ``watch``, or in the log.
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import itertools
 import os
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -21,11 +18,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from rich.console import Console
 
-from adaptive_contact.service.feed import Feed
-from adaptive_contact.service.link import Link
-from adaptive_contact.service.watch_table import table
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 pytestmark = pytest.mark.e2e
@@ -35,36 +28,10 @@ RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0.5"))
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
-@pytest.fixture(scope="module")
-def rig() -> ModuleType:
-    path = Path(__file__).with_name("rig.py")
-    spec = importlib.util.spec_from_file_location("service_rig", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["service_rig"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 def free_endpoint() -> str:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-def watched(link: Link) -> str:
-    """What `watch` shows, after it has heard the service once."""
-    feed = Feed(link)
-    until = time.monotonic() + 20
-    view = feed.view(time.monotonic_ns())
-    while view.service is None or any(leg.status is None for leg in view.legs):
-        assert time.monotonic() < until, "the service says nothing"
-        time.sleep(0.05)
-        view = feed.view(time.monotonic_ns())
-    text = io.StringIO()
-    Console(file=text, width=200).print(table(view))
-    return text.getvalue()
 
 
 def resident_mb(pid: int) -> float:
@@ -98,7 +65,7 @@ def test_a_killed_router_comes_back(serve: Any, command: Any, rig: ModuleType) -
         listener.wait(lambda me: me.statuses["rf"].missed >= 40)
         status = listener.statuses["rf"]
         assert status.ticks + status.missed <= robot.seq, "no sample counts twice"
-        assert f" {status.missed} " in watched(listener.link)
+        assert f" {status.missed} " in rig.watched(listener.link)
         assert listener_lost < back
     assert served.stop() == 0
     log = served.log.read_text()
@@ -170,7 +137,7 @@ def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run:
         # Without `run` the service cannot know at once: it counts what it does not believe yet.
         assert rejects == ({} if run else {"time_backwards": 9})
         if run is None:
-            assert "time_backwards 9" in watched(listener.link)
+            assert "time_backwards 9" in rig.watched(listener.link)
     assert served.stop() == 0
 
 
@@ -189,7 +156,7 @@ def test_a_source_restarted_that_counts_anew(serve: Any, rig: ModuleType) -> Non
         listener.steady(second, "rf")
         assert listener.statuses["rf"].rejects == {"duplicate_seq": 9}
         assert listener.statuses["rf"].missed == 0
-        assert "duplicate_seq 9" in watched(listener.link)
+        assert "duplicate_seq 9" in rig.watched(listener.link)
     assert served.stop() == 0
 
 
@@ -205,7 +172,7 @@ def test_two_publishers_of_one_leg(serve: Any, rig: ModuleType) -> None:
             listener.steady(new, "rf")
             assert listener.of("rf")[-1].seq >= 10_000
             listener.wait(lambda me: me.statuses["rf"].rejects.get("other_publisher", 0) > 30)
-            assert "other_publisher" in watched(listener.link)
+            assert "other_publisher" in rig.watched(listener.link)
         # The newer one is gone: the older one is believed again within two seconds.
         gone = time.monotonic()
         listener.wait(lambda me: me.events[-1][1].leg == "rf" and me.of("rf")[-1].seq < 10_000)
