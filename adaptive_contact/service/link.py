@@ -156,6 +156,7 @@ class Link:
         self._held: set[Declared] = set()
         self.settings = settings
         self.endpoints = facts.listen
+        self.drop_after_ns = facts.drop_after_ns
         self._connect = facts.connect
 
     @classmethod

@@ -35,6 +35,8 @@ CONNECT_TIMEOUT_MS: Final = 1000
 # honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
 MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
 
+_DROP_AFTER_US: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+
 DEFAULTS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -47,7 +49,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # A subscriber that hangs blocks a contact event this long (us), and with it every leg, then
     # its link is dropped.  It is seconds behind by then; Zenoh's own 5 s would fell the robot, and
     # half a second would make the legs look silent.
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
+    _DROP_AFTER_US: 250_000,
     "connect/timeout_ms": CONNECT_TIMEOUT_MS,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
     # tried anew; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
@@ -73,10 +75,16 @@ _WHOLE: Final = re.compile(r"(?s)(Invalid configuration): \{.*")
 
 
 class Facts(NamedTuple):
-    """The endpoints a configuration ended up with."""
+    """What a configuration ended up with.
+
+    Attributes:
+        listen, connect: endpoints.
+        drop_after_ns: a subscriber that blocks a reliable message for so long loses its link.
+    """
 
     listen: tuple[str, ...]
     connect: tuple[str, ...]
+    drop_after_ns: int
 
 
 def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
@@ -103,6 +111,7 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     facts = Facts(
         _endpoints(config, "listen", "router") if settings.mode == "router" else (),
         _endpoints(config, "connect", settings.mode),
+        1000 * int(json.loads(config.get_json(_DROP_AFTER_US))),
     )
     for text in facts.listen:
         if not (is_loopback(text) or settings.insecure):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import signal
 import socket
 import threading
@@ -261,6 +262,9 @@ def test_a_subscriber_that_hangs(
             for at, event in listener.events
             if event.leg == "rf" and at > stopped
         ]
+        # Nobody else sees it: the event that was held up, and the link that was dropped with it.
+        shown = rig.watched(listener.link, "events held up")
+        assert re.search(r"  \d+ events held up  a subscriber cut off \d+ times", shown)
         # Once, until its link is dropped; not five seconds, and not again and again.
         assert max(delays) < 1.0
         assert sorted(delays)[len(delays) // 2] < 0.1
@@ -268,3 +272,5 @@ def test_a_subscriber_that_hangs(
         listener.steady(robot, "rf")
         assert listener.statuses["rf"].missed == 0
     assert served.stop() == 0
+    log = served.log.read_text()
+    assert re.search(r"a subscriber that hangs held up contact events .*its_link=dropped", log)
