@@ -143,12 +143,21 @@ class Listener:
                 f"not in {timeout_s} s; {self.statuses}; last events {self.events[-3:]}"
             )
 
-    def wait_event(self, leg: str, *, after: float, timeout_s: float = 30.0) -> float:
-        """When the first event of a leg arrived after a moment; it must be right."""
-        self.wait(
-            lambda me: any(at > after and event.leg == leg for at, event in me.events), timeout_s
-        )
-        at, event = next(pair for pair in self.events if pair[0] > after and pair[1].leg == leg)
+    def wait_event(
+        self, leg: str, robot: Robot50, *, after: float, timeout_s: float = 30.0
+    ) -> float:
+        """When the first event on a sample that a robot sent after a moment arrived.
+
+        It must be right.  What was sent before and only comes late does not count: a leg that has
+        not caught up is not well again.
+        """
+
+        def fresh(pair: tuple[float, ContactEvent]) -> bool:
+            at, event = pair
+            return event.leg == leg and at > after and robot.sent_at.get(event.seq, 0.0) > after
+
+        self.wait(lambda me: any(map(fresh, me.events)), timeout_s)
+        at, event = next(filter(fresh, self.events))
         assert event.contact == touches(event.seq)
         return at
 

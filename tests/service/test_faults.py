@@ -24,8 +24,9 @@ from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 pytestmark = pytest.mark.e2e
 
-# The issue's 2 s, and what this shared machine may take on top.
-RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0.5"))
+# The issue's 2 s, from the end of a cause to the arrival of an event on a sample sent after it; on
+# a machine that is too busy for it, SLACK_S gives some more.
+RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0"))
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -60,7 +61,7 @@ def test_a_killed_router_comes_back(serve: Any, command: Any, rig: ModuleType) -
             time.sleep(0.02)
         start()
         back = time.monotonic()
-        assert listener.wait_event("rf", after=back) - back < RECOVERY_S
+        assert listener.wait_event("rf", robot, after=back) - back < RECOVERY_S
         listener.steady(robot, "rf")
         listener.steady(robot, "lf")
         listener.wait(lambda me: me.statuses["rf"].missed >= 40)
@@ -89,11 +90,10 @@ def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleTy
         listener.wait(lambda me: len(me.of("lf")) >= began + 18)
         wire.mend()
         mended = time.monotonic()
-        assert listener.wait_event("rf", after=mended) - mended < RECOVERY_S
-        listener.wait(lambda me: me.statuses["rf"].missed > 0)
-        # What waited in the cut wire may come in one go; from then on all is as before.
-        listener.wait(lambda me: me.of("rf")[-1].seq > far.seq - 30)
+        # What waited in the cut wire comes first, in one go; what is meant is what is sent now.
+        assert listener.wait_event("rf", far, after=mended) - mended < RECOVERY_S
         listener.steady(far, "rf")
+        listener.wait(lambda me: me.statuses["rf"].missed > 0)
         seqs = [event.seq for event in listener.of("lf")]
         assert seqs == list(range(seqs[0], seqs[-1] + 1, rig.HALF)), "the other leg lost nothing"
         assert listener.statuses["lf"].missed == 0
@@ -112,12 +112,14 @@ def test_a_service_restarted_under_a_running_robot(
         assert first.stop() == 0
         second = serve(*arguments)
         ready = time.monotonic()
-        assert listener.wait_event("rf", after=ready) - ready < RECOVERY_S
+        assert listener.wait_event("rf", robot, after=ready) - ready < RECOVERY_S
         listener.steady(robot, "rf")
         status = listener.statuses["rf"]
         assert status.missed > 10, "what passed while the service was down is counted"
         assert status.ticks + status.missed <= robot.seq
+        assert f" {status.missed} " in rig.watched(listener.link)
     assert second.stop() == 0
+    assert re.search(r"state restored .*leg=rf model_version=3", second.log.read_text())
 
 
 @pytest.mark.parametrize("run", [None, 9])
@@ -132,7 +134,7 @@ def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run:
     second = rig.Robot50(served.endpoint, run=None if run is None else run + 1, epoch_ns=rig.S)
     with rig.closing(listener, second):
         began = time.monotonic()
-        assert listener.wait_event("rf", after=began) - began < RECOVERY_S
+        assert listener.wait_event("rf", second, after=began) - began < RECOVERY_S
         listener.steady(second, "rf")
         rejects = listener.statuses["rf"].rejects
         # Without `run` the service cannot know at once: it counts what it does not believe yet.
@@ -153,7 +155,7 @@ def test_a_source_restarted_that_counts_anew(serve: Any, rig: ModuleType) -> Non
     second = rig.Robot50(served.endpoint, epoch_ns=10**18 + 10**12)
     with rig.closing(listener, second):
         began = time.monotonic()
-        assert listener.wait_event("rf", after=began) - began < RECOVERY_S
+        assert listener.wait_event("rf", second, after=began) - began < RECOVERY_S
         listener.steady(second, "rf")
         assert listener.statuses["rf"].rejects == {"duplicate_seq": 9}
         assert listener.statuses["rf"].missed == 0
