@@ -77,7 +77,7 @@ def test_a_flood_of_one_leg_hurts_no_other_and_is_over_with_its_end(
         while not stop.is_set():
             for _ in range(50):  # 5,000 a second: 100 times the rate
                 sample = ServoSample(
-                    t_ns=(count + 1) * 20_000_000,
+                    t_ns=10**15 + count * 20_000_000,
                     seq=count,
                     measured=[0.1, 0.2, 0.3],
                     desired=[0.1, 0.2, 0.3],
@@ -102,13 +102,10 @@ def test_a_flood_of_one_leg_hurts_no_other_and_is_over_with_its_end(
         stop.set()
         pouring.join(5)
         ended = time.monotonic()
-        clock = ticks[-1][FLOODED].t_ns - ticks[0][FLOODED].t_ns
         # The leg's own robot is heard again: its clock is what the status tells.
-        listener.wait(
-            lambda me: me.statuses[FLOODED].t_ns > ticks[int(FLOOD_S[1] * 50)][FLOODED].t_ns
-        )
+        flood_ns, end_ns = ticks[int(FLOOD_S[1] * 50)][FLOODED].t_ns, ticks[-1][FLOODED].t_ns
+        listener.wait(lambda me: flood_ns < me.statuses[FLOODED].t_ns <= end_ns)
         assert time.monotonic() - ended < RECOVERY_S
-        assert listener.statuses[FLOODED].t_ns <= clock + ticks[0][FLOODED].t_ns
         shown = rig.watched(listener.link, "overflow")
         assert "other_publisher" in shown
         walker.join(30)

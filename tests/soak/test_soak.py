@@ -134,6 +134,7 @@ SOUND = verdict.Verdict(
     alarms=[],
     touches=6000,
     missed_touches=12,
+    misses=[],
     sections=[section(), section("ramp", 300, missed=9, false_alarms=3), section("router", 40)],
     samples=540_000,
     missed_samples=1500,

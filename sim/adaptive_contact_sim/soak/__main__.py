@@ -55,6 +55,7 @@ def _print(found: Verdict) -> None:
             for out, back in zip(found.outage_s, found.recovery_s, strict=True)
         ),
         *(f"false alarm of {leg} at {at_s:.2f} s" for leg, at_s in found.alarms),
+        *(f"touch of {leg} at {at_s:.2f} s missed" for leg, at_s in found.misses),
         *(
             f"{'during' if one.ramp else 'after'} {one.after}: {one.missed} of {one.touches} "
             f"touches missed, {one.false_alarms} false alarms"

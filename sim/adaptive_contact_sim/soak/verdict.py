@@ -52,6 +52,7 @@ class Verdict:
         false_alarms: ``contact: true`` outside of both while the leg touched nothing.
         alarms: leg and time of each false alarm outside the windows, s of the walk.
         touches, missed_touches: outside of both.
+        misses: leg and time of each touch missed outside the windows, s of the walk.
         sections: the same from each window to the next, those of ramps told apart.
         samples: that the source sent, all legs.
         missed_samples: counted as lost.
@@ -77,6 +78,7 @@ class Verdict:
     alarms: list[tuple[str, float]]
     touches: int
     missed_touches: int
+    misses: list[tuple[str, float]]
     sections: list[Section]
     samples: int
     missed_samples: int
@@ -143,6 +145,13 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         ],
         touches=sum(one.touches for one in settled),
         missed_touches=sum(one.missed for one in settled),
+        misses=[
+            (one.leg, round((int(at_ns) - epoch_ns) / _NS, 2))
+            for one in outcomes
+            for at_ns in one.touches.onset_ns[
+                _outside(one.touches.onset_ns, edges) & ~one.touches.found
+            ]
+        ],
         sections=sections,
         samples=sum(map(len, seq_of.values())),
         missed_samples=sum(status.missed for status in newest.values()),
