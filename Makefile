@@ -7,10 +7,11 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 SEED   ?= 1
 MINUTES ?= 30
+KILLS ?= 100
 BRIDGE_MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz lock wheel clean
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills lock wheel clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -66,6 +67,9 @@ fuzz: env  ## ten million broken payloads through the codec and the sample check
 
 wheel: env  ## the wheel, in dist
 	$(BIN)/python -m build --wheel --no-isolation
+
+kills: env  ## KILLS kill -9s of a saver and of the whole service, at random instants
+	KILLS=$(KILLS) $(BIN)/python -m pytest tests/state/test_kill.py
 
 lock: env  ## resolve requirements.lock anew (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \

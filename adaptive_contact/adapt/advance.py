@@ -50,6 +50,10 @@ class Team:
             sample is not None and learner.admit(sample)
             for learner, sample in zip(self.learners, samples, strict=True)
         ]
+        for i, learner in enumerate(self.learners):
+            sample = samples[i]
+            if admitted[i] and sample is not None:
+                events[i] = learner.released(sample)
         self._settle()
         for i in self._without:
             sample = samples[i]
@@ -117,7 +121,9 @@ def _tick(
     for row, (i, learner, sample) in zip(rows, work, strict=True):
         verdict = said.get(row)
         if verdict is not None:
-            events[i] = learner.decide(verdict, sample)
+            decided = learner.decide(verdict, sample)
+            if decided is not None:
+                events[i] = decided
         if learner.command(sample):
             ready.append(row)
         else:

@@ -114,6 +114,8 @@ class ContactLearner:
         self._guard = StreamGuard(len(self.leg.joints))
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
+        # Whoever listens may hold the leg to touch, and no tick will decide that it has let go.
+        self._owes_release = False
         self._quantum = robot.quantum(leg)
         self._tally = Tally()
         self._recent: deque[Array] = deque(maxlen=STATUS_TICKS)
@@ -266,6 +268,7 @@ class ContactLearner:
         self._tally.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
+        self._owes_release = True  # what was last said of the leg, another process said
         return None
 
     def _restore_cold(self, inner: dict[str, Any], start: object) -> str | None:
@@ -311,6 +314,23 @@ class ContactLearner:
                 sound=sample.valid is None or all(sample.valid),
             )
         return True
+
+    def released(self, sample: ServoSample) -> ContactEvent | None:
+        """The end of a contact that was cut short by a restart, told with the next sample."""
+        if not self._owes_release:
+            return None
+        self._owes_release = False
+        return ContactEvent(
+            leg=self.leg.id,
+            t_ns=sample.t_ns,
+            seq=sample.seq,
+            onset_ns=sample.t_ns,
+            contact=False,
+            status=self._status,
+            score=0.0,
+            residual=[0.0] * len(self.leg.joints),
+            model_version=self._version,
+        )
 
     def watch(self, sample: ServoSample) -> None:
         """A tick of a leg without a model: its commands are followed, a cold start goes on."""
@@ -437,14 +457,14 @@ class ContactLearner:
         self._known = self._quarantine.follower = self.tracker = None
         self._origin = None
         self._started_cold = False
-        self._state.reset()
+        self._let_go()
         self._note = "the baseline does not fit this leg: learning it anew"
         self._cold = self._cold_start()
 
     def _connect(self, result: Accepted, sample: ServoSample, *, paused: bool) -> None:
         tracker = self.tracker
         if result.restart:
-            self._state.reset()
+            self._let_go()
             self._swing.restart()
             self._quarantine.restart()
             self._command = self._command_before = sample.desired
@@ -456,6 +476,11 @@ class ContactLearner:
             else:
                 tracker.restart()
                 self._quarantine.break_off()
+
+    def _let_go(self) -> None:
+        """Forget whether the leg touches: nobody can tell any more."""
+        self._owes_release |= self._state.contact
+        self._state.reset()
 
     def _follow_phase(self, sample: ServoSample) -> None:
         self._swing.follow(sample)

@@ -18,9 +18,15 @@ __all__ = ["Accepted", "RateWatch", "StreamGuard"]
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
 MAX_TIME_NS: Final = 2**63 - 1
-# So many samples in a row that are late against the last one accepted, but in order among
-# themselves, mean that the source's clock was set back (or one wild time stamp was taken for true).
-CLOCK_RESET_SAMPLES: Final = 10
+MIN_RUN: Final = -(2**63)
+MAX_RUN: Final = 2**63 - 1
+# A gap is believed up to a day of samples at 100 Hz; a number further ahead is wild, or counts
+# anew from somewhere else.  It also keeps every count of losses far inside 64 bits.
+LONGEST_GAP: Final = 10_000_000
+# So many samples in a row that do not follow the last one accepted, but are in order among
+# themselves, mean that the source counts anew: its clock was set back, it was restarted without
+# telling so by `run`, or one wild time or number was taken for true.
+RESET_SAMPLES: Final = 10
 # So many samples in a row from a superseded publisher, with none from the newer one between
 # them, mean that the newer one is gone (half a second at 50 Hz).
 TAKE_BACK_SAMPLES: Final = 25
@@ -73,7 +79,7 @@ class StreamGuard:
 
         Returns:
             How it connects to the stream, or why it is refused; a refusal changes nothing that
-            later samples are judged by, but for the detection of a clock that was set back.
+            later samples are judged by, but for the detection of a source that counts anew.
         """
         fault = self._form(sample)
         if fault is not None:
@@ -91,11 +97,13 @@ class StreamGuard:
             self._old_runs.append(self.run)
             return self._restart(sample, now)
         self._other_count = 0
-        if sample.t_ns <= self._last[0]:
-            return self._refuse_late(sample, now)
-        if sample.seq <= self._last[1]:
-            return Reject.DUPLICATE_SEQ
         missed = sample.seq - self._last[1] - 1
+        if sample.t_ns <= self._last[0] and missed != -1:
+            return self._refuse(sample, now, Reject.TIME_BACKWARDS)
+        if missed < 0:
+            return self._refuse(sample, now, Reject.DUPLICATE_SEQ)
+        if missed > LONGEST_GAP:
+            return self._refuse(sample, now, Reject.OUT_OF_RANGE)
         self.missed += missed
         self._last, self._late, self._late_count = now, None, 0
         return Accepted(missed=missed, restart=False)
@@ -105,16 +113,16 @@ class StreamGuard:
         self._late, self._late_count, self._other_count = None, 0, 0
         return Accepted(missed=0, restart=True)
 
-    def _refuse_late(self, sample: ServoSample, now: tuple[int, int]) -> Accepted | Reject:
-        in_order = self._late is None or (now[0] > self._late[0] and now[1] > self._late[1])
+    def _refuse(self, sample: ServoSample, now: tuple[int, int], why: Reject) -> Accepted | Reject:
+        """Refuse what does not follow the last sample, until it shows to be a stream itself."""
+        late = self._late
+        # A stream of its own is as close-knit as any: what jumps about at random is none.
+        in_order = late is None or (now[0] > late[0] and 0 < now[1] - late[1] <= LONGEST_GAP)
         self._late_count = self._late_count + 1 if in_order else 1
         self._late = now
-        if self._late_count >= CLOCK_RESET_SAMPLES:
+        if self._late_count >= RESET_SAMPLES:
             return self._restart(sample, now)
-        assert self._last is not None
-        if sample.seq == self._last[1]:
-            return Reject.DUPLICATE_SEQ
-        return Reject.TIME_BACKWARDS
+        return why
 
     def _form(self, sample: ServoSample) -> Reject | None:
         j = self.joints
@@ -132,6 +140,9 @@ class StreamGuard:
             if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
                 return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
         if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
+            return Reject.OUT_OF_RANGE
+        # JSON holds integers of any size; what is kept on disk holds 64 bits.
+        if sample.run is not None and not MIN_RUN <= sample.run <= MAX_RUN:
             return Reject.OUT_OF_RANGE
         return None
 

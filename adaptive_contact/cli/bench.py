@@ -46,7 +46,7 @@ def bench(
         from adaptive_contact_sim.benchmark import real_time_factor
         from adaptive_contact_sim.experiments.compression import compare_full
         from adaptive_contact_sim.headline import HEADLINE_RUNS, run_headline
-        from adaptive_contact_sim.speed import tick_speed
+        from adaptive_contact_sim.speed import restore_speed, tick_speed
 
     robot = shipped_robot()
     known = shipped_baseline(robot.name) if baseline is None else load_baseline(baseline)
@@ -73,11 +73,13 @@ def bench(
     )
     run = record_arrays(settings, 120.0)
     tick = tick_speed(run, robot, known)
+    restore = restore_speed(run, robot, known)
     simulator = real_time_factor(seconds=20.0)
     out.mkdir(parents=True, exist_ok=True)
     result = {
         "rows": {name: summary_json(summary) for name, summary in rows.items()},
         "six_leg_tick": tick,
+        "restore": restore,
         "compressed_fit": fits,
         "simulator": simulator,
         "baseline": known.origin,
@@ -97,6 +99,10 @@ def bench(
         "which a refit was under way",
     )
     speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
+    speeds.add_row(
+        "restore after a restart",
+        f"{restore.legs} legs in {restore.seconds:.3f} s at most ({restore.kilobytes:.0f} kB)",
+    )
     for fit in fits:
         kept = sum(fit.kept) / len(fit.kept)
         speeds.add_row(

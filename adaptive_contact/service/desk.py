@@ -35,6 +35,8 @@ _STATUS_PERIOD_NS: Final = int(STATUS_PERIOD_S * 1e9)
 _REFUSAL_SHOWN_NS: Final = 5_000_000_000
 # A gap over a restart of the service is believed up to a day of samples at 100 Hz.
 _LONGEST_GAP: Final = 10_000_000
+# What a state on disk can hold; JSON brings integers of any size, and the learner refuses them.
+_INT64: Final = range(-(2**63), 2**63)
 
 
 class Desk:
@@ -63,7 +65,7 @@ class Desk:
     ) -> None:
         self.leg = leg
         self.learner = learner
-        self.model_version = 0
+        self.model_version = learner.status.model_version
         self.heard_samples = 0
         self.position = resumes
         # Samples that passed while the service was down.
@@ -87,7 +89,8 @@ class Desk:
             if sample.run == self.position.run and 0 < gap < _LONGEST_GAP:
                 self._missed_down += gap
         self.heard_samples += 1
-        self.position = Position(sample.run, sample.seq, self._missed_down)
+        if sample.seq in _INT64 and (sample.run is None or sample.run in _INT64):
+            self.position = Position(sample.run, sample.seq, self._missed_down)
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
 

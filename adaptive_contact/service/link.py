@@ -156,6 +156,7 @@ class Link:
         self._held: set[Declared] = set()
         self.settings = settings
         self.endpoints = facts.listen
+        self.drop_after_ns = facts.drop_after_ns
         self._connect = facts.connect
 
     @classmethod
@@ -391,6 +392,7 @@ class _CallbackFaults(logging.Handler):
 _faults = _CallbackFaults()
 logging.getLogger("zenoh.handlers").addHandler(_faults)
 if "RUST_LOG" in os.environ:
-    # At debug this part of Zenoh writes the whole configuration, passwords and all.
-    os.environ["RUST_LOG"] += ",zenoh::api::session=info"
+    # At debug the one part of Zenoh writes the whole configuration, passwords and all, the other
+    # whole endpoints, in which a key may stand.
+    os.environ["RUST_LOG"] += ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
     zenoh.try_init_log_from_env()

@@ -1,8 +1,9 @@
 """Contact events on their way out, on a thread of their own.
 
 An event is put reliably, so a subscriber that hangs holds the put up (a quarter of a second,
-then Zenoh drops its link).  The learners must not wait for that: the worker only appends, and
-what cannot be sent for so long that the queue is full is dropped, oldest first, and counted.
+then Zenoh drops its link, and with it the event).  The learners must not wait for that: the worker
+only appends, and what cannot be sent for so long that the queue is full is dropped, oldest first,
+and counted.  Each put that was slow is logged, for the watchdog sees only those that go on.
 """
 
 from __future__ import annotations
@@ -13,15 +14,22 @@ import time
 from collections import deque
 from typing import Final, NamedTuple, Protocol
 
+import structlog
+
 from adaptive_contact.errors import LinkError
+from adaptive_contact.service.meters import Brake
 from adaptive_contact.wire import Message
 
-__all__ = ["QUEUE_EVENTS", "SLOW_PUT_NS", "Outbox"]
+__all__ = ["HELD_UP_NS", "QUEUE_EVENTS", "SLOW_PUT_NS", "Outbox"]
+
+_log = structlog.get_logger()
 
 # A robot has some ten events a second; this is more than a minute of them.
 QUEUE_EVENTS: Final = 1024
 # An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs.
 SLOW_PUT_NS: Final = 100_000_000
+# A put that has gone on for so long is told of before it ends.
+HELD_UP_NS: Final = 500_000_000
 _LATENCIES: Final = 4096
 
 
@@ -41,14 +49,24 @@ class _Letter(NamedTuple):
 class Outbox:
     """Sends messages in order, on the caller's thread until :meth:`start`, then on its own.
 
+    Args:
+        size: messages that wait at most.
+        drop_after_ns: a put that blocks for so long ends with the link of whoever blocked it being
+            dropped, and the message with it; None where nothing is ever dropped.
+
     Attributes:
         lost: messages dropped because the queue was full, or the link was closed.
         slow: puts that took longer than a tenth of a second.
+        cut_off: puts that blocked until the link of a subscriber was dropped: that one never got
+            the event.
     """
 
-    def __init__(self, size: int = QUEUE_EVENTS) -> None:
+    def __init__(self, size: int = QUEUE_EVENTS, *, drop_after_ns: int | None = None) -> None:
         self.lost = 0
         self.slow = 0
+        self.cut_off = 0
+        self._drop_after_ns = drop_after_ns
+        self._brake = Brake()
         self._size = size
         self._queue: deque[_Letter] = deque()
         self._changed = threading.Condition()
@@ -123,5 +141,19 @@ class Outbox:
         finally:
             self._putting_since_ns = None
         done_ns = time.monotonic_ns()
-        self.slow += done_ns - began_ns > SLOW_PUT_NS
         self._latencies.append(done_ns - letter.arrival_ns)
+        if done_ns - began_ns > SLOW_PUT_NS:
+            self._slow(done_ns, done_ns - began_ns)
+
+    def _slow(self, now_ns: int, took_ns: int) -> None:
+        self.slow += 1
+        cut_off = self._drop_after_ns is not None and took_ns >= self._drop_after_ns
+        self.cut_off += cut_off
+        times = self._brake.passes(cut_off, now_ns)
+        if times is not None:
+            _log.warning(
+                "a subscriber that hangs held up contact events",
+                for_ms=round(took_ns / 1e6),
+                its_link="dropped" if cut_off else "kept",
+                times=times,
+            )

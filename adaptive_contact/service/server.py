@@ -20,7 +20,7 @@ from adaptive_contact.service.desk import Desk
 from adaptive_contact.service.intake import Intake, Raw, Round, read
 from adaptive_contact.service.link import Link, Request
 from adaptive_contact.service.meters import Brake, Latency
-from adaptive_contact.service.outbox import Outbox
+from adaptive_contact.service.outbox import HELD_UP_NS, Outbox
 from adaptive_contact.service.ports import Bank, Question
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state import StateKeeper
@@ -82,7 +82,7 @@ class Service:
         self._brake = Brake()
         self._keeper = keeper
         self._to_save: deque[tuple[int, Desk]] = deque()
-        self._outbox = Outbox()
+        self._outbox = Outbox(drop_after_ns=link.drop_after_ns)
         self._beats = 0
         self._watchdog = Watchdog(
             lambda: self._beats, self._outbox.busy_ns, on_stall=self._stalled, on_end=give_up
@@ -168,11 +168,18 @@ class Service:
             self._event_latency.add(latency_ns)
         state = None if self._keeper is None else self._keeper.facts
         failing = None if state is None or state.error is None else f"state: {state.error}"
+        held_ns = self._outbox.busy_ns(now_ns)
+        held = (
+            f"a subscriber that hangs has held up contact events for {held_ns / 1e9:.1f} s"
+            if held_ns > HELD_UP_NS
+            else None
+        )
         return ServiceStatus(
             instance=self._surroundings.instance,
-            note="; ".join(filter(None, (self._surroundings.note, failing))) or None,
+            note="; ".join(filter(None, (self._surroundings.note, held, failing))) or None,
             events_lost=self._outbox.lost,
             slow_puts=self._outbox.slow,
+            cut_off=self._outbox.cut_off,
             stalls=self._watchdog.stalls,
             state=state,
             version=version(),

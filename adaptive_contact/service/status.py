@@ -44,6 +44,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         note: one line for a person when something is wrong with the service, None when all is well.
         events_lost: events dropped because a subscriber that hangs held them up for too long.
         slow_puts: events that took longer than 0.1 s to send.
+        cut_off: times that the link of a subscriber that hung was dropped, an event with it.
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
@@ -64,6 +65,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     note: str | None = None
     events_lost: int = 0
     slow_puts: int = 0
+    cut_off: int = 0
     stalls: int = 0
     state: StateFacts | None = None
     callback_faults: int = 0

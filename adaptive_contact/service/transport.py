@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import zenoh
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.json5 import keys_of
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
@@ -34,6 +35,8 @@ CONNECT_TIMEOUT_MS: Final = 1000
 # honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
 MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
 
+_DROP_AFTER_US: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+
 DEFAULTS: Final[Mapping[str, object]] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -46,7 +49,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # A subscriber that hangs blocks a contact event this long (us), and with it every leg, then
     # its link is dropped.  It is seconds behind by then; Zenoh's own 5 s would fell the robot, and
     # half a second would make the legs look silent.
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 250_000,
+    _DROP_AFTER_US: 250_000,
     "connect/timeout_ms": CONNECT_TIMEOUT_MS,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
     # tried anew; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
@@ -67,13 +70,21 @@ _QUOTED_LINE: Final = re.compile(r"(?m)^\s*\d*\s*\|.*$")
 _QUOTED_VALUE: Final = re.compile(
     r"(?s)(invalid (?:type|value): \w+|unknown variant) (?:\\?\".*?\\?\"|`[^`]*`)"
 )
+# It quotes the whole configuration where two of its values do not go together.
+_WHOLE: Final = re.compile(r"(?s)(Invalid configuration): \{.*")
 
 
 class Facts(NamedTuple):
-    """The endpoints a configuration ended up with."""
+    """What a configuration ended up with.
+
+    Attributes:
+        listen, connect: endpoints.
+        drop_after_ns: a subscriber that blocks a reliable message for so long loses its link.
+    """
 
     listen: tuple[str, ...]
     connect: tuple[str, ...]
+    drop_after_ns: int
 
 
 def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
@@ -83,30 +94,28 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
         ConfigurationError: the file cannot be used, a port cannot be had, or the doors would be
             open to strangers.
     """
-    blank = zenoh.Config()
-    config = _from_file(settings.zenoh_config) if settings.zenoh_config else zenoh.Config()
-    for path, value in DEFAULTS.items():
-        if config.get_json(path) == blank.get_json(path):
-            config.insert_json5(path, json.dumps(value))
+    path = settings.zenoh_config
+    config = zenoh.Config() if path is None else _from_file(path)
+    said = frozenset() if path is None else _said(path, config)
+    for key, value in DEFAULTS.items():
+        if key not in said:
+            config.insert_json5(key, json.dumps(value))
     listen = settings.listen
-    silent = config.get_json("listen/endpoints") == blank.get_json("listen/endpoints")
-    if settings.mode == "router" and not listen and silent:
+    if settings.mode == "router" and not listen and "listen/endpoints" not in said:
         # Zenoh's own default listens on every interface; ours does not.
         listen = (DEFAULT_ENDPOINT,)
-    for path, value in _overrides(settings, _with_free_ports(listen)).items():
-        config.insert_json5(path, json.dumps(value))
+    for key, value in _overrides(settings, _with_free_ports(listen)).items():
+        config.insert_json5(key, json.dumps(value))
     if settings.mode == "client" and not _endpoints(config, "connect", "client"):
         config.insert_json5("connect/endpoints", json.dumps([DEFAULT_ENDPOINT]))
     facts = Facts(
         _endpoints(config, "listen", "router") if settings.mode == "router" else (),
         _endpoints(config, "connect", settings.mode),
+        1000 * int(json.loads(config.get_json(_DROP_AFTER_US))),
     )
     for text in facts.listen:
-        if not (is_loopback(text) or settings.insecure or _authenticates(config, text)):
-            raise ConfigurationError(
-                f"listening on {shown(text)} would let anybody on that network in; give a "
-                "--zenoh-config FILE with users or mutual TLS, or say --insecure"
-            )
+        if not (is_loopback(text) or settings.insecure):
+            _check_door(config, text)
     return config, facts
 
 
@@ -124,6 +133,7 @@ def listen_failure(listen: tuple[str, ...], error: zenoh.ZError) -> str:
 def first_line(error: zenoh.ZError) -> str:
     """Zenoh's words without the source paths it appends, and without what it quotes of a file."""
     text = _QUOTED_LINE.sub("", _QUOTED_VALUE.sub(r"\1", str(error)))
+    text = _WHOLE.sub(r"\1", text)
     return _SOURCE_PATH.sub("", " ".join(text.split()))[:300]
 
 
@@ -145,22 +155,71 @@ def _endpoints(config: zenoh.Config, side: str, mode: str) -> tuple[str, ...]:
     return tuple(str(text) for text in flat)
 
 
-def _authenticates(config: zenoh.Config, text: str) -> bool:
-    """Whether clients of an endpoint must show who they are.
+def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
+    """Which settings a file holds.
 
-    A user and password, or a known key, are asked for on any of them; mutual TLS only where TLS
-    is spoken.
+    Zenoh fills in its own defaults, so the file is read for its keys.  Of one in YAML, which Zenoh
+    takes too, only what differs from those defaults is known.
     """
-    asks = ["auth/usrpwd/dictionary_file", "auth/pubkey/known_keys_file"]
-    if text.startswith(("tls/", "quic/")):
-        asks.append("link/tls/enable_mtls")
-    return any(json.loads(config.get_json(f"transport/{path}")) for path in asks)
+    try:
+        found = keys_of(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):  # gone since Zenoh has read it
+        found = frozenset()
+    if found:
+        return found
+    blank = zenoh.Config()
+    keys = (*DEFAULTS, "listen/endpoints")
+    return frozenset(key for key in keys if config.get_json(key) != blank.get_json(key))
+
+
+def _check_door(config: zenoh.Config, text: str) -> None:
+    """Refuse an endpoint whose clients need not show who they are.
+
+    A user and password are asked for on any of them; mutual TLS only where TLS is spoken.  (Zenoh
+    takes a list of known public keys, too, but lets everybody in all the same.)
+    """
+    if "enable_mtls=" in text.partition("#")[2]:
+        raise ConfigurationError(
+            f"{shown(text)} says enable_mtls after '#', which would hold over the configuration "
+            "file; say it in the file"
+        )
+    if _asks_for_users(config):
+        return
+    mutual = json.loads(config.get_json("transport/link/tls/enable_mtls"))
+    if mutual and text.startswith(("tls/", "quic/")):
+        return
+    raise ConfigurationError(
+        f"listening on {shown(text)} would let anybody on that network in; give a "
+        "--zenoh-config FILE with users or mutual TLS, or say --insecure"
+    )
+
+
+def _asks_for_users(config: zenoh.Config) -> bool:
+    """Whether Zenoh will ask for a user and password.
+
+    With neither a user of its own nor anybody in the dictionary, it asks nobody.
+    """
+    usrpwd = json.loads(config.get_json("transport/auth/usrpwd"))
+    if not usrpwd["dictionary_file"]:
+        return False
+    if usrpwd["user"] and usrpwd["password"]:
+        return True
+    try:
+        lines = Path(usrpwd["dictionary_file"]).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(
+            f"the file of users that the Zenoh configuration names cannot be read: "
+            f"{(error.strerror or '').lower() if isinstance(error, OSError) else 'no UTF-8'}"
+        ) from error
+    return any(all(part.strip() for part in line.split(":", 1)) and ":" in line for line in lines)
 
 
 def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, object]:
     """What our settings decide; ``listen`` are their endpoints with free ports filled in."""
     table: dict[str, object] = {"mode": settings.mode}
-    if listen:
+    if settings.mode == "client":
+        table["listen/endpoints"] = []  # whatever the file says: a client is no door
+    elif listen:
         table["listen/endpoints"] = list(listen)
     if settings.connect:
         table["connect/endpoints"] = list(settings.connect)

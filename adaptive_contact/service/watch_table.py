@@ -48,6 +48,8 @@ def headline(view: View) -> Text:
         line.append(f"  {service.events_lost} events lost", style="bold red")
     if service.slow_puts:
         line.append(f"  {service.slow_puts} events held up", style="yellow")
+    if service.cut_off:
+        line.append(f"  a subscriber cut off {service.cut_off} times", style="bold red")
     if service.stalls:
         line.append(f"  worker stood still {service.stalls} times", style="bold red")
     if service.rejects:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,12 +14,14 @@ from threadpoolctl import threadpool_limits
 from adaptive_contact.adapt import Baseline, ContactLearner
 from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.refit import Job
+from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.refits import ProcessRefitter
+from adaptive_contact.service.state import Identity, Record, Refused, StateStore
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_sim.evaluate import samples_of
 
-__all__ = ["TickSpeed", "tick_speed"]
+__all__ = ["RestoreSpeed", "TickSpeed", "restore_speed", "tick_speed"]
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,20 @@ class TickSpeed:
     refitting_ms: float
     refitting: int
     leg_ticks_per_s: float
+
+
+@dataclass(frozen=True)
+class RestoreSpeed:
+    """Time from opening a folder of states to all legs going on from theirs, imports apart.
+
+    Attributes:
+        seconds: the slowest of a few times.
+        kilobytes: of the states, together.
+    """
+
+    legs: int
+    seconds: float
+    kilobytes: float
 
 
 class _Watched(ProcessRefitter):
@@ -84,3 +102,52 @@ def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
         refitting=int(refitting.sum()),
         leg_ticks_per_s=len(spent) * len(legs) / total,
     )
+
+
+def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -> RestoreSpeed:
+    """Measure how fast the learners of a run go on from what they have saved of it.
+
+    Raises:
+        AdaptiveContactError: a leg could not be saved or restored.
+    """
+
+    def bank() -> dict[str, ContactLearner]:
+        return {leg: ContactLearner(robot, leg, baseline) for leg in run.legs}
+
+    learners = bank()
+    team = Team(list(learners.values()))
+    for samples in zip(*(samples_of(run, leg) for leg in run.legs), strict=True):
+        team.advance(samples)
+    who = {leg: Identity(robot.name, leg, "", "") for leg in run.legs}
+    with tempfile.TemporaryDirectory() as folder:
+        store = StateStore.open(Path(folder), robot.name)
+        for leg, learner in learners.items():
+            body = learner.snapshot()
+            if body is None:
+                raise AdaptiveContactError(f"leg {leg} has no model to save")
+            store.save(
+                Record(
+                    identity=who[leg],
+                    saved_ns=0,
+                    package="",
+                    model_version=learner.status.model_version,
+                    run=None,
+                    seq=None,
+                    body=body,
+                )
+            )
+        store.close()
+        kilobytes = sum(path.stat().st_size for path in Path(folder).rglob("*.state")) / 1e3
+        took = []
+        for _ in range(repeat):
+            fresh = bank()
+            start = time.perf_counter()
+            store = StateStore.open(Path(folder), robot.name)
+            for leg, learner in fresh.items():
+                _, record = next(store.candidates(who[leg]))
+                why = record.why if isinstance(record, Refused) else learner.restore(record.body)
+                if why is not None:
+                    raise AdaptiveContactError(f"leg {leg} was not restored: {why}")
+            took.append(time.perf_counter() - start)
+            store.close()
+    return RestoreSpeed(legs=len(run.legs), seconds=max(took), kilobytes=kilobytes)

@@ -62,6 +62,29 @@ def test_every_contact_is_released_in_the_next_swing(robot: Robot, baseline: Bas
     assert states == [i % 2 == 0 for i in range(len(states))]
 
 
+@pytest.mark.parametrize("run", [2, None])
+def test_a_restart_of_the_source_ends_a_contact(
+    robot: Robot, baseline: Baseline, run: int | None
+) -> None:
+    """With a new run at once, without one when the source's clock is believed; never silently."""
+    measured, desired, swing, _ = FakeLeg(seed=3).run(40, touch=lambda n: 16)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf", baseline)
+    last: ContactEvent | None = None
+    first = [
+        msgspec.structs.replace(s, run=1 if run else None, t_ns=s.t_ns + 10**15) for s in stream
+    ]
+    for s in first[: 28 * 20 + 24]:
+        last = learner.update(s) or last
+    assert last is not None
+    assert last.contact
+    assert learner.contact
+    again = play(learner, [msgspec.structs.replace(s, run=run) for s in stream[:12]])
+    assert [(e.contact, e.seq, e.score) for e in again] == [(False, 0 if run else 9, 0.0)]
+    assert again[0].onset_ns == again[0].t_ns
+    assert not learner.status.contact
+
+
 def test_no_event_is_decided_outside_a_swing(robot: Robot, baseline: Baseline) -> None:
     measured, desired, swing, _ = FakeLeg(seed=4).run(60, touch=lambda _: 16)
     events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))

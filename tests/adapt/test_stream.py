@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.adapt.stream import (
-    CLOCK_RESET_SAMPLES,
+    LONGEST_GAP,
+    RESET_SAMPLES,
     TAKE_BACK_SAMPLES,
     Accepted,
     RateWatch,
@@ -51,6 +52,10 @@ def test_a_clean_stream_is_accepted() -> None:
         ({"t_ns": -1}, Reject.OUT_OF_RANGE),
         ({"t_ns": 2**63}, Reject.OUT_OF_RANGE),
         ({"seq": -1}, Reject.OUT_OF_RANGE),
+        ({"seq": 2**62}, Reject.OUT_OF_RANGE),
+        ({"seq": 2 + LONGEST_GAP + 2}, Reject.OUT_OF_RANGE),
+        ({"run": 2**63}, Reject.OUT_OF_RANGE),
+        ({"run": -(2**70)}, Reject.OUT_OF_RANGE),
         ({"t_ns": 2 * STEP}, Reject.TIME_BACKWARDS),
         ({"t_ns": 0}, Reject.TIME_BACKWARDS),
         ({"seq": 2}, Reject.DUPLICATE_SEQ),
@@ -109,8 +114,66 @@ def test_one_wild_time_stamp_does_not_lock_the_leg_out() -> None:
     guard = StreamGuard(2)
     feed(guard, sample(0), sample(1, t_ns=2**62))
     results = feed(guard, *(sample(k) for k in range(2, 40)))
-    assert results.index(Accepted(0, True)) == CLOCK_RESET_SAMPLES - 1
+    assert results.index(Accepted(0, True)) == RESET_SAMPLES - 1
     assert results[-1] == Accepted(0, False)
+
+
+def test_a_source_that_counts_anew_without_a_run_is_believed_after_ten() -> None:
+    """Its clock goes on, its numbers begin again from 0."""
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k, run=None) for k in range(180_000)))
+    results = feed(guard, *(sample(k, run=None, t0=200_000 * STEP) for k in range(50)))
+    assert results[: RESET_SAMPLES - 1] == [Reject.DUPLICATE_SEQ] * (RESET_SAMPLES - 1)
+    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
+    assert results[RESET_SAMPLES:] == [Accepted(0, False)] * (50 - RESET_SAMPLES)
+    assert guard.missed == 0
+
+
+@pytest.mark.parametrize("wild", [2**62, 2**63 - 1, LONGEST_GAP + 5])
+def test_one_wild_number_is_refused_and_locks_nobody_out(wild: int) -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1))
+    assert guard.admit(sample(2, seq=wild)) is Reject.OUT_OF_RANGE
+    assert feed(guard, *(sample(k) for k in range(3, 6))) == [
+        Accepted(1, False), Accepted(0, False), Accepted(0, False),
+    ]  # fmt: skip
+    assert guard.missed == 1
+
+
+def test_a_wild_number_that_could_be_a_gap_locks_the_leg_out_for_ten_samples() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1, seq=1000))
+    results = feed(guard, *(sample(k) for k in range(2, 40)))
+    assert results.index(Accepted(0, True)) == RESET_SAMPLES - 1
+    assert results[-1] == Accepted(0, False)
+
+
+def test_a_source_that_counts_on_from_far_ahead_is_a_restart_and_no_loss() -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k, run=None) for k in range(5)))
+    far = [sample(k, run=None, seq=2**40 + k) for k in range(5, 30)]
+    results = feed(guard, *far)
+    assert results[: RESET_SAMPLES - 1] == [Reject.OUT_OF_RANGE] * (RESET_SAMPLES - 1)
+    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
+    assert guard.missed == 0
+
+
+def test_of_two_publishers_without_runs_the_one_that_stays_is_heard() -> None:
+    """Same clock, other numbers: while both speak the higher numbers hold, then the one left."""
+    guard = StreamGuard(2)
+    for k in range(1, 200):
+        assert isinstance(guard.admit(sample(k, run=None, seq=5000 + k)), Accepted)
+        assert guard.admit(sample(k, run=None, t0=5, seq=k)) is Reject.DUPLICATE_SEQ
+    left = feed(guard, *(sample(k, run=None, t0=5) for k in range(200, 230)))
+    assert left.index(Accepted(0, True)) < RESET_SAMPLES
+    assert left[-1] == Accepted(0, False)
+
+
+def test_numbers_that_jump_about_are_no_stream() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1))
+    wild = [sample(k, seq=(k % 7 + 1) * 2**50) for k in range(2, 100)]
+    assert set(feed(guard, *wild)) == {Reject.OUT_OF_RANGE}
 
 
 def test_two_interleaved_streams_without_runs_never_look_like_a_clock_reset() -> None:

@@ -96,6 +96,17 @@ def fake() -> ModuleType:
     return module
 
 
+@pytest.fixture(scope="session")
+def rig() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("service_rig", HERE / "rig.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["service_rig"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture
 def robot() -> Robot:
     return parse_robot(ROBOT, source="test")

@@ -7,6 +7,7 @@ touch for ten ticks and are free for ten, so that what every event must say is k
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import socket
 import threading
@@ -14,8 +15,12 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from rich.console import Console
+
+from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.watch_table import headline, table
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -138,12 +143,21 @@ class Listener:
                 f"not in {timeout_s} s; {self.statuses}; last events {self.events[-3:]}"
             )
 
-    def wait_event(self, leg: str, *, after: float, timeout_s: float = 30.0) -> float:
-        """When the first event of a leg arrived after a moment; it must be right."""
-        self.wait(
-            lambda me: any(at > after and event.leg == leg for at, event in me.events), timeout_s
-        )
-        at, event = next(pair for pair in self.events if pair[0] > after and pair[1].leg == leg)
+    def wait_event(
+        self, leg: str, robot: Robot50, *, after: float, timeout_s: float = 30.0
+    ) -> float:
+        """When the first event on a sample that a robot sent after a moment arrived.
+
+        It must be right.  What was sent before and only comes late does not count: a leg that has
+        not caught up is not well again.
+        """
+
+        def fresh(pair: tuple[float, ContactEvent]) -> bool:
+            at, event = pair
+            return event.leg == leg and at > after and robot.sent_at.get(event.seq, 0.0) > after
+
+        self.wait(lambda me: any(map(fresh, me.events)), timeout_s)
+        at, event = next(filter(fresh, self.events))
         assert event.contact == touches(event.seq)
         return at
 
@@ -222,3 +236,21 @@ def closing(*things: Any) -> Iterator[None]:
         for thing in things:
             stack.callback(thing.close)
         yield
+
+
+def watched(link: Link, line: str = "", timeout_s: float = 20.0) -> str:
+    """What `watch` shows, once it has heard the service and every leg, and shows a line."""
+    feed = Feed(link)
+    until = time.monotonic() + timeout_s
+    shown = ""
+    while True:
+        view = feed.view(time.monotonic_ns())
+        if view.service is not None and all(leg.status is not None for leg in view.legs):
+            text = io.StringIO()
+            Console(file=text, width=240).print(table(view))
+            # The lines over the table as they are, not as they are folded to its width.
+            shown = f"{headline(view).plain}\n{text.getvalue()}"
+            if line in shown:
+                return shown
+        assert time.monotonic() < until, f"'{line}' is not in {shown or 'nothing'}"
+        time.sleep(0.05)

@@ -6,13 +6,11 @@ what a person sees of the fault: in LearnerStatus, in ``watch``, or in the log.
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import itertools
 import os
+import re
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -21,50 +19,21 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from rich.console import Console
 
-from adaptive_contact.service.feed import Feed
-from adaptive_contact.service.link import Link
-from adaptive_contact.service.watch_table import table
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 pytestmark = pytest.mark.e2e
 
-# The issue's 2 s, and what this shared machine may take on top.
-RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0.5"))
+# The issue's 2 s, from the end of a cause to the arrival of an event on a sample sent after it; on
+# a machine that is too busy for it, SLACK_S gives some more.
+RECOVERY_S = 2.0 + float(os.environ.get("SLACK_S", "0"))
 PAGE = os.sysconf("SC_PAGE_SIZE")
-
-
-@pytest.fixture(scope="module")
-def rig() -> ModuleType:
-    path = Path(__file__).with_name("rig.py")
-    spec = importlib.util.spec_from_file_location("service_rig", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["service_rig"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def free_endpoint() -> str:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-def watched(link: Link) -> str:
-    """What `watch` shows, after it has heard the service once."""
-    feed = Feed(link)
-    until = time.monotonic() + 20
-    view = feed.view(time.monotonic_ns())
-    while view.service is None or any(leg.status is None for leg in view.legs):
-        assert time.monotonic() < until, "the service says nothing"
-        time.sleep(0.05)
-        view = feed.view(time.monotonic_ns())
-    text = io.StringIO()
-    Console(file=text, width=200).print(table(view))
-    return text.getvalue()
 
 
 def resident_mb(pid: int) -> float:
@@ -92,13 +61,13 @@ def test_a_killed_router_comes_back(serve: Any, command: Any, rig: ModuleType) -
             time.sleep(0.02)
         start()
         back = time.monotonic()
-        assert listener.wait_event("rf", after=back) - back < RECOVERY_S
+        assert listener.wait_event("rf", robot, after=back) - back < RECOVERY_S
         listener.steady(robot, "rf")
         listener.steady(robot, "lf")
         listener.wait(lambda me: me.statuses["rf"].missed >= 40)
         status = listener.statuses["rf"]
         assert status.ticks + status.missed <= robot.seq, "no sample counts twice"
-        assert f" {status.missed} " in watched(listener.link)
+        assert f" {status.missed} " in rig.watched(listener.link)
         assert listener_lost < back
     assert served.stop() == 0
     log = served.log.read_text()
@@ -121,11 +90,10 @@ def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleTy
         listener.wait(lambda me: len(me.of("lf")) >= began + 18)
         wire.mend()
         mended = time.monotonic()
-        assert listener.wait_event("rf", after=mended) - mended < RECOVERY_S
-        listener.wait(lambda me: me.statuses["rf"].missed > 0)
-        # What waited in the cut wire may come in one go; from then on all is as before.
-        listener.wait(lambda me: me.of("rf")[-1].seq > far.seq - 30)
+        # What waited in the cut wire comes first, in one go; what is meant is what is sent now.
+        assert listener.wait_event("rf", far, after=mended) - mended < RECOVERY_S
         listener.steady(far, "rf")
+        listener.wait(lambda me: me.statuses["rf"].missed > 0)
         seqs = [event.seq for event in listener.of("lf")]
         assert seqs == list(range(seqs[0], seqs[-1] + 1, rig.HALF)), "the other leg lost nothing"
         assert listener.statuses["lf"].missed == 0
@@ -144,12 +112,14 @@ def test_a_service_restarted_under_a_running_robot(
         assert first.stop() == 0
         second = serve(*arguments)
         ready = time.monotonic()
-        assert listener.wait_event("rf", after=ready) - ready < RECOVERY_S
+        assert listener.wait_event("rf", robot, after=ready) - ready < RECOVERY_S
         listener.steady(robot, "rf")
         status = listener.statuses["rf"]
         assert status.missed > 10, "what passed while the service was down is counted"
         assert status.ticks + status.missed <= robot.seq
+        assert f" {status.missed} " in rig.watched(listener.link)
     assert second.stop() == 0
+    assert re.search(r"state restored .*leg=rf model_version=3", second.log.read_text())
 
 
 @pytest.mark.parametrize("run", [None, 9])
@@ -164,13 +134,32 @@ def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run:
     second = rig.Robot50(served.endpoint, run=None if run is None else run + 1, epoch_ns=rig.S)
     with rig.closing(listener, second):
         began = time.monotonic()
-        assert listener.wait_event("rf", after=began) - began < RECOVERY_S
+        assert listener.wait_event("rf", second, after=began) - began < RECOVERY_S
         listener.steady(second, "rf")
         rejects = listener.statuses["rf"].rejects
         # Without `run` the service cannot know at once: it counts what it does not believe yet.
         assert rejects == ({} if run else {"time_backwards": 9})
         if run is None:
-            assert "time_backwards 9" in watched(listener.link)
+            assert "time_backwards 9" in rig.watched(listener.link)
+    assert served.stop() == 0
+
+
+def test_a_source_restarted_that_counts_anew(serve: Any, rig: ModuleType) -> None:
+    """Without `run`; its clock is the wall's and goes on, its numbers begin again."""
+    served = serve()
+    listener = rig.Listener(served.endpoint)
+    first = rig.Robot50(served.endpoint, epoch_ns=10**18, first=5000)
+    with rig.closing(listener, first):
+        listener.steady(first, "rf", 2)
+    listener = rig.Listener(served.endpoint)
+    second = rig.Robot50(served.endpoint, epoch_ns=10**18 + 10**12)
+    with rig.closing(listener, second):
+        began = time.monotonic()
+        assert listener.wait_event("rf", second, after=began) - began < RECOVERY_S
+        listener.steady(second, "rf")
+        assert listener.statuses["rf"].rejects == {"duplicate_seq": 9}
+        assert listener.statuses["rf"].missed == 0
+        assert "duplicate_seq 9" in rig.watched(listener.link)
     assert served.stop() == 0
 
 
@@ -186,7 +175,7 @@ def test_two_publishers_of_one_leg(serve: Any, rig: ModuleType) -> None:
             listener.steady(new, "rf")
             assert listener.of("rf")[-1].seq >= 10_000
             listener.wait(lambda me: me.statuses["rf"].rejects.get("other_publisher", 0) > 30)
-            assert "other_publisher" in watched(listener.link)
+            assert "other_publisher" in rig.watched(listener.link)
         # The newer one is gone: the older one is believed again within two seconds.
         gone = time.monotonic()
         listener.wait(lambda me: me.events[-1][1].leg == "rf" and me.of("rf")[-1].seq < 10_000)
@@ -275,6 +264,9 @@ def test_a_subscriber_that_hangs(
             for at, event in listener.events
             if event.leg == "rf" and at > stopped
         ]
+        # Nobody else sees it: the event that was held up, and the link that was dropped with it.
+        shown = rig.watched(listener.link, "events held up")
+        assert re.search(r"  \d+ events held up  a subscriber cut off \d+ times", shown)
         # Once, until its link is dropped; not five seconds, and not again and again.
         assert max(delays) < 1.0
         assert sorted(delays)[len(delays) // 2] < 0.1
@@ -282,3 +274,5 @@ def test_a_subscriber_that_hangs(
         listener.steady(robot, "rf")
         assert listener.statuses["rf"].missed == 0
     assert served.stop() == 0
+    log = served.log.read_text()
+    assert re.search(r"a subscriber that hangs held up contact events .*its_link=dropped", log)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import shutil
+import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -58,6 +60,27 @@ def files(tmp_path: Path) -> Folder:
     for name, text in texts.items():
         (tmp_path / f"{name}.json5").write_text(text)
     return Folder(*(tmp_path / f"{name}.json5" for name in Folder._fields))
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> Path:
+    """A folder with those of the document: a CA's, the service's and a client's."""
+
+    def openssl(*args: str) -> None:
+        subprocess.run(["openssl", *args], check=True, capture_output=True, cwd=tmp_path)
+
+    new = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
+    openssl("req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test ca")
+    for name in ("service", "client"):
+        (tmp_path / f"{name}.ext").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost")
+        openssl(
+            "req", *new, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
+        )
+        openssl(
+            *("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key"),
+            *("-CAcreateserial", "-days", "2", "-extfile", f"{name}.ext", "-out", f"{name}.pem"),
+        )
+    return tmp_path
 
 
 def matched(link: Link, key: str) -> Any:
@@ -145,6 +168,105 @@ def test_only_the_service_publishes_contacts_and_statuses(
 
 
 @pytest.mark.e2e
+@pytest.mark.parametrize(
+    "text",
+    [
+        # Zenoh 1.10 takes this list and asks nobody for a key.
+        '{transport: {auth: {pubkey: {known_keys_file: "keys"}}}}',
+        # It asks for no password where it has no user, neither of its own nor in the dictionary.
+        '{transport: {auth: {usrpwd: {dictionary_file: "empty"}}}}',
+        '{transport: {auth: {usrpwd: {dictionary_file: "blank"}}}}',
+        # Mutual TLS where no TLS is spoken.
+        "{transport: {link: {tls: {enable_mtls: true}}}}",
+        "{}",
+    ],
+)
+def test_what_asks_nobody_is_no_lock(tmp_path: Path, text: str) -> None:
+    for name, content in (("keys", "k\n"), ("empty", ""), ("blank", "\n \n:\n")):
+        (tmp_path / name).write_text(content)
+        text = text.replace(f'"{name}"', f'"{tmp_path / name}"')
+    config = tmp_path / "zenoh.json5"
+    config.write_text(text)
+    with pytest.raises(ConfigurationError, match="would let anybody on that network in"):
+        Link.open(router_settings(["tcp/0.0.0.0:0"], zenoh_config=config))
+    if "blank" in text:  # Zenoh does not read this one
+        return
+    with Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config, insecure=True)) as router:
+        endpoint = router.endpoints[0].replace("0.0.0.0", "127.0.0.1")
+        with Link.open(client_settings([endpoint], wait=False)) as stranger:
+            assert stranger.is_connected(), "this is why"
+
+
+@pytest.mark.e2e
+def test_one_user_in_the_dictionary_is_a_lock(tmp_path: Path) -> None:
+    users = tmp_path / "users"
+    config = tmp_path / "zenoh.json5"
+    config.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
+    with pytest.raises(ConfigurationError, match=r"users .* cannot be read: no such file"):
+        Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config))
+    users.write_text("robot:secret\n")
+    with Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config)) as router:
+        endpoint = router.endpoints[0].replace("0.0.0.0", "127.0.0.1")
+        with pytest.raises(NoRouterError, match="user and password"):
+            Link.open(client_settings([endpoint], wait=False))
+
+
+@pytest.mark.e2e
+def test_a_client_is_no_door_whatever_the_file_says(router: Link, tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    config = tmp_path / "zenoh.json5"
+    config.write_text(f'{{listen: {{endpoints: ["tcp/0.0.0.0:{port}"]}}}}')
+    joins = router_settings((), router.endpoints, zenoh_config=config)
+    with Link.open(joins) as service:
+        assert service.is_connected()
+        with pytest.raises(NoRouterError, match="nobody listens"):
+            Link.open(client_settings([f"tcp/127.0.0.1:{port}"], wait=False))
+    # As a router it is one, and is asked for its lock.
+    with pytest.raises(ConfigurationError, match="would let anybody on that network in"):
+        Link.open(router_settings(zenoh_config=config))
+
+
+@pytest.mark.e2e
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
+def test_zenohs_own_log_holds_no_key_of_an_endpoint(
+    command: Any, certificates: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = {
+        "root_ca_certificate": "ca.pem",
+        "listen_certificate": "service.pem",
+        "listen_private_key": "service.key",
+        "connect_private_key": "client.key",
+        "connect_certificate": "client.pem",
+    }
+    coded = {
+        name: base64.b64encode((certificates / file).read_bytes()).decode()
+        for name, file in parts.items()
+    }
+    code = (
+        "import sys\n"
+        "from adaptive_contact.service.link import Link, client_settings, router_settings\n"
+        "listen, connect = sys.argv[1:]\n"
+        "with Link.open(router_settings(['tls/127.0.0.1:0#' + listen])) as router:\n"
+        "    where = router.endpoints[0].partition('#')[0] + '#' + connect\n"
+        "    with Link.open(client_settings([where])) as client: assert client.is_connected()"
+    )
+    options = [
+        ";".join(f"{k}_base64={v}" for k, v in coded.items() if k.startswith(("root", side)))
+        for side in ("listen", "connect")
+    ]
+    for level in ("debug", "trace"):
+        monkeypatch.setenv("RUST_LOG", level)
+        process = command("-c", code, *options, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        log, _ = process.communicate(timeout=30)
+        assert process.returncode == 0, log[-500:]
+        assert "DEBUG" in log
+        for name in ("listen_private_key", "connect_private_key"):
+            assert coded[name][40:80] not in log, name
+
+
+@pytest.mark.e2e
 def test_zenohs_own_log_holds_no_password(
     command: Any, files: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,21 +292,8 @@ def test_zenohs_own_log_holds_no_password(
 
 @pytest.mark.e2e
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
-def test_mutual_tls_lets_in_who_has_a_certificate(tmp_path: Path) -> None:
-    def openssl(*args: str) -> None:
-        subprocess.run(["openssl", *args], check=True, capture_output=True, cwd=tmp_path)
-
-    new = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
-    openssl("req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=test ca")
-    for name in ("service", "client"):
-        (tmp_path / f"{name}.ext").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost")
-        openssl(
-            "req", *new, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
-        )
-        openssl(
-            *("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key"),
-            *("-CAcreateserial", "-days", "2", "-extfile", f"{name}.ext", "-out", f"{name}.pem"),
-        )
+def test_mutual_tls_lets_in_who_has_a_certificate(certificates: Path) -> None:
+    tmp_path = certificates
 
     def config(name: str, text: str) -> Path:
         path = tmp_path / f"{name}.json5"
@@ -202,6 +311,18 @@ def test_mutual_tls_lets_in_who_has_a_certificate(tmp_path: Path) -> None:
             Link.open(
                 client_settings([endpoint], wait=False, zenoh_config=config("without", without))
             )
+    # What the endpoint says would hold over the file: Zenoh would ask nobody.
+    with pytest.raises(ConfigurationError, match="says enable_mtls after '#'"):
+        Link.open(router_settings(["tls/0.0.0.0:0#enable_mtls=false"], zenoh_config=service))
+    opened = router_settings(
+        ["tls/0.0.0.0:0#enable_mtls=false"], zenoh_config=service, insecure=True
+    )
+    with Link.open(opened) as router:
+        endpoint = shown(router.endpoints[0]).replace("0.0.0.0", "127.0.0.1")
+        plain = config("plain", without.replace("enable_mtls: true,", ""))
+        stranger = client_settings([endpoint], wait=False, zenoh_config=plain)
+        with Link.open(stranger) as joined:
+            assert joined.is_connected()
     # A lock on one door is none on the other.
     with pytest.raises(ConfigurationError, match="would let anybody on that network in"):
         Link.open(router_settings(["tls/0.0.0.0:0", "tcp/0.0.0.0:0"], zenoh_config=service))
@@ -216,6 +337,8 @@ def test_mutual_tls_lets_in_who_has_a_certificate(tmp_path: Path) -> None:
         '{transport: {auth: {usrpwd: {user: "svc",\npassword: "hunter2\n}}}}',
         '{transport: {link: {tls: {connect_private_key_base64: 3, listen_private_key: "hunter2',
         '{mode: "hunter2"}',
+        '{transport: {auth: {usrpwd: {password: "hunter2"}}}}',
+        '{connect: {endpoints: ["tls/1#k=hunter2"]}, transport: {auth: {usrpwd: {user: "svc"}}}}',
     ],
 )
 def test_errors_of_a_configuration_do_not_quote_it(tmp_path: Path, text: str) -> None:

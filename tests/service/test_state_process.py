@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
+import os
 import signal
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -15,8 +20,9 @@ from typer.testing import CliRunner
 from adaptive_contact.cli.state import app
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.link import Link
+from adaptive_contact.service.state.format import FORMAT
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.wire import LearnerStatus, ServoSample, learner_key, servo_key
+from adaptive_contact.wire import JSON, LearnerStatus, ServoSample, encode, learner_key, servo_key
 
 pytestmark = pytest.mark.e2e
 
@@ -98,6 +104,119 @@ def test_a_second_service_says_so_and_does_not_save(
     got.items.clear()
     got.wait(lambda items: items[-1].note is None)
     assert first.stop() == 0
+
+
+def test_what_fits_no_file_ends_nothing(
+    serve: Any, join: Join, inbox: Any, sample: Sample, rig: ModuleType, tmp_path: Path
+) -> None:
+    """A run beyond 64 bits, as only JSON brings it, and numbers at the edge of what they can be."""
+    served = serve("--state", str(tmp_path / "kept"))
+    link = join(served.endpoint)
+    feed(link, "lf", sample, 1, 2)
+    wild = link.publisher(servo_key("rf"))
+    for run in range(4):  # each pair a gap of 2**63, if it were believed
+        wild.put(sample(0, run=run, t_ns=1))
+        wild.put(sample(2**63 - 1, run=run, t_ns=2))
+    wild.put_raw(encode(sample(5, run=2**70), JSON), JSON)
+    feed(link, "rf", sample, 6, 10, run=9)
+    status = learner(link, inbox, "rf", lambda status: status.ticks == 9)
+    assert status.rejects == {"out_of_range": 5}
+    assert status.missed == 0
+    assert "out_of_range 5" in rig.watched(link, "out_of_range")
+    assert served.stop() == 0
+    again = serve("--state", str(tmp_path / "kept"))
+    assert again.log.read_text().count("state restored") == 2
+    assert again.stop() == 0
+
+
+def test_a_folder_that_becomes_free_is_used(
+    serve: Any, join: Join, sample: Sample, rig: ModuleType, tmp_path: Path
+) -> None:
+    folder = str(tmp_path / "kept")
+    first = serve("--state", folder)
+    second = serve("--state", folder)
+    link = join(second.endpoint)
+    feed(link, "rf", sample, 1, 4)
+    assert "state: " in rig.watched(link, "in use by another service")
+    assert first.stop() == 0
+    feed(link, "rf", sample, 5, 8)
+    until = time.monotonic() + 40
+    while "state is saved again" not in second.log.read_text():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    assert "in use" not in rig.watched(link)
+    assert second.stop() == 0
+    third = serve("--state", folder)
+    assert "state restored" in third.log.read_text()
+    assert third.stop() == 0
+
+
+def _mount(folder: Path, options: str) -> bool:
+    folder.mkdir(exist_ok=True)
+    command = ["mount", "-t", "tmpfs", "-o", options, "none", str(folder)]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounts file systems")
+@pytest.mark.parametrize("what", ["full", "read-only"])
+def test_a_disk_that_is_full_or_read_only_shows_and_is_tried_again(
+    serve: Any, join: Join, sample: Sample, rig: ModuleType, tmp_path: Path, what: str
+) -> None:
+    disk = tmp_path / "disk"
+    if not _mount(disk, "size=8M,nr_inodes=8"):
+        pytest.skip("this root may not mount")
+    try:
+        if what == "full":  # not even an empty file fits
+            for number in range(8):
+                with contextlib.suppress(OSError):
+                    (disk / str(number)).touch()
+            line = "no space left on device"
+        else:
+            subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+            line = "read-only file system"
+        served = serve("--state", str(disk / "kept"))
+        link = join(served.endpoint)
+        feed(link, "rf", sample, 1, 4)
+        shown = rig.watched(link, line)
+        assert f"cannot be written to ({line}); give another --state DIR, or --no-state" in shown
+        if what == "full":
+            for file in disk.iterdir():
+                file.unlink()
+        else:
+            subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=True)
+        feed(link, "rf", sample, 5, 8)
+        until = time.monotonic() + 40
+        while "state is saved again" not in served.log.read_text():
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        assert line not in rig.watched(link)
+        assert served.stop() == 0
+        assert list((disk / "kept" / "mini").glob("rf-*.state"))
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=False, capture_output=True)
+
+
+def test_an_older_version_is_refused_in_one_line_that_watch_shows(
+    serve: Any, join: Join, sample: Sample, rig: ModuleType, inbox: Any, tmp_path: Path
+) -> None:
+    folder = tmp_path / "kept"
+    first = serve("--state", str(folder))
+    link = join(first.endpoint)
+    feed(link, "rf", sample, 1, 4)
+    learner(link, inbox, "rf", lambda status: status.ticks == 4)
+    assert first.stop() == 0
+    (file,) = folder.glob("*/rf-*.state")
+    older = bytearray(file.read_bytes())
+    older[8:10] = (1).to_bytes(2, "little")
+    body = bytes(older[50:])
+    older[18:50] = hashlib.sha256(bytes(older[8:10]) + body).digest()
+    file.write_bytes(older)
+    second = serve("--state", str(folder))
+    line = f"written by an older version (format 1, this one reads {FORMAT})"
+    assert f"state refused: {file.name}: {line}" in rig.watched(join(second.endpoint))
+    (told,) = [text for text in second.log.read_text().splitlines() if "state refused" in text]
+    assert line in told
+    assert second.stop() == 0
 
 
 def test_contradictory_options_get_one_line(serve: Any, tmp_path: Path) -> None:

@@ -262,7 +262,9 @@ def test_what_the_service_says_of_itself_is_over_the_table() -> None:
     kept = StateFacts(
         folder="/x", restored=[], refused=["rf.state: damaged"], saved=1, failed=0, error=None
     )
-    told = service(note="state: disk full", events_lost=3, slow_puts=2, stalls=1, state=kept)
+    told = service(
+        note="state: disk full", events_lost=3, slow_puts=2, cut_off=4, stalls=1, state=kept
+    )
     watch.service(told)
     text = drawn(watch.view(0))
     for part in (
@@ -270,6 +272,7 @@ def test_what_the_service_says_of_itself_is_over_the_table() -> None:
         "state: disk full",
         "3 events lost",
         "2 events held up",
+        "a subscriber cut off 4 times",
         "stood still 1 times",
     ):
         assert part in text

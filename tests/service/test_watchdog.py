@@ -139,10 +139,29 @@ def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch)
 
     now = [0]
     monkeypatch.setattr("adaptive_contact.service.outbox.time.monotonic_ns", lambda: now[0])
-    box = Outbox()
-    box.post(Slow(), message(1), 0)
-    box.post(Closed(), message(2), 0)
-    assert (box.slow, box.lost, box.latencies()) == (1, 1, [S])
+    for drop_after_ns, cut_off, link in ((None, 0, "kept"), (2 * S, 0, "kept"), (S, 1, "dropped")):
+        box = Outbox(drop_after_ns=drop_after_ns)
+        with capture_logs() as logs:
+            box.post(Slow(), message(1), now[0])
+            box.post(Closed(), message(2), now[0])
+        assert (box.slow, box.lost, box.cut_off, box.latencies()) == (1, 1, cut_off, [S])
+        (line,) = logs
+        assert line["event"] == "a subscriber that hangs held up contact events"
+        assert (line["for_ms"], line["its_link"]) == (1000, link)
+
+
+def test_what_is_held_up_now_is_told(
+    router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
+    blocked_ns = [0]
+    monkeypatch.setattr(service._outbox, "busy_ns", lambda now_ns: blocked_ns[0])
+    for blocked, note in (
+        (0.4, None),
+        (1.23, "a subscriber that hangs has held up contact events for 1.2 s"),
+    ):
+        blocked_ns[0] = int(blocked * S)
+        assert service.status(0).note == note
 
 
 def test_a_learner_that_hangs_is_seen_by_everyone(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -285,6 +286,75 @@ def test_a_read_only_folder_is_told_once_and_read(
     desk.hear()
     assert folder.keeper is not None
     assert not folder.keeper.due(desk, 100 * S)
+
+
+@pytest.mark.parametrize("number", [2**70, -(2**70)])
+def test_a_number_that_fits_no_file_is_counted_and_does_not_end_the_thread(
+    folder: Folder, number: int
+) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+    for desk in (bad, good):
+        keeper.restore(desk.leg, desk.learner, "servo", 0)
+        desk.hear()
+    bad.position = Position(number, 1)
+    for desk in (bad, good):
+        keeper.take(desk, 0)
+        assert keeper.flush(5)
+    assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
+    assert folder.restored()[0] == 3
+
+
+def test_a_snapshot_that_raises_is_counted_and_told(folder: Folder) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+
+    def raises() -> dict[str, object]:
+        raise ZeroDivisionError("of nothing")
+
+    bad.learner.snapshot = raises  # type: ignore[attr-defined]
+    with capture_logs() as logs:
+        for desk in (bad, good):
+            keeper.restore(desk.leg, desk.learner, "servo", 0)
+            desk.hear()
+            keeper.take(desk, 0)
+            assert keeper.flush(5)
+    assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
+    assert {"event": "state not saved", "leg": "lf", "why": "of nothing"}.items() <= logs[0].items()
+
+
+def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
+    owner = StateStore.open(folder.path, "mini")
+    store = StateStore.open(folder.path, "mini")
+    with capture_logs() as logs:
+        keeper = StateKeeper(store, "mini", lambda _: "s", period_s=0.05)
+        desk = Desk(learner=Learner(5))
+        keeper.restore("rf", desk.learner, "servo", 0)
+        desk.hear()
+        assert not keeper.due(desk, 100 * S)
+        assert "in use by another service" in str(keeper.facts.error)
+        owner.close()
+        until = time.monotonic() + 20
+        while not keeper.due(desk, 100 * S):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        keeper.take(desk, 100 * S)
+        assert keeper.flush(5)
+    assert keeper.facts.error is None
+    assert [line["event"] for line in logs] == ["state is not saved", "state is saved again"]
+    keeper.close()
+    assert folder.restored()[0] == 5
+
+
+def test_a_promotion_before_the_first_save_is_saved_at_once(folder: Folder) -> None:
+    keeper = folder.open()
+    for leg in ("lf", "lm", "lr", "rm", "rr", "rf"):  # the last one's turn comes late
+        keeper.restore(leg, Learner(), "servo", 0)
+    desk = Desk()
+    desk.hear()
+    assert not keeper.due(desk, 0), "what it began with is no promotion"
+    desk.model_version = 2
+    assert keeper.due(desk, 1)
 
 
 def test_settings_are_told_apart() -> None:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from adaptive_contact.service.state import Record, StateStore
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact.service.link import Link, client_settings, router_settings
+from adaptive_contact.service.state import Record, StateStore, list_states
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.wire import ServoSample, decode, servo_key
 
 SAVER = Path(__file__).with_name("saver.py")
 LEGS = ("lf", "lm", "lr", "rf", "rm", "rr")
@@ -70,3 +77,82 @@ def kill_over_and_over(folder: Path, kills: int, seed: int) -> None:
 def test_random_kills(tmp_path: Path) -> None:
     """A few; ``KILLS=100 pytest tests/state/test_kill.py`` for as many as were asked for."""
     kill_over_and_over(tmp_path, int(os.environ.get("KILLS", "4")), seed=1)
+
+
+@contextlib.contextmanager
+def fed(endpoint: str) -> Iterator[None]:
+    """Six legs that stand still at 50 Hz: enough for the service to keep and to save them."""
+    stop = threading.Event()
+
+    def feed(link: Link) -> None:
+        publishers = {leg: link.publisher(servo_key(leg)) for leg in shipped_robot().leg_ids}
+        seq = 0
+        while not stop.wait(0.02):
+            seq += 1
+            sample = ServoSample(
+                t_ns=seq * 20_000_000, seq=seq, measured=[0.0] * 3, desired=[0.0] * 3, run=1
+            )
+            for publisher in publishers.values():
+                publisher.put(sample)
+
+    with Link.open(client_settings([endpoint], wait=False)) as link:
+        thread = threading.Thread(target=feed, args=[link])
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join(5)
+
+
+@contextlib.contextmanager
+def serving(endpoint: str, folder: Path) -> Iterator[None]:
+    """The real service, killed at the end."""
+    command = ("-m", "adaptive_contact", "serve", "--connect", endpoint, "--state", str(folder))
+    paths = os.pathsep.join(path for path in sys.path if path)
+    with subprocess.Popen(
+        [sys.executable, *command, "--log-level", "error"],
+        stdout=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": paths},
+    ) as process:
+        try:
+            yield
+            assert process.poll() is None, "it ended by itself"
+        finally:
+            process.kill()
+
+
+def wait_status(link: Link, test: object) -> ServiceStatus:
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        for reply in link.query(SERVICE_STATUS, timeout_s=1.0):
+            status = decode(reply.payload, ServiceStatus, reply.encoding)
+            if isinstance(status, ServiceStatus) and callable(test) and test(status):
+                return status
+        time.sleep(0.1)
+    raise AssertionError("the service does not say so")
+
+
+@pytest.mark.e2e
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_random_kills_of_a_whole_service(tmp_path: Path) -> None:
+    """From its first import on, while it starts, restores, learns and saves."""
+    rng = np.random.default_rng(2)
+    kills = int(os.environ.get("KILLS", "4"))
+    legs = len(shipped_robot().leg_ids)
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as router:
+        endpoint = router.endpoints[0]
+        with fed(endpoint), Link.open(client_settings([endpoint], wait=False)) as link:
+            with serving(endpoint, tmp_path):  # until then there may be nothing to open
+                wait_status(link, lambda s: s.state is not None and s.state.saved >= legs)
+            for _ in range(kills):
+                with serving(endpoint, tmp_path):
+                    time.sleep(rng.uniform(0.0, 8.0))  # the instant of the kill
+                found = list_states(tmp_path)
+                assert all(isinstance(one.record, Record) for one in found), found
+                assert len([one for one in found if one.path.suffix == ".state"]) == legs
+            with serving(endpoint, tmp_path):
+                last = wait_status(link, lambda s: s.uptime_s < 30 and s.state is not None)
+                assert last.state is not None
+                assert (len(last.state.restored), last.state.refused) == (legs, [])

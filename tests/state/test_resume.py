@@ -1,11 +1,14 @@
 """A learner that goes on from disk detects as one that was never interrupted.
 
-Six simulated legs walk for a while; half way one set of learners is saved, thrown away and
-restored through files.  From its first full swing on, a leg's events are those of the other set.
+Six simulated legs walk for a while, all of them with four times the friction that the baseline was
+learned with; half way one set of learners is saved, thrown away and restored through files.  From
+its first full swing on, a leg's events are those of the other set, while learners that start from
+the baseline once more say something else in every other event.
 """
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Final
 
@@ -19,8 +22,10 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 
 pytest.importorskip("mujoco")
 
-SPLIT_S: Final = 24.0
-END_S: Final = 48.0
+SPLIT_S: Final = 20.0
+END_S: Final = 32.0
+# The issue's, imports apart; six legs took 0.04 to 0.06 s.
+RESTORE_S: Final = 0.5
 # A swing and a stance of the tripod gait.
 CYCLE_S: Final = 1.4
 
@@ -46,7 +51,7 @@ def walk() -> list[Tick]:
         motion=WalkSettings(),
         terrain=TerrainSettings(kind="rough"),
         seed=71,
-        drift=(parse_drift("friction:leg=rf,joint=femur,value=3@6s"),),
+        drift=(parse_drift("friction:leg=all,joint=all,value=4@2s"),),
     )
     return [dict(tick.samples) for tick in Simulation(settings).run(END_S)]
 
@@ -70,7 +75,6 @@ def told(events: list[ContactEvent], begin_ns: int) -> set[tuple[str, int, bool]
     return {(e.leg, e.seq, e.contact) for e in events if e.t_ns >= begin_ns}
 
 
-@pytest.mark.slow
 def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path) -> None:
     robot = shipped_robot()
     ticks = walk()
@@ -88,9 +92,10 @@ def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path
 
     resumed, clean = fresh(robot), fresh(robot)
     restoring = keeper(tmp_path, robot)
-    for leg in robot.leg_ids:
-        position = restoring.restore(leg, resumed.learner(leg), "servo", 0)
-        assert position == Position(None, ticks[split - 1][leg].seq)
+    began_s = time.perf_counter()
+    positions = [restoring.restore(leg, resumed.learner(leg), "servo", 0) for leg in robot.leg_ids]
+    assert time.perf_counter() - began_s <= RESTORE_S
+    assert positions == [Position(None, ticks[split - 1][leg].seq) for leg in robot.leg_ids]
     assert restoring.facts.refused == []
     restoring.close()
     for leg in robot.leg_ids:
@@ -102,9 +107,19 @@ def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path
         assert after.status.model_version == before.status.model_version
 
     expected = told(run(whole, ticks[split:]), begin_ns)
-    found = told(run(resumed, ticks[split:]), begin_ns)
+    events = run(resumed, ticks[split:])
+    found = told(events, begin_ns)
     lost = told(run(clean, ticks[split:]), begin_ns)
-    assert len(expected) > 150
+    assert len(expected) > 50
     # A swing that was still in quarantine, and a refit under way, are not kept.
     assert len(expected ^ found) <= 0.03 * len(expected)
-    print(f"{len(expected)} events, {len(expected ^ found)} differ; {len(expected ^ lost)} clean")
+    assert len(expected ^ lost) >= 0.3 * len(expected), "what was learned makes the difference"
+
+    # Whoever heard the service before the restart is told at once that no leg is held to touch.
+    assert [(e.leg, e.contact, e.t_ns) for e in events[: len(robot.leg_ids)]] == [
+        (leg, False, ticks[split][leg].t_ns) for leg in ticks[split]
+    ]
+    for leg in robot.leg_ids:
+        learner = resumed.learner(leg)
+        assert learner is not None
+        assert learner.contact == [e.contact for e in events if e.leg == leg][-1]

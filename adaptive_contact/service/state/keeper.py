@@ -2,7 +2,8 @@
 
 The worker takes a snapshot, one leg at a time and only when no sample waits; the thread packs
 it, writes it and syncs it.  A disk that is slower than the snapshots come gets the newest of
-each leg; a disk that fails is counted, told of, and tried again with the next snapshot.
+each leg; a disk that fails is counted, told of, and tried again with the next snapshot.  A folder
+that could not be had at the start (full, read-only, in use) is tried again every 10 s.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ SAVE_PERIOD_S: Final = 10.0
 # Refusals told in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _TOLD: Final = 4
 _LINE: Final = 160
+_ERROR_LINE: Final = 320
 
 
 @runtime_checkable
@@ -94,7 +96,7 @@ class _Last(NamedTuple):
 
     due_ns: int
     heard: int
-    model_version: int
+    model_version: int | None  # None until the leg is looked at
 
 
 class StateKeeper:
@@ -105,7 +107,7 @@ class StateKeeper:
         robot: name of the robot.
         settings: digest of a leg's settings, by its id.
         package: version of this package.
-        period_s: between two saves of a leg.
+        period_s: between two saves of a leg, and between two tries to get hold of a folder.
     """
 
     def __init__(
@@ -129,6 +131,7 @@ class StateKeeper:
         self._saved = 0
         self._failed = 0
         self._error: str | None = store.trouble
+        self._counting = threading.Lock()  # the worker and the thread both see failures
         self._brake = Brake(60.0)
         self._waiting: dict[str, Record] = {}
         self._writing = False
@@ -137,6 +140,7 @@ class StateKeeper:
         self._thread: threading.Thread | None = None
         if store.trouble is not None:
             _log.warning("state is not saved", why=store.trouble)
+            self._start()
 
     @property
     def facts(self) -> StateFacts:
@@ -147,7 +151,7 @@ class StateKeeper:
             refused=self._refused[:_TOLD],
             saved=self._saved,
             failed=self._failed,
-            error=None if self._error is None else self._error[:_LINE],
+            error=None if self._error is None else self._error[:_ERROR_LINE],
         )
 
     def restore(self, leg: str, learner: object, library: str, now_ns: int) -> Position | None:
@@ -166,7 +170,7 @@ class StateKeeper:
         self._identities[leg] = identity
         # Staggered, so that no two legs are saved in one tick.
         share = (len(self._identities) % 7 + 1) / 8
-        self._last[leg] = _Last(now_ns + int(self._period_ns * share), 0, -1)
+        self._last[leg] = _Last(now_ns + int(self._period_ns * share), 0, None)
         if not isinstance(learner, Keepable):
             return None
         for path, found in self._store.candidates(identity):
@@ -195,10 +199,13 @@ class StateKeeper:
     def due(self, desk: Kept, now_ns: int) -> bool:
         """Tell whether a leg should be saved: a new model, or 10 s with samples since the last."""
         last = self._last.get(desk.leg)
-        if last is None or self._store.trouble is not None or desk.heard_samples == last.heard:
+        if last is None:
             return False
-        promoted = last.model_version >= 0 and desk.model_version != last.model_version
-        return promoted or now_ns >= last.due_ns
+        if last.model_version is None:  # what it started or went on with is no promotion
+            last = self._last[desk.leg] = last._replace(model_version=desk.model_version)
+        if self._store.trouble is not None or desk.heard_samples == last.heard:
+            return False
+        return desk.model_version != last.model_version or now_ns >= last.due_ns
 
     def take(self, desk: Kept, now_ns: int) -> None:
         """Snapshot a leg, and leave the rest to the thread."""
@@ -207,7 +214,11 @@ class StateKeeper:
         )
         if not isinstance(desk.learner, Keepable):
             return
-        body = desk.learner.snapshot()
+        try:
+            body = desk.learner.snapshot()
+        except Exception as error:  # a fault in one leg's learning must not end the others' service
+            self._fail(desk.leg, error)
+            return
         if body is None:
             return
         position = desk.position
@@ -223,10 +234,8 @@ class StateKeeper:
         )
         with self._changed:
             self._waiting[desk.leg] = record  # replaces one that still waits
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="state", daemon=True)
-                self._thread.start()
             self._changed.notify_all()
+        self._start()
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything taken is on disk; False when it is not in time."""
@@ -248,15 +257,26 @@ class StateKeeper:
             self._thread.join(0.1)
         self._store.close()
 
+    def _start(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="state", daemon=True)
+            self._thread.start()
+
     def _work(self) -> None:
         while True:
+            # Only this thread waits for the disk, also to find out whether it is there again.
+            again_s = None if self._store.trouble is None else self._period_ns / 1e9
             with self._changed:
-                self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
+                waits = self._changed.wait_for(lambda: bool(self._waiting) or self._ending, again_s)
                 if self._ending:
                     return
-                leg = next(iter(self._waiting))
-                record = self._waiting.pop(leg)
-                self._writing = True
+                if waits:
+                    leg = next(iter(self._waiting))
+                    record = self._waiting.pop(leg)
+                    self._writing = True
+            if not waits:
+                self._reopen()
+                continue
             try:
                 self._write(leg, record)
             finally:
@@ -264,20 +284,35 @@ class StateKeeper:
                     self._writing = False
                     self._changed.notify_all()
 
+    def _reopen(self) -> None:
+        """Try to get hold of a folder that could not be had; its legs are due at once then."""
+        before = self._store.trouble
+        self._store.reopen()
+        if self._store.trouble is not None:
+            self._error = self._store.trouble
+            if self._store.trouble != before:
+                _log.warning("state is not saved", why=self._store.trouble)
+
     def _write(self, leg: str, record: Record) -> None:
         try:
             self._store.save(record)
-        except (OSError, TypeError) as error:
+        except Exception as error:
             # A full or failing disk; or a learner that put something into its snapshot that is
-            # no plain value, which must not end this thread for the other legs.
-            self._failed += 1
-            why = (error.strerror if isinstance(error, OSError) else None) or str(error)
-            self._error = f"{leg} not saved in {self._store.folder}: {why.lower()}"
-            stands_for = self._brake.passes("failed", time.monotonic_ns())
-            if stands_for is not None:
-                _log.warning("state not saved", leg=leg, why=why.lower(), times=stands_for)
+            # no plain value or fits no file, which must not end this thread for the other legs.
+            self._fail(leg, error)
             return
         self._saved += 1
         if self._error is not None:
             _log.info("state is saved again", leg=leg)
         self._error = None
+
+    def _fail(self, leg: str, error: Exception) -> None:
+        """Count a state that was not saved, and say so now and then."""
+        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        why = (why or type(error).__name__).lower()
+        with self._counting:
+            self._failed += 1
+            self._error = f"{leg} not saved in {self._store.folder}: {why}"
+            stands_for = self._brake.passes("failed", time.monotonic_ns())
+        if stands_for is not None:
+            _log.warning("state not saved", leg=leg, why=why, times=stands_for)

@@ -52,10 +52,10 @@ class StateStore:
         trouble: one line on why nothing can be saved here, None when all is well.
     """
 
-    def __init__(self, folder: Path, lock: int | None, trouble: str | None) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.trouble = trouble
-        self._lock = lock
+        self.trouble: str | None = f"{folder} is not open"
+        self._lock: int | None = None
 
     @classmethod
     def open(cls, root: Path, robot: str) -> StateStore:
@@ -63,22 +63,31 @@ class StateStore:
 
         One service at a time saves into a folder: the second one reads, and says so.
         """
-        folder = robot_folder(root, robot)
+        store = cls(robot_folder(root, robot))
+        store.reopen()
+        return store
+
+    def reopen(self) -> bool:
+        """Try to get hold of the folder, if that has not worked yet; False where it does not."""
+        if self._lock is not None:
+            return True
+        folder = self.folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
             lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            return cls(folder, None, _reason(error, folder))
+            self.trouble = _reason(error, folder)
+            return False
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(lock)
-            return cls(
-                folder,
-                None,
-                f"{folder} is in use by another service; stop that one, or give another --state",
+            self.trouble = (
+                f"{folder} is in use by another service; stop that one, or give another --state"
             )
-        return cls(folder, lock, None)
+            return False
+        self._lock, self.trouble = lock, None
+        return True
 
     def close(self) -> None:
         """Let others save here."""

@@ -46,8 +46,8 @@ def _print(found: Verdict) -> None:
         f"{found.samples} samples, {found.missed_samples} lost and counted, "
         f"{found.uncounted} uncounted; rejects {found.rejects or 'none'}",
         f"{found.events} events, {found.events_lost} lost, {found.inconsistent} inconsistent; "
-        f"outside the windows: {found.false_alarms} false alarms in {found.judged_ticks} swing "
-        f"ticks, {missed}",
+        f"outside windows and ramps: {found.false_alarms} false alarms in {found.judged_ticks} "
+        f"swing ticks, {missed}",
         f"refits: {found.refits}; state: {found.state}",
         "outages and recovery "
         + ", ".join(
@@ -55,8 +55,20 @@ def _print(found: Verdict) -> None:
             for out, back in zip(found.outage_s, found.recovery_s, strict=True)
         ),
         *(f"false alarm of {leg} at {at_s:.2f} s" for leg, at_s in found.alarms),
-        "memory "
-        + ", ".join(f"{growth:+.1f} MB to {last:.1f} MB" for growth, last in found.memory_mb),
+        *(f"touch of {leg} at {at_s:.2f} s missed" for leg, at_s in found.misses),
+        *(
+            f"{'during' if one.ramp else 'after'} {one.after}: {one.missed} of {one.touches} "
+            f"touches missed, {one.false_alarms} false alarms"
+            for one in found.sections
+        ),
+        *(
+            f"memory of {whose} "
+            + ", ".join(f"{growth:+.1f} MB to {last:.1f} MB" for growth, last in rows)
+            for whose, rows in (
+                ("the service", found.memory_mb),
+                ("its child processes", found.worker_mb),
+            )
+        ),
         f"in to out p99 {found.p99_ms} ms",
         *(f"NOT WELL: {line}" for line in found.failures),
     ]

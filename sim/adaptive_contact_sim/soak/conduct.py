@@ -7,6 +7,7 @@ which no fault can touch.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import subprocess
@@ -56,11 +57,15 @@ class Broken:
 
 @dataclass(frozen=True)
 class Resident:
-    """Resident memory of a service, MB, so many seconds after its start; ``life`` counts them."""
+    """Resident memory of a service, MB, so many seconds after its start; ``life`` counts them.
+
+    ``workers_mb`` is that of its child processes, 0 while there are none.
+    """
 
     life: int
     after_s: float
     mb: float
+    workers_mb: float = 0.0
 
 
 @dataclass
@@ -163,7 +168,9 @@ class _Run:
         if now_s - self._memory_s >= _MEMORY_EVERY_S:
             self._memory_s = now_s
             after_s = now_s - self._service_began_s
-            self.resident.append(Resident(self._life, after_s, _resident_mb(self.service.pid)))
+            pid = self.service.pid
+            workers_mb = sum(_resident_mb(child) for child in _children(pid))
+            self.resident.append(Resident(self._life, after_s, _resident_mb(pid), workers_mb))
 
     def do(self, fault: Fault) -> None:
         """Break something, and start it again."""
@@ -247,3 +254,12 @@ def _resident_mb(pid: int) -> float:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE / 1e6
     except (OSError, IndexError):  # it is just ending
         return float("nan")
+
+
+def _children(pid: int) -> list[int]:
+    """Processes that a process has started, and theirs."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):  # the thread is just ending
+            found += [int(child) for child in task.read_text().split()]
+    return found + [one for child in found for one in _children(child)]

@@ -1,0 +1,22 @@
+"""A little of `make fuzz`, and that it gets where it is meant to."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+
+def test_ten_thousand_broken_payloads_are_all_handled() -> None:
+    path = Path(__file__).with_name("fuzz.py")
+    spec = importlib.util.spec_from_file_location("fuzz_script", path)
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    found = script.fuzz(10_000, 1, lambda line: None)
+    assert found["accepted"] > 1_000, "a good share gets through all checks"
+    assert {kind.__name__ for kind in script.KINDS} <= set(found)
+    for reason in ("malformed", "wrong_type", "missing_field", "version"):
+        assert found[reason] > 0
+    for reason in ("out_of_range", "not_finite", "wrong_joints", "duplicate_seq", "time_backwards"):
+        assert found[f"sample {reason}"] > 0

@@ -1,0 +1,96 @@
+"""Which settings a JSON5 file holds, whatever its way of writing them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.service.json5 import keys_of
+from adaptive_contact.service.settings import client_settings, router_settings
+from adaptive_contact.service.transport import DEFAULTS, configure
+
+
+@pytest.mark.parametrize(
+    ("text", "keys"),
+    [
+        ("{}", set()),
+        (" \ufeff// a\n{ /* b: 1, */ } // c", set()),
+        ("{a: {b: 1, 'c': 2, \"d\": [{e: 1}, [2,],],},}", {"a", "a/b", "a/c", "a/d"}),
+        ("{a:-0x1F,b:+.5,c:-Infinity,d:null,e:true}", {"a", "b", "c", "d", "e"}),
+        ("{'a\\'b': '}', \"c\\u0064\": \"\\\"{\", e: 'x\\\ny'}", {"a'b", "cd", "e"}),
+        ("{a: 'http://x', b: \"/* no */\"}", {"a", "b"}),
+        ("[1]", set()),
+        ("{a: 1", set()),
+        ("{a 1}", set()),
+        ("{a: 1} b", set()),
+        ("", set()),
+        ("{" + "a:{" * 500 + "}" * 501, set()),
+    ],
+)
+def test_keys_are_found(text: str, keys: set[str]) -> None:
+    assert keys_of(text) == keys
+
+
+def paths(tree: Any, at: str = "") -> set[str]:
+    if not isinstance(tree, dict):
+        return set()
+    found = set()
+    for key, value in tree.items():
+        found |= {at + key} | paths(value, f"{at}{key}/")
+    return found
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+)
+
+
+@given(st.dictionaries(st.text(), values, max_size=4))
+def test_keys_are_those_that_json_has(tree: dict[str, Any]) -> None:
+    for indent in (None, 2):
+        assert keys_of(json.dumps(tree, indent=indent, ensure_ascii=False)) == paths(tree)
+
+
+@given(st.text(alphabet="{}[]:,'\"/*\\ab1 \n", max_size=40))
+def test_no_text_raises(text: str) -> None:
+    keys_of(text)
+
+
+def nested(path: str, value: object) -> dict[str, Any]:
+    for name in reversed(path.split("/")):
+        value = {name: value}
+    assert isinstance(value, dict)
+    return value
+
+
+@pytest.mark.parametrize("path", DEFAULTS)
+def test_a_file_holds_over_our_defaults_also_with_zenohs_own_value(
+    path: str, tmp_path: Path
+) -> None:
+    theirs = zenoh.Config().get_json(path)
+    file = tmp_path / "zenoh.json5"
+    file.write_text(json.dumps(nested(path, json.loads(theirs))))
+    assert configure(client_settings(zenoh_config=file))[0].get_json(path) == theirs
+    file.write_text("{}")
+    ours = configure(client_settings(zenoh_config=file))[0].get_json(path)
+    asked = DEFAULTS[path]
+    assert (
+        asked.items() <= json.loads(ours).items()
+        if isinstance(asked, dict)
+        else (json.loads(ours) == asked)
+    )
+
+
+def test_a_file_in_yaml_holds_where_it_differs(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.yaml"
+    file.write_text("transport:\n  link:\n    tx:\n      lease: 3456\n")
+    config, _ = configure(router_settings(["127.0.0.1:0"], zenoh_config=file))
+    assert json.loads(config.get_json("transport/link/tx/lease")) == 3456
+    assert json.loads(config.get_json("timestamping/enabled")) is True
