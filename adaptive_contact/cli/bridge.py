@@ -142,7 +142,6 @@ class _Crew:
     ) -> None:
         self._plans, self._mode, self._settings = plans, mode, settings
         self._realtime = realtime
-        self._run = time.time_ns() // 1_000_000
         self._context = multiprocessing.get_context("spawn")
         self._workers: dict[str, SpawnProcess] = {}
 
@@ -176,13 +175,15 @@ class _Crew:
     def _start(self, plan: PortPlan) -> None:
         from adaptive_contact.cli._bridge_worker import work
 
+        # A run of its own: ``seq`` begins at 0 again, and within a run that is a duplicate.
+        run = time.time_ns() // 1_000_000
         worker = self._context.Process(
             target=work,
             args=(
                 plan,
                 self._mode,
                 self._settings,
-                self._run,
+                run,
                 self._realtime,
                 self._plans.index(plan) / len(self._plans),  # ports take turns
             ),

@@ -3,6 +3,7 @@ service, contact events; scored against the simulator's truth."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import signal
@@ -20,7 +21,15 @@ from adaptive_contact.adapt import shipped_baseline
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.wire import Command, ServoSample, command_key, decode, servo_key
+from adaptive_contact.wire import (
+    ALL_LEARNER,
+    Command,
+    LearnerStatus,
+    ServoSample,
+    command_key,
+    decode,
+    servo_key,
+)
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
 pytestmark = [pytest.mark.e2e, pytest.mark.slow]
@@ -59,6 +68,19 @@ class Process:
             assert line is not None, "".join(self.said)
             if READY in line:
                 return line
+
+    def workers(self) -> list[int]:
+        """Processes that this one has spawned, the ports'."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            if not entry.name.isdigit():
+                continue
+            with contextlib.suppress(OSError):
+                parent = (entry / "stat").read_text().rpartition(")")[2].split()[1]
+                words = (entry / "cmdline").read_bytes()
+                if int(parent) == self._process.pid and b"spawn_main" in words:
+                    found.append(int(entry.name))
+        return sorted(found)
 
     def wait(self, timeout_s: float) -> int:
         return self._process.wait(timeout_s)
@@ -142,6 +164,46 @@ def test_samples_commands_and_status_pass(start: Callable[..., Process]) -> None
         received = wait_for(statuses, lambda _: True, 5.0)
         status = decode(received.payload, BridgeStatus, received.encoding)
         assert (status.port, status.mode) == ("legs", "drive")
+
+
+@pytest.mark.timeout(180)
+def test_a_ports_process_that_is_killed_is_followed_by_one_that_is_heard(
+    start: Callable[..., Process],
+) -> None:
+    endpoint = router(start)
+    start(
+        "bridge", "virtual", "--dir", "bus", "--ports", "2", "--write-config", "rig.toml",
+        "--scenario", "walk-rough",
+    ).ready()  # fmt: skip
+    bridge = start("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
+    bridge.ready()
+    heard: queue.Queue = queue.Queue()
+    ticks: dict[str, int] = {}
+    rejects: dict[str, dict[str, int]] = {}
+    with Link.open(client_settings([endpoint])) as link:
+        link.subscribe(ALL_LEARNER, heard.put)
+
+        def all_beyond(least: dict[str, int]) -> Callable[[Any], bool]:
+            def check(received: Any) -> bool:
+                status = decode(received.payload, LearnerStatus, received.encoding)
+                ticks[status.leg] = status.ticks
+                rejects[status.leg] = dict(status.rejects)
+                return len(ticks) == 6 and all(n > least.get(leg, 0) for leg, n in ticks.items())
+
+            return check
+
+        wait_for(heard, all_beyond({}), 30.0)
+        workers = bridge.workers()
+        assert len(workers) == 2
+        os.kill(workers[0], signal.SIGKILL)
+        deadline = time.monotonic() + 30.0
+        while not (bridge.workers() != workers and len(bridge.workers()) == 2):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        # What was heard before the end of the old one may still be on its way.
+        wait_for(heard, all_beyond({leg: n + 100 for leg, n in ticks.items()}), 30.0)
+    # In the old one's run, the new one's numbers would be refused until they had caught up.
+    assert all(not counts.get("duplicate_seq") for counts in rejects.values()), rejects
 
 
 @pytest.mark.slow
