@@ -51,6 +51,7 @@ class SdkPort(PortHandler):
 
     Attributes:
         latest_s: monotonic time at which any wait for an answer ends.
+        received: bytes read so far.
     """
 
     def __init__(self, name: str, port: Port) -> None:
@@ -62,6 +63,7 @@ class SdkPort(PortHandler):
         self._byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
+        self.received = 0
         self._fd = -1
 
     @property
@@ -145,6 +147,7 @@ class SdkPort(PortHandler):
         data = os.read(self._fd, length)
         if not data:
             raise OSError(errno.EIO, "hung up")
+        self.received += len(data)
         return data
 
     def writePort(self, packet: list[int]) -> int:

@@ -16,6 +16,7 @@ from adaptive_contact.wire import MSGPACK, Command, encode
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
+FAST = {**XL, "extra": "fast = true"}
 SPEAKS = ServoCounts()
 
 
@@ -249,3 +250,15 @@ def test_overload_is_reported(run: Callable) -> None:
     r.catcher.wait(lambda c: c.statuses and "5" in c.statuses[-1].servos)
     r.catcher.wait(lambda c: "overload" in c.statuses[-1].servos["5"].alarms)
     assert r.catcher.ticks[-1]["l1"].valid is None  # the position is good all the same
+
+
+@pytest.mark.parametrize("kind", [AX, XL, FAST])
+def test_wrong_checksums_are_told_of_in_the_status(run: Callable, kind: dict) -> None:
+    r = run("observe", **kind)
+    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r.rig.fault("flip:id=5,p=0.2")
+    r.catcher.wait(
+        lambda c: (
+            c.statuses and c.statuses[-1].servos.get("5", SPEAKS).faults.get("corrupt", 0) >= 3
+        )
+    )
