@@ -37,6 +37,8 @@ _ALERT: Final = 0x80
 _MODEL_NUMBER: Final = Block(0, 2)
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
+# Of so many reads, so many garbled ones are no accident.
+_LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
 _ASK_S: Final = 0.0005
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
@@ -185,6 +187,15 @@ class Bus:
             return self._guarded(work)
         finally:
             self._port.latest_s = math.inf
+
+    def is_clear(self, servo: int, block: Block) -> bool:
+        """Whether a servo can be understood; not where several of one id talk at once.
+
+        Servos that are alike answer to a ping bit for bit the same, at the same moment; what they
+        measure differs, and on the wire their answers then garble each other, again and again.
+        """
+        faults = [self._guarded(lambda: self._read_one(servo, block)).fault for _ in range(_LOOKS)]
+        return faults.count(Fault.CORRUPT) < _GARBLED
 
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not tell it within some tries."""

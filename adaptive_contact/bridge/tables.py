@@ -159,6 +159,11 @@ class ServoModel:
         return self._block("goal_position", "present_speed", "present_position")
 
     @property
+    def measured(self) -> Block:
+        """What no two servos measure alike: position, voltage, temperature."""
+        return self._block("present_position", "voltage", "temperature")
+
+    @property
     def state(self) -> Block:
         """Whether it drives, where to, and whether it has shut itself down."""
         if self.protocol == 1:

@@ -141,6 +141,7 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
                         index[joint.servo],
                         rng,
                         noise_steps=noise_steps,
+                        baud=plan.port.baud,
                     )
                     for joint in plan.joints
                 ],

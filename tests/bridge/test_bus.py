@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import fcntl
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adaptive_contact.bridge.bus import Bus, Fault, Pong
-from adaptive_contact.bridge.port import PortLostError
+from adaptive_contact.bridge.port import PortLostError, latency_advice
 from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
+from adaptive_contact_sim.virtual import VirtualServo
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL330-M288", "protocol": 2}
@@ -228,14 +233,15 @@ def test_a_wrong_baud_rate_is_silence(rig: Callable, tmp_path: Path) -> None:
     bus.close()
 
 
-def test_two_servos_of_one_id_are_seen(rig: Callable) -> None:
-    r = rig(**AX)
-    port = r.ports[0]
-    port.servos = (*port.servos, port.servos[2])
+def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(rig: Callable) -> None:
+    r = rig(**AX, wire_time=True)
+    slow = VirtualServo(3, r.servo(3).model, r.backend, 3, np.random.default_rng(1))
+    slow._store("return_delay", 250)
+    r.ports[0].servos = (*r.ports[0].servos, slow)
     bus = opened(r)
-    pong = bus.ping(3)
-    assert pong is not None
-    assert pong.doubled
+    bus.timeout_ms = 25.0
+    pongs = [bus.ping(3) for _ in range(5)]
+    assert any(pong is not None and pong.doubled for pong in pongs)
     bus.close()
 
 
@@ -261,6 +267,75 @@ def test_a_port_in_use(rig: Callable) -> None:
     with pytest.raises(BusError, match="in use by another program"):
         opened(r)
     first.close()
+
+
+def test_a_port_that_other_software_uses_without_a_lock(rig: Callable) -> None:
+    """The SDK as it comes, in a process of its own: it locks nothing."""
+    r = rig(**AX)
+    device = r.plans[0].port.device
+    script = (
+        "import sys, dynamixel_sdk as sdk\n"
+        f"port = sdk.PortHandler({device!r}); port.setBaudRate(1000000)\n"
+        "print('open', flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert other.stdout.readline() == "open\n"
+        with pytest.raises(BusError, match=rf"in use by python\S* \(process {other.pid}\)") as told:
+            opened(r)
+        assert "\n" not in str(told.value)
+    finally:
+        other.communicate("")
+    opened(r).close()
+
+
+def test_a_virtual_bus_in_another_process_is_no_rival(tmp_path: Path) -> None:
+    script = (
+        "import os, pty, sys\n"
+        "master, slave = pty.openpty(); print(os.ttyname(slave), flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        device = other.stdout.readline().strip()
+        bus = Bus("p0", Port(device=device))
+        bus.open()
+        bus.close()
+    finally:
+        other.communicate("")
+
+
+def test_an_open_port_is_closed_to_others(rig: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    r = rig(**AX)
+    monkeypatch.setattr("adaptive_contact.bridge.port.is_pseudo", lambda _: False)
+
+    def closed_to_others() -> bool:
+        flag = bytearray(4)
+        fcntl.ioctl(r.ports[0]._slave, 0x80045440, flag)  # TIOCGEXCL
+        return flag[0] == 1
+
+    bus = opened(r)
+    assert closed_to_others()
+    bus.close()
+    assert not closed_to_others()
+
+
+@pytest.mark.parametrize(("timer", "told"), [("16", True), ("1", False), ("?", False)])
+def test_an_adapter_that_holds_bytes_back_is_told_of(
+    tmp_path: Path, timer: str, told: bool
+) -> None:
+    (tmp_path / "ttyUSB7").mkdir()
+    (tmp_path / "ttyUSB7" / "latency_timer").write_text(f"{timer}\n")
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
+    advice = latency_advice(str(tmp_path / "by-id"), tmp_path)
+    assert (advice is not None) is told
+    if advice is not None:
+        assert "latency timer is 16 ms, expected 1; run: echo 1 | sudo tee" in advice
+        assert advice.endswith("ttyUSB7/latency_timer")
+    assert latency_advice("/dev/ttyACM0", tmp_path) is None
 
 
 def test_no_serial_port(tmp_path: Path) -> None:
@@ -337,3 +412,31 @@ def test_a_late_common_answer_is_asked_for_again(rig: Callable) -> None:
     assert bus.read(ids, joints[0].model.motion)[1].data is not None  # alone, in time
     assert r.faults.struck["late"] >= 1
     bus.close()
+
+
+@pytest.mark.parametrize(("kind", "value"), [(AX, 34), (XL, 1)])
+def test_a_new_id_and_baud_rate_hold_at_once(rig: Callable, kind: dict, value: int) -> None:
+    import dynamixel_sdk as sdk
+
+    r = rig(**kind)
+    registers = r.plans[0].joints[0].model.registers
+    packets = sdk.PacketHandler(float(kind["protocol"]))
+    port = sdk.PortHandler(r.plans[0].port.device)
+    port.setBaudRate(1_000_000)
+    try:
+        assert packets.write1ByteTxRx(port, 6, registers["id"].address, 60)[0] == sdk.COMM_SUCCESS
+        assert packets.ping(port, 60)[1] == sdk.COMM_SUCCESS
+        assert packets.ping(port, 6)[1] != sdk.COMM_SUCCESS
+        if kind is XL:
+            r.servo(5)._store("torque_enable", 1)
+            assert packets.reboot(port, 5)[0] == sdk.COMM_SUCCESS
+            assert not r.servo(5).torque
+        packets.write1ByteTxRx(port, 60, registers["baud"].address, value)
+        assert packets.ping(port, 60)[1] != sdk.COMM_SUCCESS
+        port.setBaudRate(57_600)
+        assert packets.ping(port, 60)[1] == sdk.COMM_SUCCESS
+        packets.factoryReset(port, 60, *([0x02] if kind is XL else []))  # all but id and rate
+        assert r.ports[0].servos[5].id == (60 if kind is XL else 1)
+        assert r.ports[0].servos[5].value("return_delay") == 250
+    finally:
+        port.closePort()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -375,3 +376,48 @@ def test_wrong_checksums_are_told_of_in_the_status(run: Callable, kind: dict) ->
             c.statuses and c.statuses[-1].servos.get("5", SPEAKS).faults.get("corrupt", 0) >= 3
         )
     )
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_servo_that_shuts_itself_down_is_told_of_and_woken_gently(
+    run: Callable, kind: dict
+) -> None:
+    r = run("drive", **kind)
+    goal = [0.4]
+
+    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def check(c: Any) -> Any:
+            r.command("l0", goal[0], goal[0], goal[0])
+            return true(c)
+
+        return check
+
+    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    servo = r.rig.servo(2)
+    r.rig.fault("error:id=2,bits=overload")
+    r.catcher.wait(feed(lambda c: any("2 (l0 j1): shut down" in line for line in c.lines)))
+    assert any("2 (l0 j1): overload" in line for line in r.catcher.lines)
+    r.catcher.wait(
+        feed(lambda c: c.statuses and "shutdown" in c.statuses[-1].servos.get("2", SPEAKS).alarms)
+    )
+    r.rig.fault()
+    writes, ticks, goal[0] = servo.writes, len(r.catcher.ticks), 0.0
+    r.catcher.wait(feed(lambda c: len(c.ticks) >= ticks + 60))
+    assert servo.writes == writes
+    assert not servo.drives
+    # The others go on; this one hangs where it was.
+    assert r.catcher.ticks[-1]["l0"].measured == pytest.approx([0.0, 0.4, 0.0], abs=0.02)
+    written, ticks = goals_written(servo), len(r.catcher.ticks)
+    if kind is AX:
+        # It drives again at once, to the goal in its register.
+        servo.write(servo.model.registers["torque_limit"].address, b"\xff\x03")
+    else:
+        servo.reboot()
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.0] * 3, abs=0.02)))
+    assert written[0] * servo.model.step_rad == pytest.approx(
+        servo.model.centre * servo.model.step_rad + 0.4, abs=0.05
+    )
+    easy = 0.15 / 5 / servo.model.step_rad
+    assert max(a - b for a, b in itertools.pairwise(written)) <= easy + 1
+    r.catcher.wait(feed(lambda c: any("no longer shut down" in line for line in c.lines)))

@@ -125,6 +125,55 @@ def test_registers_refuse_what_real_ones_refuse() -> None:
     assert servo.read(660, 20) is not None
 
 
+def servo_of(name: str, backend: KinematicBackend) -> VirtualServo:
+    return VirtualServo(7, models_named(name)[0], backend, 0, np.random.default_rng(1))
+
+
+def test_an_ax_servo_in_overload_has_no_torque_until_its_limit_is_written() -> None:
+    backend = KinematicBackend(1)
+    servo = servo_of("AX-12A", backend)
+    registers = servo.model.registers
+    servo.write(registers["goal_position"].address, (612).to_bytes(2, "little"))
+    assert servo.drives
+    assert servo.set_errors(0x20) == 0x20
+    assert servo.value("torque_limit") == 0
+    backend.advance(1.0)
+    backend.advance(2.0)
+    assert backend.angle(0) == 0.0
+    assert servo.set_errors(0) == 0
+    servo.write(registers["goal_position"].address, (600).to_bytes(2, "little"))
+    assert not servo.drives
+    servo.write(registers["torque_limit"].address, b"\xff\x03")
+    backend.advance(3.0)
+    assert backend.angle(0) == pytest.approx(88 * servo.model.step_rad, abs=0.01)
+
+
+def test_an_x_servo_in_overload_has_no_torque_until_a_reboot() -> None:
+    servo = servo_of("XM430-W350", KinematicBackend(1))
+    enable = servo.model.registers["torque_enable"].address
+    servo.write(enable, b"\x01")
+    servo.set_errors(0x20)
+    assert not servo.drives
+    assert servo.set_errors(0) == 0x20  # the alert stays
+    assert servo.write(enable, b"\x01") is not None
+    servo.reboot()
+    assert servo.set_errors(0) == 0
+    assert servo.write(enable, b"\x01") is None
+    servo.reboot()
+    servo.set_errors(0x01)  # a low voltage is told, and not shut down for, as delivered
+    assert servo.write(enable, b"\x01") is None
+
+
+@pytest.mark.parametrize(("name", "rate"), [("AX-12A", 1_000_000), ("XL330-M288", 57_600)])
+def test_a_factory_reset(name: str, rate: int) -> None:
+    servo = servo_of(name, KinematicBackend(1))
+    servo.write(servo.model.registers["return_delay"].address, b"\x05")
+    servo.reset(keep=("id", "baud"))
+    assert (servo.id, servo.baud, servo.value("return_delay")) == (7, 1_000_000, 250)
+    servo.reset()
+    assert (servo.id, servo.baud) == (1, rate)
+
+
 def test_torque_on_an_x_servo_does_not_jump() -> None:
     backend = KinematicBackend(1)
     backend.place(0, 0.5)

@@ -16,7 +16,8 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Port, Robot
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec
-from adaptive_contact_sim.virtual.server import VirtualPort, VirtualServer
+from adaptive_contact_sim.virtual.port import VirtualPort
+from adaptive_contact_sim.virtual.server import VirtualServer
 from adaptive_contact_sim.virtual.servo import VirtualServo
 
 __all__ = ["VirtualSettings", "assemble", "with_ports"]
@@ -113,6 +114,7 @@ def assemble(
                     else settings.noise_steps
                 ),
                 return_delay=settings.return_delay,
+                baud=plan.port.baud,
             )
             for leg in plan.legs
             for joint in leg.joints
