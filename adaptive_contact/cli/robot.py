@@ -40,6 +40,8 @@ _NOISE_STEPS: Final = 0.82
 _GOOD, _FAIR = 2.5, 4.0
 # Free ticks per term of the library at which held-out error has settled.
 _ENOUGH_ROWS: Final = 12
+# Slopes within this of each other are as good as one.
+_ALIKE: Final = 1.2
 _LEAST_TICKS: Final = 12
 # Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
 _ENOUGH_READ: Final = 0.97
@@ -84,7 +86,13 @@ def init(
     import msgspec
 
     with needs_sdk():
-        from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
+        from adaptive_contact.bridge.survey import (
+            describe,
+            find_servos,
+            group,
+            steepness,
+            write_robot,
+        )
         from adaptive_contact.bridge.tables import BAUDS
 
     # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
@@ -111,10 +119,12 @@ def init(
         measured = _lengths(lengths, joints)
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
-    # AX: compliance slope of 32 steps; X-series: 885 of PWM at P gain 400 over 128, 283 steps.
-    slope = 0.164 if found[0].port.protocol == 1 else 0.435
+    slopes = steepness(found)
+    if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
+        told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
+        typer.echo(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
     try:
-        out.write_text(write_robot(robot, slope_rad=slope), encoding="utf-8")
+        out.write_text(write_robot(robot), encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(
             f"{out}: cannot be written ({error.strerror}); give another --out"

@@ -172,6 +172,15 @@ def test_bad_descriptions_are_told_in_one_line(old: str, new: str, words: str) -
     assert "\n" not in str(caught.value)
 
 
+def test_two_ports_on_one_device(tmp_path: Path) -> None:
+    (tmp_path / "by-id").symlink_to("/dev/ttyA")
+    text = BASE.replace("ids = [1, 2]", 'ids = [1, 2], port = "a"') + (
+        f'[port.b]\ndevice = "{tmp_path / "by-id"}"\n'
+    )
+    with pytest.raises(ConfigurationError, match=r"\[port.b\] and \[port.a\] are one device"):
+        planned(text)
+
+
 def test_a_device_from_the_command_line() -> None:
     robot = parse_robot(BASE, source="r.toml")
     [plan] = plan_ports(robot, {"a": "/dev/other"})
