@@ -22,6 +22,7 @@ from adaptive_contact.cli._options import (
     JsonPayloadOption,
     NamespaceOption,
     ZenohConfigOption,
+    check_output,
     client,
 )
 from adaptive_contact.cli._sim_options import needs_simulator, stoppable
@@ -214,8 +215,14 @@ def virtual(
         str, typer.Option("--robot", metavar="NAME", help="Which shipped robot is simulated.")
     ] = "hexapod",
     ports: Annotated[
-        int, typer.Option("--ports", min=1, help="For a robot without ports of its own.")
-    ] = 1,
+        int | None,
+        typer.Option(
+            "--ports",
+            min=1,
+            help="For a robot without ports of its own; one if left out.",
+            show_default=False,
+        ),
+    ] = None,
     write_config: Annotated[
         Path | None,
         typer.Option(
@@ -286,6 +293,9 @@ def virtual(
 
     from adaptive_contact.robot import load_robot, shipped_robot
 
+    for path, option in ((write_config, "--write-config"), (record, "--record")):
+        if path is not None:
+            check_output(path, option)
     plan = VirtualPlan(
         robot=shipped_robot(robot) if config is None else load_robot(config),
         simulated=robot,

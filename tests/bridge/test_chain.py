@@ -140,7 +140,7 @@ def test_contacts_of_a_virtual_robot_arrive_and_a_fault_is_told(
 
 
 @pytest.mark.timeout(180)
-def test_samples_commands_and_status_pass(start: Callable[..., Process]) -> None:
+def test_samples_commands_and_status_pass(start: Callable[..., Process], tmp_path: Path) -> None:
     endpoint = router(start)
     start(
         "bridge", "virtual", "--robot", "quadruped", "--dir", "bus", "--write-config", "rig.toml"
@@ -164,6 +164,14 @@ def test_samples_commands_and_status_pass(start: Callable[..., Process]) -> None
         received = wait_for(statuses, lambda _: True, 5.0)
         status = decode(received.payload, BridgeStatus, received.encoding)
         assert (status.port, status.mode) == ("legs", "drive")
+    # The gait controller's example drives legs of two joints too.
+    stepped = subprocess.run(
+        [sys.executable, "examples/gait_controller.py", "--config", str(tmp_path / "rig.toml"),
+         "--leg", "fl", "--steps", "1", "--connect", endpoint],
+        cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert stepped.returncode == 0, stepped.stderr
+    assert "step 1: no contact, foot at -" in stepped.stdout
 
 
 @pytest.mark.timeout(240)

@@ -188,6 +188,11 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
         (("bridge", "virtual", "--ports", "9"), "9 ports for 6 legs"),
         (("bridge", "virtual", "--robot", "spider"), "no robot 'spider'"),
+        (("bridge", "virtual", "--robot", "quadruped", "--ports", "2"), "has ports of its own"),
+        (("bridge", "virtual", "--write-config", "/nonexist/x.toml"), "another --write-config"),
+        (("bridge", "virtual", "--fault", "silent@1.2.3"), "times in seconds, such as"),
+        (("bridge", "virtual", "--fault", "silent:id=99"), "there is no such servo; ids are 1, 2"),
+        (("bridge", "virtual", "--fault", "hangup:port=x"), "there is no such port; there are p"),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line(

@@ -29,7 +29,7 @@ from adaptive_contact_sim.virtual.quadruped_trials import SCENARIOS, play, recor
 
 
 def horns(robot: str = "hexapod") -> Horns:
-    plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), 1))
+    plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), None))
     return Horns.of(plans, order() if robot == "hexapod" else quadruped_order())
 
 
@@ -212,7 +212,7 @@ def test_faults_are_read(text: str, expected: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "quiet", "silent:id=x", "flip:p=2", "error:bits=sad", "late:z=1"]
+    "text", ["", "quiet", "silent:id=x", "silent@1.2.3", "flip:p=2", "error:bits=sad", "late:z=1"]
 )
 def test_faults_that_cannot_be_read(text: str) -> None:
     with pytest.raises(ConfigurationError, match="fault '"):
@@ -225,6 +225,13 @@ def test_faults_strike_when_and_whom_they_should() -> None:
     assert schedule.strike("silent", 4, 6.0) is None
     assert schedule.strike("silent", 3, 6.0) is not None
     assert schedule.strike("silent", 3, 7.0) is None
+
+
+@pytest.mark.parametrize("ports", range(1, 7))
+def test_a_robot_gets_as_many_ports_as_were_asked_for(ports: int) -> None:
+    plans = plan_ports(with_ports(shipped_robot(), Path("x"), ports))
+    assert len(plans) == ports
+    assert sum(len(plan.legs) for plan in plans) == 6
 
 
 def test_the_quadrupeds_description_fits_its_model() -> None:
