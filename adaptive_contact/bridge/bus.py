@@ -23,7 +23,7 @@ from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
 from adaptive_contact.bridge.packets import BROADCAST_ID, MAX_ID, Instruction
 from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.protocol1 import ERROR_BITS
-from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, HARDWARE_ERROR_BITS, split_fast_sync
+from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, split_fast_sync
 from adaptive_contact.bridge.tables import Block, Register
 from adaptive_contact.robot import Port
 
@@ -245,11 +245,6 @@ class Bus:
         if number:
             names.append(ERROR_NUMBERS.get(number, f"error_{number}"))
         return tuple(names)
-
-    def hardware_alarms(self, servo: int, register: Register) -> tuple[str, ...]:
-        """What is behind the alert bit of protocol 2.0."""
-        bits = self.get(servo, register) or 0
-        return tuple(name for bit, name in HARDWARE_ERROR_BITS.items() if bits & bit)
 
     # -- private -------------------------------------------------------------------------------
 

@@ -29,6 +29,8 @@ _RETRY_SHARE: Final = 0.4
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
 # A servo that has shut itself down is looked at again after so long.
 _LOOK_S: Final = 1.0
+# What alarms are about is asked for this share of the period at most, after the tick's own work.
+_ASK_SHARE: Final = 0.3
 
 
 @dataclasses.dataclass
@@ -162,18 +164,27 @@ class Cycle:
         servo = self._servos[joint.servo]
         return (servo.goal, servo.last_goal) if servo.valid else (None, None)
 
-    def ask_alarms(self) -> None:
-        """Ask servos that complain what is wrong, and whether they still drive; now and then."""
-        register = self._model.registers.get("hardware_error")
-        for number, record in self.health.items():
-            if record.silent:
-                continue
-            if register is not None and record.alerted:
-                record.alarm(self.bus.hardware_alarms(number, register))
-            if record.shut or record.endangered:
-                data = self.bus.read([number], self._model.state)[number].data
-                if data is not None:
-                    self._judge(self._servos[number], standing(self._model, data))
+    def ask_alarms(self, now_ns: int) -> None:
+        """Ask servos that complain what is wrong, and whether they still drive; now and then.
+
+        Those for whom there is no time before the next tick have their turn another time.
+        """
+        asked = [
+            number
+            for number, record in self.health.items()
+            if not record.silent and (record.shut or record.endangered)
+        ]
+        if not asked:
+            return
+        first = self._count % len(asked)
+        end_s = now_ns / 1e9 + _ASK_SHARE * self.plan.period_s
+        readings = self.bus.read(asked[first:] + asked[:first], self._model.state, 0.0, end_s)
+        for number, reading in readings.items():
+            if reading.data is not None:
+                stands = standing(self._model, reading.data)
+                if stands.alarms:
+                    self.health[number].alarm(stands.alarms)
+                self._judge(self._servos[number], stands)
 
     # -- private -------------------------------------------------------------------------------
 

@@ -209,7 +209,7 @@ class PortLoop:
             return
         self._status_ns = now_ns + _STATUS_NS
         if not self._lost:
-            self.cycle.ask_alarms()
+            self.cycle.ask_alarms(time.monotonic_ns())
             for line in self._news.lines(self.cycle.health):
                 self._outlet.say(line)
         self._outlet.status(self.status(now_ns))

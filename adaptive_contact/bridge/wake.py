@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from adaptive_contact.bridge.protocol2 import HARDWARE_ERROR_BITS
 from adaptive_contact.bridge.tables import ServoModel
 
 __all__ = ["Standing", "remedy", "standing"]
@@ -27,11 +28,13 @@ class Standing(NamedTuple):
         torque: it drives to its goal.
         goal: in force where there is torque, steps.
         shut: it has shut itself down.
+        alarms: names of what is behind the alert of protocol 2.0.
     """
 
     torque: bool
     goal: int
     shut: bool
+    alarms: tuple[str, ...] = ()
 
 
 def standing(model: ServoModel, data: bytes) -> Standing:
@@ -44,7 +47,9 @@ def standing(model: ServoModel, data: bytes) -> Standing:
     if model.protocol == 1:
         limit = value("torque_limit")
         return Standing(torque and limit > 0, goal, limit == 0)
-    return Standing(torque, goal, not torque and bool(value("hardware_error") & value("shutdown")))
+    errors = value("hardware_error")
+    alarms = tuple(name for bit, name in HARDWARE_ERROR_BITS.items() if errors & bit)
+    return Standing(torque, goal, not torque and bool(errors & value("shutdown")), alarms)
 
 
 def remedy(model: ServoModel) -> str:

@@ -10,11 +10,11 @@ controller that commands all legs at 50 Hz.  Names are permanent:
 - ``bridge_silent_servo``: the same for a minute in which a servo does not answer;
 - ``bridge_reconnect``: from the cable put back to the first sample, five times.
 
-Cycle time and jitter come as quantiles of ten seconds and a port; the verdict is on a bound for the
-p99 of the whole run, put together from all of them.  Missed cycles are counted twice: by the bridge,
-and as gaps in ``seq`` of what arrives here; both have to be 0.  A virtual computer stands still now
-and then, for everybody; sleepers before everything else see it, and how many of the missed ticks
-fell into such a time stands beside.
+Cycle time and jitter come as quantiles of ten seconds and a port; the verdict is on a bound for
+the p99 of the whole run, put together from all of them.  Missed cycles are counted twice: by the
+bridge, and as gaps in ``seq`` of what arrives here; both have to be 0.  A virtual computer stands
+still now and then, for everybody; sleepers before everything else see it, and how many of the
+missed ticks fell into such a time stands beside.
 
 The bytes of a pseudo-terminal pass through workers of the kernel, which have no priority: on a
 computer with other work each of a cycle's 24 passages may wait for it, by milliseconds.  With

@@ -15,6 +15,7 @@ import pytest
 from adaptive_contact.bridge.bus import Bus, Fault, Pong
 from adaptive_contact.bridge.port import PortLostError, latency_advice
 from adaptive_contact.bridge.tables import Block
+from adaptive_contact.bridge.wake import standing
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 from adaptive_contact_sim.virtual import VirtualServo
@@ -176,7 +177,9 @@ def test_an_alert_of_protocol_2_is_asked_for(rig: Callable) -> None:
     r.fault("error:id=4,bits=overheating")
     model = joints[0].model
     assert bus.read([j.servo for j in joints], model.motion)[4].alarms == ("hardware",)
-    assert bus.hardware_alarms(4, model.registers["hardware_error"]) == ("overheating",)
+    state = bus.read([4], model.state)[4].data
+    assert state is not None
+    assert standing(model, state).alarms == ("overheating",)
     bus.close()
 
 

@@ -37,7 +37,12 @@ def test_slopes_of_registers(model: str, values: dict[str, int], rad: float | No
 
 @pytest.mark.parametrize(
     ("model", "protocol", "slope"),
-    [("AX-12A", 1, 0.164), ("MX-28", 1, 0.164), ("XL330-M288", 2, 0.434), ("XM430-W350", 2, 0.217)],
+    [
+        ("AX-12A", 1, 0.164),
+        ("XM430-W350", 2, 0.217),
+        pytest.param("MX-28", 1, 0.164, marks=pytest.mark.slow),
+        pytest.param("XL330-M288", 2, 0.434, marks=pytest.mark.slow),
+    ],
 )
 def test_init_reads_the_slope_off_the_servos(
     rig: Callable, tmp_path: Path, model: str, protocol: int, slope: float
