@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +26,11 @@ def status(state: str = "running", **more: object) -> BridgeStatus:
         port="left", t_ns=1, mode="observe", state=state, rate_hz=50.0, wanted_hz=50.0,
         cycle_ms=quiet, jitter_ms=quiet, cycles=1, missed=0, **more,
     )  # fmt: skip
+
+
+def test_the_examples_are_in_the_source_distribution() -> None:
+    settings = tomllib.loads((EXAMPLES.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    assert "examples" in settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
 
 
 def ended(process: subprocess.Popen[str], code: int) -> str:
