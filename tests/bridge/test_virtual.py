@@ -174,6 +174,35 @@ def test_a_factory_reset(name: str, rate: int) -> None:
     assert (servo.id, servo.baud) == (1, rate)
 
 
+def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
+    sag = []
+    for slope in (32, 128):
+        backend, now = PassiveBackend(horns()), 3.0
+        servo = VirtualServo(
+            2, models_named("AX-12A")[0], backend, 1, np.random.default_rng(1), noise_steps=0.0
+        )  # a femur, that holds its leg out level
+        registers = servo.model.registers
+        servo.write(registers["lower_slope"].address, bytes((slope, slope)))
+        servo.write(registers["goal_position"].address, (512).to_bytes(2, "little"))
+        for _ in range(800):
+            now += 0.001
+            backend.advance(now)
+        sag.append(abs(backend.angle(1)))
+    assert sag[1] > 2 * sag[0]
+    servo.reset()
+    assert backend.plant.servos.parameters.slope_steps[1] == pytest.approx(32)
+
+
+def test_a_p_gain_acts_on_the_quadruped() -> None:
+    backend = QuadrupedBackend(horns("quadruped"))
+    gain = backend.plant.gain.copy()
+    servo = VirtualServo(3, models_named("XL330-M288")[0], backend, 2, np.random.default_rng(1))
+    servo.write(servo.model.registers["position_p"].address, (800).to_bytes(2, "little"))
+    assert backend.plant.gain[2] == pytest.approx(2 * gain[2])
+    servo.reboot()
+    assert backend.plant.gain == pytest.approx(gain)
+
+
 def test_torque_on_an_x_servo_does_not_jump() -> None:
     backend = KinematicBackend(1)
     backend.place(0, 0.5)

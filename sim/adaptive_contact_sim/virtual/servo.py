@@ -2,9 +2,10 @@
 
 Only what a master can see is modelled: which registers there are, which may be written and when,
 what is refused and with which error; that a servo in trouble shuts itself down, and how to wake it.
-Registers of the control law (compliance, gains, speeds, a torque limit above 0) are kept and change
-nothing: the servos behind have the law that they are delivered with.  Sources: the e-manual pages
-named in :mod:`adaptive_contact.bridge.tables`, whose addresses are used.
+The slope of the control law (compliance slope, P gain, PWM limit) acts on the servo behind; other
+registers of the law (margin, punch, I and D, speeds, a torque limit above 0) are kept and change
+nothing.  Sources: the e-manual pages named in :mod:`adaptive_contact.bridge.tables`, whose
+addresses are used.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from adaptive_contact.bridge.law import LAW_REGISTERS, slope_rad
 from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
 from adaptive_contact_sim.virtual.backend import Backend
 
@@ -41,6 +43,7 @@ _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000
 # Registers of the delivered AX and MX, and of X-series: what shuts a servo down.
 _SHUTDOWN: Final = {1: 0x24, 2: 0x34}
 _FULL_TORQUE: Final = 1023
+_LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
 # A horn slower than this stands still for the register Moving.
 _MOVING_RAD_S: Final = 0.05
 
@@ -148,6 +151,7 @@ class VirtualServo:
     def reboot(self) -> None:
         """Begin anew, as after a loss of power: no torque, what is not in EEPROM as delivered."""
         self._power_on()
+        self._set_slope()
 
     def reset(self, keep: Collection[str] = ()) -> None:
         """Set EEPROM to what it is delivered with, but for some registers, and reboot."""
@@ -156,7 +160,7 @@ class VirtualServo:
         for name, value in ({"id": 1, "baud": _FACTORY_BAUD[self.model.protocol]} | kept).items():
             self._store(name, value)
         self.id, self.baud = self.value("id"), self._baud()
-        self._power_on()
+        self.reboot()
 
     def read(self, address: int, size: int) -> bytes | Refusal:
         """Bytes of the control table, as of now."""
@@ -216,6 +220,8 @@ class VirtualServo:
             self.id = self.value("id")
         elif name == "baud":
             self.baud = self._baud()
+        elif name in _LAW:
+            self._set_slope()
         elif name == "torque_limit":
             self._backend.set_torque(self._index, self.drives)
         elif name == "torque_enable":
@@ -224,6 +230,14 @@ class VirtualServo:
                 # X-series: the goal is where the horn is when torque comes on.
                 self._store("goal_position", self._steps(self._backend.angle(self._index)))
                 self._drive()
+
+    def _set_slope(self) -> None:
+        values: dict[str, int] = {
+            name: self.value(name) for name in _LAW if name in self.model.registers
+        }
+        slope = slope_rad(self.model, values)
+        if slope is not None:
+            self._backend.set_slope(self._index, slope)
 
     def _drive(self) -> None:
         steps = self.value("goal_position") - self.model.centre
