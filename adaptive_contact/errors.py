@@ -8,6 +8,7 @@
     ├── RecordingError              a recording that cannot be read or written
     ├── BaselineError               a model file that is corrupt, or of another robot
     ├── IdentificationError         a fit that cannot be made (too few rows, empty library)
+    │   └── TooLittleDataError      there is too little to fit to: how much, and how much it takes
     ├── LinkError                   Zenoh cannot be reached, or refuses
     ├── BusError                    a Dynamixel bus that cannot be used
     └── SimulationDivergedError          the simulated robot left the range of the possible
@@ -28,6 +29,7 @@ __all__ = [
     "MissingExtraError",
     "RecordingError",
     "SimulationDivergedError",
+    "TooLittleDataError",
 ]
 
 
@@ -60,6 +62,19 @@ class BaselineError(AdaptiveContactError):
 
 class IdentificationError(AdaptiveContactError):
     """A fit cannot be made from the rows it was given."""
+
+
+class TooLittleDataError(IdentificationError):
+    """There is too little to learn from.
+
+    Attributes:
+        have, needed: free ticks.
+    """
+
+    def __init__(self, message: str, have: int, needed: int) -> None:
+        super().__init__(message)
+        self.have = have
+        self.needed = needed
 
 
 class LinkError(AdaptiveContactError):

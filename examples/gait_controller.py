@@ -9,6 +9,8 @@ bridge's samples, contacts from the service.  Run it against a virtual robot on 
     adaptive-contact bridge dynamixel --config rig.toml --drive
     python examples/gait_controller.py --leg rf --steps 5
 
+Legs of three joints (yaw, pitch, pitch) and of two (pitch, pitch) will do.
+
 Needs ``adaptive-contact`` and numpy.
 """
 
@@ -22,8 +24,10 @@ import time
 
 import numpy as np
 
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.robot import Leg, foot, inverse, load_robot, shipped_robot
 from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.probe import Finding
 from adaptive_contact.wire import (
     Command,
     ContactEvent,
@@ -37,6 +41,8 @@ from adaptive_contact.wire import (
 
 # A step: up in so many ticks, then down in so many; the foot aims below the ground.
 LIFT_TICKS, DESCENT_TICKS, STAND_TICKS = 14, 24, 25
+# Where a step goes, in lengths of the stretched leg from its first axis.
+REACH, TOP, BOTTOM = 0.586, -0.195, -0.605
 
 
 class Ears:
@@ -70,12 +76,20 @@ class Legwork:
         self.leg = leg
         self.ears = Ears(link, leg.id)
         self.commands = link.publisher(command_key(leg.id))
-        first = self.ears.samples.get(timeout=10)
-        self.goal = np.array(first.measured)
+        self.goal = np.array(self._next(5.0).measured)
+
+    def _next(self, timeout_s: float) -> ServoSample:
+        try:
+            return self.ears.samples.get(timeout=timeout_s)
+        except queue.Empty:
+            raise ConfigurationError(
+                f"no sample of leg '{self.leg.id}' for {timeout_s:g} s; run `adaptive-contact "
+                "bridge dynamixel --drive` with this robot's --config"
+            ) from None
 
     def tick(self, goal) -> None:
         """Wait for the next sample and answer it with a goal."""
-        sample = self.ears.samples.get(timeout=1)
+        sample = self._next(1.0)
         while not self.ears.samples.empty():
             sample = self.ears.samples.get()  # late: only the newest counts
         self.goal = np.array(goal)
@@ -94,7 +108,7 @@ class Legwork:
             if stop_on_contact and self.ears.touches.is_set():
                 return True
             point = start + (k / ticks) * (np.array(target_m) - start)
-            self.tick(inverse(point, self.leg.lengths_m))
+            self.tick(angles(self.leg, point))
         # The foot lags its command: what it runs into now still counts as this descent's.
         for _ in range(6 if stop_on_contact else 0):
             if self.ears.touches.is_set():
@@ -103,35 +117,85 @@ class Legwork:
         return False
 
 
+def angles(leg: Leg, point_m) -> np.ndarray:
+    """Joint angles that put the foot at a point of the leg's frame."""
+    if leg.lengths_m is None:
+        raise ConfigurationError(f"leg '{leg.id}' has no lengths_m; fill them in")
+    if leg.joint_axes == ("pitch", "pitch"):  # three joints without the first
+        found = inverse([point_m[0], 0.0, point_m[2]], (0.0, *leg.lengths_m))[1:]
+    elif leg.joint_axes == ("yaw", "pitch", "pitch"):
+        found = inverse(point_m, leg.lengths_m)
+    else:
+        raise ConfigurationError(
+            f"leg '{leg.id}' has the axes {', '.join(leg.joint_axes)}; this example knows legs of "
+            "yaw, pitch, pitch and of pitch, pitch"
+        )
+    if not np.isfinite(found).all():
+        x, _, z = point_m
+        raise ConfigurationError(
+            f"leg '{leg.id}' cannot reach {x:.3f} m out and {z:.3f} m up; give other --reach, "
+            "--top, --bottom"
+        )
+    return found
+
+
 def main() -> int:
-    """Make some steps."""
+    """Make some steps; what is wrong is told in one line."""
+    try:
+        run(arguments())
+    except AdaptiveContactError as error:
+        print(f"gait_controller: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def say(finding: Finding) -> None:
+    """What stands in the way of the network."""
+    print(f"gait_controller: {finding.line}; trying on", file=sys.stderr, flush=True)
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--config", help="robot.toml; the shipped hexapod without it")
     parser.add_argument("--leg", default="rf")
     parser.add_argument("--steps", type=int, default=5)
     parser.add_argument("--connect", action="append", help="router, such as tcp/127.0.0.1:7447")
-    parser.add_argument("--top", type=float, default=-0.05, help="foot height of a lift, m")
-    parser.add_argument("--bottom", type=float, default=-0.155, help="where descents aim, m")
-    parser.add_argument("--reach", type=float, default=0.15, help="foot from the coxa axis, m")
-    options = parser.parse_args()
+    parser.add_argument("--top", type=float, help="foot height of a lift, m")
+    parser.add_argument("--bottom", type=float, help="where descents aim, m")
+    parser.add_argument("--reach", type=float, help="foot from the first axis, m")
+    return parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Step as told."""
     robot = load_robot(options.config) if options.config else shipped_robot()
-    with Link.open(client_settings(options.connect or ())) as link:
-        work = Legwork(link, robot.leg(options.leg))
-        reach = options.reach
+    leg = robot.leg(options.leg)
+    stretched = sum(leg.lengths_m or ())
+    reach, up, down = (
+        share * stretched if given is None else given
+        for share, given in (
+            (REACH, options.reach), (TOP, options.top), (BOTTOM, options.bottom)
+        )
+    )  # fmt: skip
+    # All that may be wrong with the leg shows before anything moves.
+    top, _ = angles(leg, [reach, 0.0, up]), angles(leg, [reach, 0.0, down])
+    with Link.open(client_settings(options.connect or ()), on_wait=say) as link:
+        work = Legwork(link, leg)
         # The bridge comes to the first goal at an easy pace of its own.
-        top = inverse([reach, 0.0, options.top], work.leg.lengths_m)
         began = time.monotonic()
         while time.monotonic() - began < 3.0:
             work.tick(top)
         for step in range(options.steps):
             work.ears.touches.clear()
-            touched = work.move([reach, 0.0, options.bottom], DESCENT_TICKS, stop_on_contact=True)
+            touched = work.move([reach, 0.0, down], DESCENT_TICKS, stop_on_contact=True)
             height = foot(work.sample.measured, work.leg.lengths_m, work.leg.joint_axes)[2]
             what = "stopped on contact" if touched else "no contact"
             print(f"step {step + 1}: {what}, foot at {100 * height:+.1f} cm", flush=True)
             work.hold(STAND_TICKS)
-            work.move([reach, 0.0, options.top], LIFT_TICKS)
-    return 0
+            work.move([reach, 0.0, up], LIFT_TICKS)
 
 
 if __name__ == "__main__":

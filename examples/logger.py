@@ -18,7 +18,9 @@ import sys
 import threading
 
 from adaptive_contact.bridge.status import BridgeStatus
+from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.probe import Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -66,9 +68,26 @@ def main() -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    try:
+        log(options, stop)
+    except AdaptiveContactError as error:
+        if stop.is_set():  # while it waited for a router
+            return 0
+        print(f"logger: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def say(finding: Finding) -> None:
+    """What stands in the way of the network."""
+    print(f"logger: {finding.line}; trying on", file=sys.stderr, flush=True)
+
+
+def log(options: argparse.Namespace, stop: threading.Event) -> None:
+    """Print what is news until stopped."""
     inbox: queue.Queue = queue.Queue()  # callbacks only put; the loop below does the work
     last: dict[str, str] = {}
-    with Link.open(client_settings(options.connect or ()), stop=stop) as link:
+    with Link.open(client_settings(options.connect or ()), on_wait=say, stop=stop) as link:
         for key in (ALL_CONTACT, ALL_LEARNER, BRIDGES):
             link.subscribe(key, inbox.put)
         print("listening", flush=True)
@@ -92,7 +111,6 @@ def main() -> int:
             last[received.key] = line
             now = datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")
             print(now, line, flush=True)
-    return 0
 
 
 if __name__ == "__main__":

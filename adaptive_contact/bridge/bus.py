@@ -23,7 +23,7 @@ from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
 from adaptive_contact.bridge.packets import BROADCAST_ID, MAX_ID, Instruction
 from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.protocol1 import ERROR_BITS
-from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, HARDWARE_ERROR_BITS, split_fast_sync
+from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, split_fast_sync
 from adaptive_contact.bridge.tables import Block, Register
 from adaptive_contact.robot import Port
 
@@ -37,6 +37,8 @@ _ALERT: Final = 0x80
 _MODEL_NUMBER: Final = Block(0, 2)
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
+# Of so many reads, so many garbled ones are no accident.
+_LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
 _ASK_S: Final = 0.0005
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
@@ -137,7 +139,7 @@ class Bus:
         self,
         servos: Sequence[int],
         block: Block,
-        until: float | None = None,
+        until: float = math.inf,
         end: float = math.inf,
     ) -> dict[int, Reading]:
         """Read the same registers of several servos.
@@ -157,16 +159,23 @@ class Bus:
 
         def work() -> dict[int, Reading]:
             found: dict[int, Reading] = {}
+            garbled = False
             if self.protocol == 2 and len(servos) > 1:
-                found = self._sync_read(servos, block)
+                found, garbled = self._sync_read(servos, block)
             for servo in servos:
                 first = found.get(servo)
                 if first is None:
                     if time.monotonic() > end - _ASK_S:
+                        if garbled:
+                            found[servo] = Reading(None, (), Fault.CORRUPT)
                         continue
                     # Not heard in the common answer, or protocol 1: ask it alone.
                     first = found[servo] = self._read_one(servo, block)
-                if first.fault is Fault.CORRUPT and (until is None or time.monotonic() < until):
+                    if garbled and first.fault is None:
+                        # What came for all held more than was understood: this one's, it seems.
+                        found[servo] = first._replace(fault=Fault.CORRUPT)
+                        continue
+                if first.fault is Fault.CORRUPT and time.monotonic() < until:
                     again = self._read_one(servo, block)
                     if again.fault is None:
                         # The fault is told, the reading is good.
@@ -178,6 +187,15 @@ class Bus:
             return self._guarded(work)
         finally:
             self._port.latest_s = math.inf
+
+    def is_clear(self, servo: int, block: Block) -> bool:
+        """Whether a servo can be understood; not where several of one id talk at once.
+
+        Servos that are alike answer to a ping bit for bit the same, at the same moment; what they
+        measure differs, and on the wire their answers then garble each other, again and again.
+        """
+        faults = [self._guarded(lambda: self._read_one(servo, block)).fault for _ in range(_LOOKS)]
+        return faults.count(Fault.CORRUPT) < _GARBLED
 
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not tell it within some tries."""
@@ -227,11 +245,6 @@ class Bus:
         if number:
             names.append(ERROR_NUMBERS.get(number, f"error_{number}"))
         return tuple(names)
-
-    def hardware_alarms(self, servo: int, register: Register) -> tuple[str, ...]:
-        """What is behind the alert bit of protocol 2.0."""
-        bits = self.get(servo, register) or 0
-        return tuple(name for bit, name in HARDWARE_ERROR_BITS.items() if bits & bit)
 
     # -- private -------------------------------------------------------------------------------
 
@@ -294,32 +307,41 @@ class Bus:
             return Reading(None, alarms, Fault.REFUSED)
         return Reading(bytes(data), alarms, None, at_s, time.monotonic())
 
-    def _sync_read(self, servos: Sequence[int], block: Block) -> dict[int, Reading]:
+    def _sync_read(self, servos: Sequence[int], block: Block) -> tuple[dict[int, Reading], bool]:
+        """One question to all.
+
+        Returns:
+            What was understood, and whether more came than that: the SDK drops packets with a
+            wrong checksum, or a broken header, without a word.
+        """
         found: dict[int, Reading] = {}
         at_s = time.monotonic()
         result = self._packets.syncReadTx(
             self._port, block.address, block.size, list(servos), len(servos), self._fast
         )
         if result != COMM_SUCCESS:
-            return found
+            return found, False
+        before, understood = self._port.received, 0
         if self._fast:
             self._port.is_using = True
             packet, result = self._packets.rxPacket(self._port, True)
             if result == COMM_SUCCESS and packet[_ID2] == BROADCAST_ID:
+                understood += len(packet)
                 for answer in split_fast_sync(bytes(packet[_ERROR2:-2]), block.size):
                     if answer.id in servos:
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
-            return found
+            return found, self._port.received - before > understood
         while len(found) < len(servos):
             packet, result = self._packets.rxPacket(self._port, False)
             if result == _TIMEOUT:
                 break
             if result != COMM_SUCCESS:
                 continue
+            understood += len(packet)
             servo = packet[_ID2]
             if servo in servos and servo <= MAX_ID and packet[7] == Instruction.STATUS:
                 # Unstuffing leaves its spare bytes at the end: cut to size by the length field.
                 size = packet[5] + (packet[6] << 8) - 4
                 data = packet[_DATA2 : _DATA2 + size]
                 found[servo] = self._reading(data, packet[_ERROR2], block, at_s)
-        return found
+        return found, self._port.received - before > understood

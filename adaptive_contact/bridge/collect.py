@@ -41,10 +41,7 @@ class _Basket:
                 self._answer(leg, sample)
 
     def status(self, status: BridgeStatus) -> None:
-        """Tell of servos that have just fallen silent."""
-        silent = [servo for servo, counts in status.servos.items() if counts.silent]
-        if silent:
-            self._say(f"port {status.port}: servo {', '.join(silent)} does not answer")
+        """Nobody waits for it: what happens is said."""
 
     def say(self, line: str) -> None:
         """Pass a line on."""

@@ -8,6 +8,7 @@ write; a sample pairs the two, as the wire's contract wants it.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
@@ -16,6 +17,7 @@ from adaptive_contact.bridge.health import Punctuality, ServoHealth, due, is_sta
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
 from adaptive_contact.bridge.status import ServoCounts
+from adaptive_contact.bridge.wake import Standing, standing
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["Cycle"]
@@ -25,11 +27,23 @@ _RETRY_SHARE: Final = 0.4
 # Readings end this share of the period after the tick was due, whoever is silent, so that goals
 # and samples go out in time; a tick that began late has the other share at the least.
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
+# A servo that has shut itself down is looked at again after so long.
+_LOOK_S: Final = 1.0
+# What alarms are about is asked for this share of the period at most, after the tick's own work.
+_ASK_SHARE: Final = 0.3
 
 
 @dataclasses.dataclass
 class _Servo:
-    """What is known of a servo; ``awake`` once it has torque and goals from us."""
+    """What is known of a servo.
+
+    Attributes:
+        joint: it is of.
+        steps: position, as it was last read.
+        goal: in force, steps.
+        awake: it has torque and goals from us.
+        look_at: cycle from which on a servo that has shut itself down is looked at again.
+    """
 
     joint: JointPlan
     steps: int | None = None
@@ -39,6 +53,7 @@ class _Servo:
     last_goal: int | None = None
     valid: bool = False
     awake: bool = False
+    look_at: int = 0
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
     @property
@@ -76,7 +91,8 @@ class Cycle:
         self._servos = {joint.servo: _Servo(joint) for joint in plan.joints}
         self.health = {joint.servo: ServoHealth() for joint in plan.joints}
         self._drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
-        self._previews: dict[str, list[list[float]] | None] = {}
+        self._look_every = round(_LOOK_S / plan.period_s)
+        self._until_s = self._end_s = 0.0
         self._count = 0
         self._hurry_until = 0
 
@@ -97,10 +113,15 @@ class Cycle:
         return {servo: counts for servo, counts in told.items() if counts is not None}
 
     def restart(self) -> None:
-        """Forget positions and goals after an outage: servos may have lost theirs."""
+        """Rely on nothing after an outage: servos may have been moved, or have lost their goals.
+
+        What was last known of them stays in the samples, marked invalid, so that a leg with a
+        servo that does not come back is still there.
+        """
         for servo in self._servos.values():
-            servo.steps = servo.goal = servo.last_goal = None
-            servo.awake = False
+            servo.last_goal = None
+            servo.speed_rad_s = 0.0
+            servo.awake = servo.valid = False
         for record in self.health.values():
             record.misses = 0
         for driver in self._drivers.values():
@@ -143,14 +164,27 @@ class Cycle:
         servo = self._servos[joint.servo]
         return (servo.goal, servo.last_goal) if servo.valid else (None, None)
 
-    def ask_alarms(self) -> None:
-        """Ask servos that raise the alert of protocol 2.0 what is wrong; now and then."""
-        register = self._model.registers.get("hardware_error")
-        if register is None:
+    def ask_alarms(self, now_ns: int) -> None:
+        """Ask servos that complain what is wrong, and whether they still drive; now and then.
+
+        Those for whom there is no time before the next tick have their turn another time.
+        """
+        asked = [
+            number
+            for number, record in self.health.items()
+            if not record.silent and (record.shut or record.endangered)
+        ]
+        if not asked:
             return
-        for servo, record in self.health.items():
-            if record.alerted and not record.silent:
-                record.alarm(self.bus.hardware_alarms(servo, register))
+        first = self._count % len(asked)
+        end_s = now_ns / 1e9 + _ASK_SHARE * self.plan.period_s
+        readings = self.bus.read(asked[first:] + asked[:first], self._model.state, 0.0, end_s)
+        for number, reading in readings.items():
+            if reading.data is not None:
+                stands = standing(self._model, reading.data)
+                if stands.alarms:
+                    self.health[number].alarm(stands.alarms)
+                self._judge(self._servos[number], stands)
 
     # -- private -------------------------------------------------------------------------------
 
@@ -159,10 +193,10 @@ class Cycle:
         known = self.mode == "drive" and all(d.goal is not None for d in self._drivers.values())
         block = self._model.motion if known else self._model.goal_and_motion
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
-        until = now_ns / 1e9 + _RETRY_SHARE * self.plan.period_s
-        period_s = self.plan.period_s
-        end = max(due_ns / 1e9 + _END_SHARE * period_s, now_ns / 1e9 + _LEAST_SHARE * period_s)
-        readings = self.bus.read(asked, block, until, end)
+        now_s, period_s = now_ns / 1e9, self.plan.period_s
+        self._until_s = now_s + _RETRY_SHARE * period_s
+        self._end_s = max(due_ns / 1e9 + _END_SHARE * period_s, now_s + _LEAST_SHARE * period_s)
+        readings = self.bus.read(asked, block, self._until_s, self._end_s)
         for number, servo in self._servos.items():
             servo.last_goal = servo.goal
             reading = readings.get(number)
@@ -174,6 +208,8 @@ class Cycle:
             if was_silent and reading.data is not None:
                 # Power has come back, it seems: ask the others at once.
                 self._hurry_until = self._count + len(self._servos) + 1
+            # Of a silent one nobody knows where it is: not moved, nor woken by a goal.
+            servo.awake &= not self.health[number].silent
             servo.valid = reading.data is not None and self._take(servo, reading, known, due_ns)
 
     def _take(self, servo: _Servo, reading: Reading, known: bool, due_ns: int) -> bool:
@@ -210,28 +246,65 @@ class Cycle:
             driver = self._drivers[leg.id]
             self._hear(leg, driver)
             servos = [self._servos[joint.servo] for joint in leg.joints]
+            found = self._look(servos) if driver.is_asked(now_ns) else {}
+            start: list[float | None] = []
             for j, servo in enumerate(servos):
-                if self.health[servo.joint.servo].silent:
-                    # Nobody knows where it is, so it is not moved, and not woken by a goal.
-                    servo.awake = False
-                elif not servo.awake and servo.valid and servo.angle is not None:
-                    driver.found(j, servo.angle)
-            goal = driver.step([s.angle if s.valid else None for s in servos], now_ns)
+                stands = found.get(servo.joint.servo)
+                if stands is not None:
+                    if stands.torque:
+                        servo.goal = stands.goal
+                    at = servo.joint.angle(stands.goal) if stands.torque else servo.angle
+                    assert at is not None
+                    driver.found(j, at)
+                    start.append(at)
+                elif servo.awake and servo.goal is not None:
+                    start.append(servo.joint.angle(servo.goal))
+                else:
+                    start.append(None)
+            goal = driver.step(start, now_ns)
             if goal is None:
                 continue
             # Torque comes on with the goal where the servo is, so that nothing jumps.
             here = {
-                s.joint.servo: s.steps
-                for s in servos
-                if not s.awake and s.valid and s.steps is not None
+                number: steps
+                for number, stands in found.items()
+                if not stands.torque and (steps := self._servos[number].steps) is not None
             }
             self.bus.put_all(registers["goal_position"], here)
             self.bus.put_all(registers["torque_enable"], dict.fromkeys(here, 1))
             for servo, angle in zip(servos, goal, strict=True):
-                servo.awake |= servo.joint.servo in here
+                servo.awake |= servo.joint.servo in found
                 if servo.awake:
                     servo.goal = goals[servo.joint.servo] = servo.joint.steps(angle)
         self.bus.put_all(registers["goal_position"], goals)
+
+    def _look(self, servos: Sequence[_Servo]) -> dict[int, Standing]:
+        """How those stand that are to be woken; one that cannot be is left out."""
+        asked = []
+        for servo in servos:
+            record = self.health[servo.joint.servo]
+            looked_at = servo.valid and not record.silent and self._count >= servo.look_at
+            if looked_at and not servo.awake:
+                asked.append(servo.joint.servo)
+        if not asked:
+            return {}
+        found = {}
+        readings = self.bus.read(asked, self._model.state, self._until_s, self._end_s)
+        for number, reading in readings.items():
+            if reading.data is None:
+                continue
+            stands = standing(self._model, reading.data)
+            self._judge(self._servos[number], stands)
+            if not stands.shut:
+                found[number] = stands
+        return found
+
+    def _judge(self, servo: _Servo, stands: Standing) -> None:
+        """Note whether a servo has shut itself down; it gets no goals then."""
+        self.health[servo.joint.servo].shut = stands.shut
+        if stands.shut:
+            servo.awake = False
+            servo.look_at = self._count + self._look_every
 
     def _hear(self, leg: LegPlan, driver: Driver) -> None:
         taken = self._mailbox.take(leg.id)
@@ -243,7 +316,6 @@ class Cycle:
             self._mailbox.refuse(f"leg '{leg.id}': {wrong}")
             return
         driver.hear(command, arrival_ns)
-        self._previews[leg.id] = command.preview
 
     def _sample(self, leg: LegPlan, t_ns: int, seq: int) -> ServoSample | None:
         servos = [self._servos[joint.servo] for joint in leg.joints]
@@ -255,14 +327,12 @@ class Cycle:
             desired.append(servo.joint.angle(servo.goal))
         valid = [servo.valid for servo in servos]
         driver = self._drivers.get(leg.id)
-        follows = driver is not None and driver.mode is Mode.FOLLOWING
         return ServoSample(
             t_ns=t_ns,
             seq=seq,
             measured=measured,
             desired=desired,
-            # What lies ahead is known only while commands are followed to the letter.
-            preview=self._previews.get(leg.id) if follows else None,
+            preview=None if driver is None else driver.preview,
             valid=None if all(valid) else valid,
             run=self._run,
         )

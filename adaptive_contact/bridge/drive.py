@@ -1,9 +1,9 @@
 """From commands to goals: never a movement that nobody asked for.
 
-A leg that has had no command yet gets no goal.  Its first command leads it from where it is, at
-an easy pace, to where the command wants it; from there it follows, within its limits and at most
-one step a tick.  Without a command for 200 ms it holds the last goal, and whatever comes next
-starts with the easy pace again.
+A leg that has had no command yet gets no goal.  Its first command leads it from where it stands
+(the goal in force, or without torque its position), at an easy pace, to where the command wants
+it; from there it follows, within its limits and at most one step a tick.  Without a command for
+200 ms it holds the last goal, and whatever comes next starts with the easy pace again.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ class Driver:
         mode: what the leg does.
         goal: (J,) rad, in force; None before the first command.
         limited: commands that asked for more than limits or step allow.
+        preview: goals of the ticks to come, as far as this tick's command told of them and they
+            will be followed to the letter but for the limits; None otherwise.
     """
 
     def __init__(self, leg: LegPlan) -> None:
@@ -49,17 +51,19 @@ class Driver:
         self.mode = Mode.IDLE
         self.goal: list[float] | None = None
         self.limited = 0
+        self.preview: list[list[float]] | None = None
         self._command: list[float] | None = None
+        self._ahead: list[list[float]] | None = None
         self._heard_ns = 0
 
     def forget(self) -> None:
         """Start over: the servos may have been moved, or have lost their goals."""
         self.mode = Mode.IDLE
-        self.goal = None
-        self._command = None
+        self.goal = self.preview = None
+        self._command = self._ahead = None
 
     def found(self, joint: int, angle_rad: float) -> None:
-        """A servo that was silent is back, and here is where it was found: go on from there.
+        """A servo that was silent is back, and here is where it stands: go on from there.
 
         It may have lost its power and its place meanwhile; the whole leg comes to its command at
         an easy pace again.
@@ -73,46 +77,66 @@ class Driver:
     def hear(self, command: Command, arrival_ns: int) -> None:
         """Take in a command that :func:`complaint` has nothing to say of."""
         self._command = list(command.desired)
+        self._ahead = command.preview
         self._heard_ns = arrival_ns
 
-    def step(self, measured: Sequence[float | None], now_ns: int) -> list[float] | None:
+    def is_asked(self, now_ns: int) -> bool:
+        """Whether there is a command to be followed."""
+        return self._command is not None and now_ns - self._heard_ns <= HOLD_AFTER_NS
+
+    def step(self, start: Sequence[float | None], now_ns: int) -> list[float] | None:
         """The goals to write in this tick.
 
         Args:
-            measured: (J,) rad, None where the servo did not answer.
+            start: (J,) rad, where a first command leads on from: the goal in force, or the
+                position of a servo without torque; None where that is not known.
             now_ns: monotonic.
 
         Returns:
             (J,) rad, or None when nothing is to be written.
         """
+        # A preview is of the tick its command came in; a tick later it would be one tick off.
+        ahead, self._ahead, self.preview = self._ahead, None, None
         if self._command is None:
             return None
-        if now_ns - self._heard_ns > HOLD_AFTER_NS:
+        if not self.is_asked(now_ns):
             self.mode = Mode.HOLDING
             return None
         if self.mode in (Mode.IDLE, Mode.HOLDING):
             if self.goal is None:
-                if any(angle is None for angle in measured):
+                if any(angle is None for angle in start):
                     return None  # from where to go is not known
-                self.goal = [angle for angle in measured if angle is not None]
+                self.goal = [angle for angle in start if angle is not None]
             self.mode = Mode.APPROACHING
         easy = self.mode is Mode.APPROACHING
         largest = self.leg.max_step_rad * (EASY_SHARE if easy else 1.0)
         assert self.goal is not None
-        arrived, limited = True, False
-        goal = []
-        for now, wanted, joint in zip(self.goal, self._command, self.leg.joints, strict=True):
-            # A joint found outside its limits may stay, or move inwards; never further out.
-            target = min(max(wanted, min(joint.lower_rad, now)), max(joint.upper_rad, now))
-            limited |= target != wanted
-            step = min(max(target - now, -largest), largest)
-            arrived &= step == target - now
-            goal.append(now + step)
+        goal, arrived, limited = self._toward(self._command, self.goal, largest)
         self.limited += limited or not (arrived or easy)
         if easy and arrived:
             self.mode = Mode.FOLLOWING
         self.goal = goal
+        if ahead is not None and self.mode is Mode.FOLLOWING and arrived and not limited:
+            rows, last = [], goal
+            for wanted in ahead:
+                last, _, _ = self._toward(wanted, last, self.leg.max_step_rad)
+                rows.append(last)
+            self.preview = rows
         return goal
+
+    def _toward(
+        self, wanted: Sequence[float], start: Sequence[float], largest: float
+    ) -> tuple[list[float], bool, bool]:
+        """One tick's goals; whether they arrive, and whether limits cut them down."""
+        goal, arrived, limited = [], True, False
+        for now, want, joint in zip(start, wanted, self.leg.joints, strict=True):
+            # A joint found outside its limits may stay, or move inwards; never further out.
+            target = min(max(want, min(joint.lower_rad, now)), max(joint.upper_rad, now))
+            limited |= target != want
+            step = min(max(target - now, -largest), largest)
+            arrived &= step == target - now
+            goal.append(now + step)
+        return goal, arrived, limited
 
 
 def complaint(command: Command, joints: int) -> str | None:

@@ -16,6 +16,7 @@ from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
 from adaptive_contact.bridge.tables import model_of_number
+from adaptive_contact.bridge.wake import remedy, standing
 from adaptive_contact.errors import BusError
 
 __all__ = ["Findings", "check_ports", "scan", "scan_again"]
@@ -114,6 +115,10 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
     for _ in range(_MORE_TRIES):
         sure = [s for s, pong in heard.items() if pong.model_number is not None]
         heard |= scan(bus, sorted(s for s in asked if s not in sure or heard[s].doubled))
+    for servo, pong in heard.items():
+        model = None if pong.model_number is None else model_of_number(pong.model_number)
+        if model is not None and not pong.doubled and not bus.is_clear(servo, model.measured):
+            heard[servo] = pong._replace(doubled=True)
     return dict(sorted(heard.items()))
 
 
@@ -173,8 +178,8 @@ def _compare(
         name = model.name if model else f"model number {number}"
         if pong.doubled:
             findings.errors.append(
-                f"{where}: several servos answer to id {servo}; connect them one by one and give "
-                "each an id of its own"
+                f"{where}: several servos answer to id {servo} (or its line is disturbed); connect "
+                "them one by one and give each an id of its own"
             )
         elif joint is None:
             findings.errors.append(
@@ -194,8 +199,11 @@ def _compare(
 
 
 def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) -> None:
-    """Modes in which goals would not be followed, or reads not be answered."""
+    """Modes in which goals would not be followed."""
     where, model, servo = f"port {plan.name}: servo {joint.servo}", joint.model, joint.servo
+    state = bus.read([servo], model.state)[servo].data
+    if state is not None and standing(model, state).shut:
+        findings.advice.append(f"{where}: {remedy(model)}")
     if model.position_mode is not None:
         mode = bus.get(servo, model.registers["operating_mode"])
         if mode not in (None, model.position_mode):

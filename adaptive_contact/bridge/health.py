@@ -36,6 +36,7 @@ NOTICEABLE_STEPS: Final = 0.5
 _RECENT: Final = 5
 # Alarms are shown for this many readings after they were last seen.
 _ALARM_TICKS: Final = 50
+_SHUTTING: Final = {"overload", "overheating", "electrical_shock", "voltage", "hardware"}
 
 
 @dataclasses.dataclass
@@ -45,9 +46,11 @@ class ServoHealth:
     Attributes:
         misses: cycles in a row without a reading.
         faults: by kind, since the start.
+        shut: it has shut itself down, and does not drive.
     """
 
     misses: int = 0
+    shut: bool = False
     faults: Counter[str] = dataclasses.field(default_factory=Counter)
     _alarms: dict[str, int] = dataclasses.field(default_factory=dict)
 
@@ -78,6 +81,16 @@ class ServoHealth:
         self.note(Reading(b"", tuple(names)))
 
     @property
+    def alarms(self) -> set[str]:
+        """What the servo complains of now."""
+        return set(self._alarms)
+
+    @property
+    def endangered(self) -> bool:
+        """Whether it complains of something that may make it shut itself down."""
+        return not _SHUTTING.isdisjoint(self._alarms)
+
+    @property
     def alerted(self) -> bool:
         """Whether the servo says that something is wrong without saying what."""
         return "hardware" in self._alarms
@@ -85,9 +98,9 @@ class ServoHealth:
     @property
     def counts(self) -> ServoCounts | None:
         """What there is to tell, or None."""
-        if not self.faults:
+        if not self.faults and not self.shut:
             return None
-        alarms = sorted(self._alarms)
+        alarms = sorted(self._alarms) + ["shutdown"] * self.shut
         return ServoCounts(
             silent=self.silent, alarms=alarms, faults=dict(sorted(self.faults.items()))
         )

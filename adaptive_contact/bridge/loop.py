@@ -11,6 +11,7 @@ from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.cycle import Cycle
+from adaptive_contact.bridge.news import News
 from adaptive_contact.bridge.outlet import Mailbox, Outlet
 from adaptive_contact.bridge.phaselock import PhaseLock
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
@@ -78,6 +79,7 @@ class PortLoop:
         self._outlet = outlet
         self._mailbox = mailbox
         self._pulse = Pulse(plan.period_s)
+        self._news = News(plan)
         self._lock = PhaseLock(plan.period_s) if mode == "observe" else None
         self._period_ns = round(plan.period_s * _NS)
         self._phase_ns = round(phase * self._period_ns)
@@ -207,7 +209,9 @@ class PortLoop:
             return
         self._status_ns = now_ns + _STATUS_NS
         if not self._lost:
-            self.cycle.ask_alarms()
+            self.cycle.ask_alarms(time.monotonic_ns())
+            for line in self._news.lines(self.cycle.health):
+                self._outlet.say(line)
         self._outlet.status(self.status(now_ns))
 
     def status(self, now_ns: int) -> BridgeStatus:

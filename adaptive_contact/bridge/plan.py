@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -111,6 +112,15 @@ def plan_ports(
             f"robot '{robot.name}' has no port; add [port.main] with device = \"/dev/ttyUSB0\" to "
             "its robot.toml, or give --device /dev/ttyUSB0"
         )
+    owners: dict[str, str] = {}
+    for name, port in ports.items():
+        # Links differ where their adapter is one.
+        before = owners.setdefault(os.path.realpath(port.device), name)
+        if before != name:
+            raise ConfigurationError(
+                f"[port.{name}] and [port.{before}] are one device ({port.device}); give each its "
+                "own, or put all legs on one port"
+            )
     plans = []
     for name, port in ports.items():
         if baud is not None:

@@ -1,11 +1,14 @@
-"""The DynamixelSDK's port, with what it gets wrong put right here and nowhere else.
+"""The DynamixelSDK's port, with what it gets wrong put right.
+
+What its packet handlers get wrong is worked around in :mod:`adaptive_contact.bridge.bus`.
 
 Measured on DynamixelSDK 4.1.0:
 
 - It busy-waits for every byte (77-94 % of a core): here a read sleeps in ``select``.
 - Its timeouts hold 34 ms at the least, taken from the wall clock: here they are as told, monotonic.
 - It throws old input away with ``tcflush``, which may wait long: :meth:`SdkPort.clearPort`.
-- It opens a port that another program uses: here the port is locked, which pyserial reports.
+- It opens a port that another program uses, and does not lock it: here the port is locked, closed
+  to others (``TIOCEXCL``), and refused where another process has it open.
 - A hang-up leaves ``is_using`` set, so that every later call returns -1000: :meth:`SdkPort.lost`.
 - pyserial's errors, termios' and the system's are three kinds: here one, :class:`PortLostError`.
 - ``addStuffing`` of protocol 2.0 forgets the packet it has stuffed, so that parameters with
@@ -16,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import math
 import os
 import select
@@ -28,6 +32,7 @@ import serial
 from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
+from adaptive_contact.bridge.holders import holders, is_pseudo
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
@@ -36,6 +41,7 @@ __all__ = ["PortLostError", "SdkPort", "latency_advice"]
 # Start, eight data bits, stop.
 _BITS_PER_BYTE: Final = 10
 _FLUSH_BYTES: Final = 4096
+_ADAPTERS: Final = Path("/sys/bus/usb-serial/devices")
 
 
 class PortLostError(BusError):
@@ -51,6 +57,7 @@ class SdkPort(PortHandler):
 
     Attributes:
         latest_s: monotonic time at which any wait for an answer ends.
+        received: bytes read so far.
     """
 
     def __init__(self, name: str, port: Port) -> None:
@@ -62,6 +69,8 @@ class SdkPort(PortHandler):
         self._byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
+        self.received = 0
+        self._closed_to_others = False
         self._fd = -1
 
     @property
@@ -93,12 +102,18 @@ class SdkPort(PortHandler):
                 f"port {self.name}: baud rate {self.baudrate} is unknown to the DynamixelSDK; "
                 "set one that is, such as 1000000"
             )
+        if holders(self.port_name):  # software that does not lock, such as the SDK as it comes
+            self.close()
+            raise BusError(_in_use(self.name, self.port_name))
 
     def close(self) -> None:
         """Close the port; errors of a port that is gone anyway are not told."""
         if self.ser is not None:
             with contextlib.suppress(OSError, termios.error):  # unplugged: nothing left to close
+                if self._closed_to_others:
+                    fcntl.ioctl(self._fd, termios.TIOCNXCL)
                 self.ser.close()
+            self._closed_to_others = False
         self.is_open = False
         self.is_using = False
 
@@ -121,6 +136,11 @@ class SdkPort(PortHandler):
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self.ser.set_low_latency_mode(True)
         self._fd = self.ser.fileno()
+        # Not a pseudo-terminal: its other end keeps it, and the mark would outlive a killed bridge.
+        if not is_pseudo(self.port_name):
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self._fd, termios.TIOCEXCL)
+                self._closed_to_others = True
         self.is_open = True
         self.is_using = False
         self.ser.reset_input_buffer()
@@ -145,6 +165,7 @@ class SdkPort(PortHandler):
         data = os.read(self._fd, length)
         if not data:
             raise OSError(errno.EIO, "hung up")
+        self.received += len(data)
         return data
 
     def writePort(self, packet: list[int]) -> int:
@@ -165,14 +186,15 @@ class SdkPort(PortHandler):
         return time.monotonic() > self._deadline
 
 
-def latency_advice(device: str) -> str | None:
+def latency_advice(device: str, root: Path = _ADAPTERS) -> str | None:
     """What to set where a USB adapter holds bytes back longer than 1 ms, or None.
 
     Args:
         device: of the port; symbolic links are followed.
+        root: where the system shows its USB adapters.
     """
     name = Path(os.path.realpath(device)).name
-    timer = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
+    timer = root / name / "latency_timer"
     try:
         value = int(timer.read_text())
     except (OSError, ValueError):
@@ -182,6 +204,13 @@ def latency_advice(device: str) -> str | None:
     return (
         f"{device}: the adapter's latency timer is {value} ms, expected 1; "
         f"run: echo 1 | sudo tee {timer}"
+    )
+
+
+def _in_use(name: str, device: str) -> str:
+    who = ", ".join(f"{process} (process {pid})" for pid, process in holders(device).items())
+    return f"port {name}: {device} is in use by {who or 'another program'}; end that one" + (
+        "" if who else f" (`sudo fuser {device}` names it)"
     )
 
 
@@ -201,10 +230,7 @@ def _explain(name: str, device: str, error: serial.SerialException) -> str:
             "log in again"
         )
     if code in (errno.EAGAIN, errno.EBUSY):
-        return (
-            f"port {name}: {device} is in use by another program; end that one (`fuser {device}` "
-            "names it)"
-        )
+        return _in_use(name, device)
     unfit = code in (errno.ENOTTY, errno.EINVAL, errno.EISDIR, errno.EIO, errno.ENXIO)
     if unfit or "Could not configure port" in str(error):
         return (

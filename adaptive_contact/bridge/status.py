@@ -32,7 +32,8 @@ class ServoCounts(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
     Attributes:
         silent: it does not answer now.
-        alarms: what it complains of now, such as ``overload``.
+        alarms: what it complains of now, such as ``overload``; ``shutdown`` where it has switched
+            its drive off for that.
         faults: how often, by kind: ``no_answer``, ``corrupt``, ``refused``, ``stale`` (an old
             position again), ``unpunctual`` (read too far from its moment), ``carried_back`` (read
             off its moment, and put right by the servo's own speed), and the names of error bits.

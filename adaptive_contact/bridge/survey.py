@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
 
-from adaptive_contact.bridge.bus import Bus
+from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.handshake import scan, scan_again
+from adaptive_contact.bridge.law import read_slope
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError
-from adaptive_contact.robot import Leg, Port, Robot, ServoBus
+from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
 
-__all__ = ["Found", "describe", "find_servos", "group", "write_robot"]
+__all__ = ["Found", "describe", "find_servos", "group", "steepness", "write_robot"]
 
 # Rates tried where none is given, those that servos are delivered with first.
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
@@ -32,12 +34,14 @@ class Found:
         port: device, baud rate and protocol at which they answer.
         servos: model by id; None for a model number that is not known.
         numbers: model number by id.
+        slopes_rad: how steep each servo's controller is, by id, where it tells.
     """
 
     name: str
     port: Port
     servos: dict[int, ServoModel | None]
     numbers: dict[int, int | None]
+    slopes_rad: dict[int, float] = dataclasses.field(default_factory=dict)
 
 
 def find_servos(name: str, device: str, bauds: Sequence[int] = USUAL_BAUDS) -> Found:
@@ -55,24 +59,24 @@ def find_servos(name: str, device: str, bauds: Sequence[int] = USUAL_BAUDS) -> F
                 pongs = scan(bus)
                 if pongs:
                     last = min(max(pongs) + _BEYOND, MAX_ID)
-                    pongs = scan_again(bus, pongs, range(last + 1))
+                    return _found(bus, port, scan_again(bus, pongs, range(last + 1)))
             finally:
                 bus.close()
-            if not pongs:
-                continue
-            doubled = [servo for servo, pong in pongs.items() if pong.doubled]
-            if doubled:
-                raise BusError(
-                    f"port {name}: several servos answer to id {', '.join(map(str, doubled))}; "
-                    "connect them one by one and give each an id of its own"
-                )
-            numbers = {servo: pong.model_number for servo, pong in pongs.items()}
-            models = {s: None if n is None else model_of_number(n) for s, n in numbers.items()}
-            return Found(name, port, models, numbers)
     raise BusError(
         f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; check "
         "power and cable, or give the rate with --baud"
     )
+
+
+def steepness(found: Iterable[Found]) -> dict[str, float]:
+    """How steep servos are, by model: the median, rad."""
+    by_model: dict[str, list[float]] = {}
+    for one in found:
+        for servo, slope in one.slopes_rad.items():
+            model = one.servos[servo]
+            assert model is not None
+            by_model.setdefault(model.name, []).append(slope)
+    return {name: round(statistics.median(slopes), 3) for name, slopes in by_model.items()}
 
 
 def group(
@@ -93,6 +97,7 @@ def group(
         BusError: the servos do not make whole legs, or one is of no known model.
     """
     names = tuple(names) or _joint_names(joints)
+    quantum = next((_quantum(m) for one in found for m in one.servos.values() if m), 0.0)
     made: list[Leg] = []
     for one in found:
         unknown = [f"{s} (model number {one.numbers[s]})" for s, m in one.servos.items() if not m]
@@ -109,37 +114,39 @@ def group(
             )
         for first in range(0, len(ids), joints):
             part = ids[first : first + joints]
-            models = {model.name for s in part if (model := one.servos[s]) is not None}
+            models = {model.name: model for s in part if (model := one.servos[s]) is not None}
             if len(models) > 1:
                 raise BusError(
                     f"port {one.name}: servos {', '.join(map(str, part))} would make a leg of "
                     f"different models ({', '.join(sorted(models))}); write robot.toml by hand"
                 )
+            [model] = models.values()
             name = legs[len(made)] if len(made) < len(legs) else f"leg{len(made) + 1}"
-            servos = ServoBus(ids=tuple(part), model=models.pop(), port=one.name)
-            leg = Leg(id=name, joints=tuple(names), servos=servos)
+            servos = ServoBus(ids=tuple(part), model=model.name, port=one.name)
+            own = None if _quantum(model) == quantum else _quantum(model)
+            leg = Leg(id=name, joints=tuple(names), servos=servos, quantum_rad=own)
             made.append(msgspec.structs.replace(leg, axes=leg.joint_axes))
     if legs and len(legs) != len(made):
         raise BusError(
             f"{len(legs)} legs are named, but the servos make {len(made)}; correct --legs, --joints"
         )
-    first_model = next(m for one in found for m in one.servos.values() if m is not None)
+    slopes = [slope for one in found for slope in one.slopes_rad.values()]
     return Robot(
         name="my-robot",
         period_s=0.02,
-        quantum_rad=round(first_model.step_rad, 6),
+        quantum_rad=quantum,
         legs=tuple(made),
+        servo=ServoLaw(round(statistics.median(slopes), 3)) if slopes else ServoLaw(),
         ports={one.name: one.port for one in found},
     )
 
 
-def write_robot(robot: Robot, *, comments: bool = True, slope_rad: float | None = None) -> str:
+def write_robot(robot: Robot, *, comments: bool = True) -> str:
     """A description as TOML text.
 
     Args:
         robot: what to write.
         comments: explain each line, and show what is still to be filled in.
-        slope_rad: of the servos; the robot's where left out.
     """
     say = _Commented(comments)
     say.line("[robot]")
@@ -148,8 +155,10 @@ def write_robot(robot: Robot, *, comments: bool = True, slope_rad: float | None 
     say.line(f"quantum_rad = {robot.quantum_rad:g}", "position step of the servos")
     say.line("")
     say.line("[servo]")
-    slope = robot.servo.slope_rad if slope_rad is None else slope_rad
-    say.line(f"slope_rad = {slope:g}", "position error at which the servo drives with all it has")
+    say.line(
+        f"slope_rad = {robot.servo.slope_rad:g}",
+        "position error at which the servo drives with all it has",
+    )
     for name, port in robot.ports.items():
         say.line("")
         say.line(f"[port.{name}]")
@@ -182,6 +191,20 @@ def describe(found: Iterable[Found]) -> list[str]:
 
 
 # -- private -----------------------------------------------------------------------------------
+
+
+def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
+    doubled = [servo for servo, pong in pongs.items() if pong.doubled]
+    if doubled:
+        raise BusError(
+            f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
+            "their line is disturbed); connect them one by one and give each an id of its own"
+        )
+    numbers = {servo: pong.model_number for servo, pong in pongs.items()}
+    models = {s: None if n is None else model_of_number(n) for s, n in numbers.items()}
+    slopes = {s: read_slope(bus, s, model) for s, model in models.items() if model is not None}
+    told = {servo: slope for servo, slope in slopes.items() if slope is not None}
+    return Found(bus.name, port, models, numbers, told)
 
 
 class _Commented:
@@ -245,6 +268,10 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
     say.line(f"offsets_rad = {_numbers(offsets)}", "joint angle with the horn in its centre")
     if servos.max_step_rad != ServoBus(ids=()).max_step_rad:
         say.line(f"max_step_rad = {servos.max_step_rad:g}")
+
+
+def _quantum(model: ServoModel) -> float:
+    return round(model.step_rad, 6)
 
 
 def _joint_names(joints: int) -> tuple[str, ...]:

@@ -61,6 +61,7 @@ _AX: Final = {
     "lower_limit": Register(6, 2, eeprom=True),  # both limits 0: wheel mode
     "upper_limit": Register(8, 2, eeprom=True),
     "status_return": Register(16, 1, eeprom=True),
+    "shutdown": Register(18, 1, eeprom=True),  # error bits that switch the drive off
     "torque_enable": Register(24, 1),
     "lower_margin": Register(26, 1),
     "upper_margin": Register(27, 1),
@@ -78,6 +79,17 @@ _AX: Final = {
     "lock": Register(47, 1),
     "punch": Register(48, 2),
 }
+# e-manual MX-28, MX-64 (protocol 1.0): the AX table with gains in the place of compliance.
+_MX: Final = {
+    **{
+        name: register
+        for name, register in _AX.items()
+        if name not in ("lower_margin", "upper_margin", "lower_slope", "upper_slope")
+    },
+    "position_d": Register(26, 1),
+    "position_i": Register(27, 1),
+    "position_p": Register(28, 1),
+}
 
 # e-manual XL330-M288, XL430-W250, XM430-W350: the addresses used here are the same in all.
 _X: Final = {
@@ -88,8 +100,10 @@ _X: Final = {
     "return_delay": Register(9, 1, eeprom=True),  # 2 us each; 250 when new
     "drive_mode": Register(10, 1, eeprom=True),
     "operating_mode": Register(11, 1, eeprom=True),  # 3: position
+    "pwm_limit": Register(36, 2, eeprom=True),  # 885 is all of it
     "upper_limit": Register(48, 4, eeprom=True),
     "lower_limit": Register(52, 4, eeprom=True),
+    "shutdown": Register(63, 1, eeprom=True),  # bits of hardware_error that switch the drive off
     "torque_enable": Register(64, 1),
     "status_return": Register(68, 1),
     "hardware_error": Register(70, 1),
@@ -144,6 +158,18 @@ class ServoModel:
         """Goal position, present position and speed."""
         return self._block("goal_position", "present_speed", "present_position")
 
+    @property
+    def measured(self) -> Block:
+        """What no two servos measure alike: position, voltage, temperature."""
+        return self._block("present_position", "voltage", "temperature")
+
+    @property
+    def state(self) -> Block:
+        """Whether it drives, where to, and whether it has shut itself down."""
+        if self.protocol == 1:
+            return self._block("torque_enable", "goal_position", "torque_limit")
+        return self._block("shutdown", "torque_enable", "hardware_error", "goal_position")
+
     def signed_speed(self, raw: int) -> float:
         """Present speed in rad/s; positive towards higher positions."""
         if self.registers["present_speed"].signed:
@@ -164,9 +190,9 @@ def _ax(name: str, number: int) -> ServoModel:
 
 
 def _mx(name: str, number: int) -> ServoModel:
-    # e-manual MX-28: the AX table with 4096 steps a turn; speed in 0.114 rpm.
+    # 4096 steps a turn; speed in 0.114 rpm.
     step, speed = 2 * math.pi / 4096, 0.114 * 2 * math.pi / 60
-    return ServoModel(name, number, 1, _AX, 0, 4095, 2048, step, speed)
+    return ServoModel(name, number, 1, _MX, 0, 4095, 2048, step, speed)
 
 
 def _x(name: str, number: int) -> ServoModel:

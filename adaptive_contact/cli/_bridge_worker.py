@@ -14,6 +14,7 @@ from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.errors import AdaptiveContactError, LinkError
 from adaptive_contact.service.link import Link, LinkSettings
+from adaptive_contact.service.probe import Finding
 from adaptive_contact.wire import ServoSample, bridge_status_key, command_key, servo_key
 
 __all__ = ["ZenohOutlet", "listen", "work"]
@@ -42,7 +43,7 @@ class ZenohOutlet:
 
     def say(self, line: str) -> None:
         """Tell the person at the terminal."""
-        print(f"adaptive-contact bridge: {line}", file=sys.stderr, flush=True)
+        _say(line)
 
 
 def listen(link: Link, plan: PortPlan, mailbox: Mailbox) -> None:
@@ -79,8 +80,12 @@ def work(
     # Before Zenoh makes its threads: a publication waits for their locks, and would otherwise
     # wait for as long as an ordinary thread that holds one is not let run.
     refused = take_priority() if realtime else None
+
+    def waits(finding: Finding) -> None:
+        _say(f"port {plan.name}: {finding.line}; trying on")
+
     try:
-        with Link.open(settings, stop=stop) as link:
+        with Link.open(settings, on_wait=waits, stop=stop) as link:
             outlet, mailbox = ZenohOutlet(link, plan), Mailbox()
             if mode == "drive":
                 listen(link, plan, mailbox)
@@ -89,8 +94,12 @@ def work(
             PortLoop(plan, mode, outlet, mailbox, run, phase=phase).run(stop)
     except LinkError as error:
         if not stop.is_set():
-            print(f"adaptive-contact bridge: {error}", file=sys.stderr, flush=True)
+            _say(str(error))
             sys.exit(2)
     except AdaptiveContactError as error:
-        print(f"adaptive-contact bridge: {error}", file=sys.stderr, flush=True)
+        _say(str(error))
         sys.exit(2)
+
+
+def _say(line: str) -> None:
+    print(f"adaptive-contact bridge: {line}", file=sys.stderr, flush=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "NoStateOption",
     "StateOption",
     "ZenohConfigOption",
+    "check_output",
     "client",
 ]
 
@@ -151,3 +154,20 @@ def client(
     return client_settings(
         connect or (), namespace=namespace, json=json, wait=wait, zenoh_config=zenoh_config
     )
+
+
+def check_output(path: Path, option: str) -> None:
+    """Make sure that a file can be written later, before any work is done for it.
+
+    Raises:
+        ConfigurationError: its folder is not there or not writable, or it is a folder itself.
+    """
+    if path.is_dir():
+        why = "it is a folder"
+    elif not path.absolute().parent.is_dir():
+        why = f"there is no folder {path.absolute().parent}"
+    elif not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
+        why = "no permission"
+    else:
+        return
+    raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")

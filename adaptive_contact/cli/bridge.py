@@ -22,6 +22,7 @@ from adaptive_contact.cli._options import (
     JsonPayloadOption,
     NamespaceOption,
     ZenohConfigOption,
+    check_output,
     client,
 )
 from adaptive_contact.cli._sim_options import needs_simulator, stoppable
@@ -142,7 +143,6 @@ class _Crew:
     ) -> None:
         self._plans, self._mode, self._settings = plans, mode, settings
         self._realtime = realtime
-        self._run = time.time_ns() // 1_000_000
         self._context = multiprocessing.get_context("spawn")
         self._workers: dict[str, SpawnProcess] = {}
 
@@ -176,13 +176,15 @@ class _Crew:
     def _start(self, plan: PortPlan) -> None:
         from adaptive_contact.cli._bridge_worker import work
 
+        # A run of its own: ``seq`` begins at 0 again, and within a run that is a duplicate.
+        run = time.time_ns() // 1_000_000
         worker = self._context.Process(
             target=work,
             args=(
                 plan,
                 self._mode,
                 self._settings,
-                self._run,
+                run,
                 self._realtime,
                 self._plans.index(plan) / len(self._plans),  # ports take turns
             ),
@@ -213,8 +215,14 @@ def virtual(
         str, typer.Option("--robot", metavar="NAME", help="Which shipped robot is simulated.")
     ] = "hexapod",
     ports: Annotated[
-        int, typer.Option("--ports", min=1, help="For a robot without ports of its own.")
-    ] = 1,
+        int | None,
+        typer.Option(
+            "--ports",
+            min=1,
+            help="For a robot without ports of its own; one if left out.",
+            show_default=False,
+        ),
+    ] = None,
     write_config: Annotated[
         Path | None,
         typer.Option(
@@ -285,6 +293,9 @@ def virtual(
 
     from adaptive_contact.robot import load_robot, shipped_robot
 
+    for path, option in ((write_config, "--write-config"), (record, "--record")):
+        if path is not None:
+            check_output(path, option)
     plan = VirtualPlan(
         robot=shipped_robot(robot) if config is None else load_robot(config),
         simulated=robot,

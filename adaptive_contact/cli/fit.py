@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt.training import Training
     from adaptive_contact.robot import Robot
 
-__all__ = ["fit", "print_training"]
+__all__ = ["fit", "gather", "print_training"]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -65,7 +65,7 @@ def fit(
     from adaptive_contact.robot import load_robot, shipped_robot
 
     robot = shipped_robot() if config is None else load_robot(config)
-    gathered = _gather(recordings, robot)
+    gathered = gather(recordings, robot)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
             robot,
@@ -89,7 +89,7 @@ def fit(
     typer.echo(f"baseline written to {out}", err=True)
 
 
-def _gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
+def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     """Every leg's samples and truth of several recordings, one after the other."""
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.service.recording import read_recording

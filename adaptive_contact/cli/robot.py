@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption
+from adaptive_contact.cli._options import ConfigOption, check_output
 from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.cli.bridge import (
     DeviceOption,
@@ -19,13 +18,11 @@ from adaptive_contact.cli.bridge import (
     needs_sdk,
     robot_of,
 )
-from adaptive_contact.errors import ConfigurationError, IdentificationError
+from adaptive_contact.errors import ConfigurationError, TooLittleDataError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from adaptive_contact.adapt.training import Training
-    from adaptive_contact.bridge.collect import Script
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
@@ -34,15 +31,8 @@ __all__ = ["app"]
 
 app = typer.Typer(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
-# A model is good where it errs little more than readings do; half a step of noise and the step's
-# own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
-_NOISE_STEPS: Final = 0.82
-_GOOD, _FAIR = 2.5, 4.0
-# Free ticks per term of the library at which held-out error has settled.
-_ENOUGH_ROWS: Final = 12
-_LEAST_TICKS: Final = 12
-# Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
-_ENOUGH_READ: Final = 0.97
+# Slopes within this of each other are as good as one.
+_ALIKE: Final = 1.2
 _PIPE_WIDTH: Final = 110
 # The live table looks back so far.
 _LIVE_TICKS: Final = 500
@@ -84,7 +74,13 @@ def init(
     import msgspec
 
     with needs_sdk():
-        from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
+        from adaptive_contact.bridge.survey import (
+            describe,
+            find_servos,
+            group,
+            steepness,
+            write_robot,
+        )
         from adaptive_contact.bridge.tables import BAUDS
 
     # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
@@ -95,6 +91,7 @@ def init(
         )
     if out.exists() and not force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
+    check_output(out, "--out")
     if baud is not None and baud not in BAUDS:
         raise ConfigurationError(
             f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
@@ -111,14 +108,11 @@ def init(
         measured = _lengths(lengths, joints)
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
-    # AX: compliance slope of 32 steps; X-series: 885 of PWM at P gain 400 over 128, 283 steps.
-    slope = 0.164 if found[0].port.protocol == 1 else 0.435
-    try:
-        out.write_text(write_robot(robot, slope_rad=slope), encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(
-            f"{out}: cannot be written ({error.strerror}); give another --out"
-        ) from error
+    slopes = steepness(found)
+    if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
+        told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
+        typer.echo(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
+    out.write_text(write_robot(robot), encoding="utf-8")
     todo = "" if lengths is not None else "fill in lengths_m, then "
     typer.echo(
         f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
@@ -168,7 +162,10 @@ def check(
     from rich.console import Console
     from rich.live import Live
 
-    robot, plans = _shake_hands(config, device)
+    if picture is not None:
+        check_output(picture, "--picture")
+    robot, plans = _planned(config, device)
+    _shake_hands(plans)
     console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
     with Live(console=console, refresh_per_second=10, transient=True) as live:
 
@@ -232,6 +229,24 @@ def learn_(
             show_default=False,
         ),
     ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--recording",
+            metavar="FILE.mcap",
+            help="Where what is recorded goes; beside --out without it.",
+            show_default=False,
+        ),
+    ] = None,
+    more: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--more",
+            metavar="FILE.mcap",
+            help="Learn from this recording of an earlier run as well; repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     realtime: RealtimeOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -242,159 +257,72 @@ def learn_(
         from adaptive_contact.bridge.collect import collect
 
     from adaptive_contact.adapt.baseline import save_baseline
-    from adaptive_contact.cli.fit import print_training
+    from adaptive_contact.cli import _robot_learning as learning
+    from adaptive_contact.cli.fit import gather, print_training
 
-    robot, plans = _shake_hands(config, device)
+    check_output(out, "--out")
+    kept = learning.free_file(out) if recording is None else recording
+    check_output(kept, "--recording")
+    if kept.exists():
+        raise ConfigurationError(f"{kept} is there already; give another --recording")
+    robot, plans = _planned(config, device)
     for leg in robot.legs:
         if leg.lengths_m is None:
             raise ConfigurationError(
                 f"leg '{leg.id}' has no lengths_m, so its swings cannot be told; measure its links "
                 "and fill them in"
             )
+    home = None if pose is None else learning.pose_of(pose, robot, plans)
+    gathered = gather(more or [], robot)
+    _shake_hands(plans)
     if drive and not yes:
+        around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
         typer.confirm(
-            f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad.  Does the "
-            "robot hang free, with nothing and nobody in reach?",
+            f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad around "
+            f"{around}.  Does the robot hang free, with nothing and nobody in reach?",
             abort=True,
             err=True,
         )
-    home = None if pose is None else _pose(pose, robot)
-    scripts = _scripts(robot, plans, amplitude, seed, home) if drive else None
+    scripts = learning.swings_of(robot, plans, amplitude, seed, home) if drive else None
     samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
-    for line in _losses(samples):
+    for line in learning.losses(samples):
         _say(line)
-    training = _fit(robot, samples, out.name)
+    learning.keep(samples, kept, robot)
+    for name, rows in samples.items():
+        for sample in rows:
+            gathered[name].take_sample(sample)
+    try:
+        training = learning.fit_samples(
+            robot, gathered, f"adaptive-contact robot learn ({out.name})"
+        )
+    except TooLittleDataError as error:
+        again = " ".join(f"--more {path}" for path in [*(more or []), kept])
+        raise TooLittleDataError(
+            f"{error}; what was recorded is in {kept}: run this again with {again} to add to it",
+            error.have,
+            error.needed,
+        ) from error
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
-    for line in _verdict(robot, training):
+    for line in learning.verdict(robot, training):
         typer.echo(line, err=json)
-    typer.echo(f"baseline written to {out}", err=True)
+    typer.echo(f"baseline written to {out}, the recording to {kept}", err=True)
 
 
-def _pose(text: str, robot: Robot) -> list[float]:
-    try:
-        pose = [float(part) for part in text.split(",")]
-    except ValueError:
-        pose = []
-    joints = {len(leg.joints) for leg in robot.legs}
-    if joints != {len(pose)} or not all(abs(angle) <= 2 * math.pi for angle in pose):
-        raise ConfigurationError(
-            f"--pose {text}: expected {' or '.join(map(str, sorted(joints)))} angles in rad, such "
-            f"as {','.join(['0.1'] * max(joints))}"
-        )
-    return pose
-
-
-def _shake_hands(
-    config: Path | None, device: list[str] | None
-) -> tuple[Robot, tuple[PortPlan, ...]]:
-    from adaptive_contact.bridge.handshake import check_ports
+def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:
     from adaptive_contact.bridge.plan import plan_ports
 
     robot = robot_of(config)
-    plans = plan_ports(robot, devices_of(device))
+    return robot, plan_ports(robot, devices_of(device))
+
+
+def _shake_hands(plans: tuple[PortPlan, ...]) -> None:
+    from adaptive_contact.bridge.handshake import check_ports
+
     findings = check_ports(plans)
     for line in findings.advice:
         _say(line)
     findings.raise_errors()
-    return robot, plans
-
-
-def _scripts(
-    robot: Robot,
-    plans: Sequence[PortPlan],
-    amplitude: float,
-    seed: int,
-    home: list[float] | None,
-) -> dict[str, Script]:
-    """Free swings of every leg, each with a stream of randomness of its own."""
-    import functools
-
-    import numpy as np
-
-    from adaptive_contact.bridge.freeswing import free_swings
-
-    steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}
-    seeds = np.random.SeedSequence(seed).spawn(len(robot.legs))
-
-    def script(
-        leg_id: str, seed_of: np.random.SeedSequence, first: ServoSample
-    ) -> Iterator[list[float]]:
-        return free_swings(
-            robot.leg(leg_id),
-            first.measured if home is None else home,  # the bridge comes there at an easy pace
-            np.random.default_rng(seed_of),
-            amplitude_rad=amplitude,
-            max_step_rad=steps[leg_id],
-        )
-
-    return {
-        leg.id: functools.partial(script, leg.id, seed_of)
-        for leg, seed_of in zip(robot.legs, seeds, strict=True)
-        if leg.id in steps
-    }
-
-
-def _fit(robot: Robot, samples: Mapping[str, list[ServoSample]], name: str) -> Training:
-    from adaptive_contact.adapt.gather import LegGatherer
-    from adaptive_contact.adapt.training import learn
-
-    gatherers = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
-    for leg, rows in samples.items():
-        for sample in rows:
-            gatherers[leg].take_sample(sample)
-    streams = {
-        leg: [
-            stretch
-            for stretch in gatherer.stretches(free=True)
-            # Lost ticks cut a stream to pieces; what is shorter than a swing teaches nothing.
-            if (stretch.swing & stretch.sound).sum() > _LEAST_TICKS
-        ]
-        for leg, gatherer in gatherers.items()
-        if gatherer.samples
-    }
-    if not any(streams.values()):
-        raise IdentificationError(
-            "no leg was swung; swing them in free air while this runs, or let --drive do it"
-        )
-    return learn(robot, streams, origin=f"adaptive-contact robot learn ({name})")
-
-
-def _losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
-    """Legs of which too little was read to learn from, and what to do about it."""
-    lines = []
-    for leg, rows in samples.items():
-        if not rows:
-            continue
-        whole = sum(row.valid is None for row in rows) / (rows[-1].seq - rows[0].seq + 1)
-        if whole < _ENOUGH_READ:
-            lines.append(
-                f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
-                "end other work on this computer, give --realtime, or check cable and power"
-            )
-    return lines
-
-
-def _verdict(robot: Robot, training: Training) -> list[str]:
-    """How good every leg was learned, in words, and what to do about it."""
-    import numpy as np
-
-    lines = []
-    for leg, figures in training.figures.items():
-        noise = _NOISE_STEPS * robot.quantum(leg)
-        worst = float(np.max(figures.held_out_rms)) / noise
-        wanted = _ENOUGH_ROWS * figures.library_size
-        if figures.rows < wanted:
-            more = wanted / max(figures.rows, 1)
-            word = f"too little: {figures.rows} of {wanted} free ticks; swing {more:.1f} x as long"
-        elif worst <= _GOOD:
-            word = "good"
-        elif worst <= _FAIR:
-            word = "usable; longer and more varied swings may help"
-        else:
-            word = "poor; check lengths, signs, servo.slope_rad, and that nothing was touched"
-        lines.append(f"leg {leg}: {word} (errs by {worst:.1f} x the noise of its readings)")
-    return lines
 
 
 def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]]) -> Table:

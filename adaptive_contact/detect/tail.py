@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptive_contact.errors import IdentificationError
+from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
 __all__ = ["Tail", "fit_tail"]
 
@@ -111,7 +111,7 @@ def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
         The tail.
 
     Raises:
-        IdentificationError: fewer ticks than give :data:`MIN_EXCEEDANCES` exceedances.
+        TooLittleDataError: fewer ticks than give :data:`MIN_EXCEEDANCES` exceedances.
 
     Reference:
         Hosking and Wallis, Parameter and quantile estimation for the generalized Pareto
@@ -122,9 +122,12 @@ def fit_tail(values: ArrayLike, fraction: float = TAIL_FRACTION) -> Tail:
     n = len(sample)
     count = int(n * fraction)
     if count < MIN_EXCEEDANCES:
-        raise IdentificationError(
-            f"tail: {n} free ticks give {count} exceedances; expected at least {MIN_EXCEEDANCES}: "
-            "record more free swings"
+        needed = math.ceil(MIN_EXCEEDANCES / fraction)
+        raise TooLittleDataError(
+            f"{n} free swing ticks are too few for a threshold, expected at least {needed}; record "
+            "more free swings",
+            n,
+            needed,
         )
     level = float(sample[n - count - 1])
     excess = sample[n - count :] - level

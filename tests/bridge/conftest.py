@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adaptive_contact.bridge.loop import PortLoop
+from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire import MSGPACK, Command, ServoSample, encode
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
     KinematicBackend,
@@ -141,6 +144,7 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
                         index[joint.servo],
                         rng,
                         noise_steps=noise_steps,
+                        baud=plan.port.baud,
                     )
                     for joint in plan.joints
                 ],
@@ -168,3 +172,39 @@ def rig(tmp_path: Path) -> Iterator[Callable[..., Rig]]:
 @pytest.fixture
 def catcher() -> type[Catcher]:
     return Catcher
+
+
+class Running:
+    """A loop on a thread."""
+
+    def __init__(self, rig: Any, mode: Any, catcher: Any) -> None:
+        self.rig, self.catcher = rig, catcher
+        self.mailbox = Mailbox()
+        self.loop = PortLoop(rig.plans[0], mode, catcher, self.mailbox, run=11)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.loop.run, args=(self._stop,), daemon=True)
+        self._thread.start()
+
+    def command(self, leg: str, *desired: float, preview: list[list[float]] | None = None) -> None:
+        payload = encode(Command(desired=list(desired), preview=preview))
+        self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
+
+    def end(self) -> None:
+        self._stop.set()
+        self._thread.join(5.0)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def run(rig: Callable, catcher: Callable) -> Iterator[Callable[..., Running]]:
+
+    running: list[Running] = []
+
+    def start(mode: str, **kind: Any) -> Running:
+        made = rig(**kind)
+        running.append(Running(made, mode, catcher(len(made.plans[0].legs))))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.end()

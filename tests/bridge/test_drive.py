@@ -126,6 +126,23 @@ def test_a_joint_outside_its_limits_comes_back_and_goes_no_further() -> None:
     assert driver.step([0.7, 0.0], 1)[0] < 0.7
 
 
+def test_a_preview_is_limited_like_commands_and_belongs_to_one_tick() -> None:
+    driver = Driver(leg())
+
+    def step(k: int, *wanted: float, preview: list[list[float]] | None) -> None:
+        driver.hear(Command(desired=list(wanted), preview=preview), k * TICK_NS)
+        driver.step([0.0, 0.0], k * TICK_NS)
+
+    step(0, 0.0, 0.0, preview=[[0.05, 0.0], [0.3, 0.0], [0.9, -5.0]])
+    assert driver.preview == [
+        pytest.approx(row) for row in ([0.05, 0.0], [0.15, 0.0], [0.25, -0.1])
+    ]
+    driver.step([0.0, 0.0], TICK_NS)  # no command came
+    assert driver.preview is None
+    step(2, 0.3, 0.0, preview=[[0.4, 0.0]])  # more than a step: what follows is not what was told
+    assert driver.preview is None
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [

@@ -4,12 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.bridge.survey import find_servos
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import parse_robot
+from adaptive_contact_sim.virtual import VirtualServo
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}
@@ -39,11 +42,28 @@ def test_all_that_is_wrong_comes_in_one_message(rig: Callable, tmp_path: Path) -
     assert "servo 3 (l0 j2) is AX-18A, expected AX-12A" in text
 
 
-def test_two_of_one_id(rig: Callable) -> None:
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_two_of_one_id_that_answer_at_the_same_moment(
+    rig: Callable, kind: dict, tmp_path: Path
+) -> None:
+    """Alike to the last bit in what a ping and the model number tell; not in what they measure."""
+    r = rig(**kind)
+    port, one = r.ports[0], r.servo(1)
+    r.backend.place(4, 0.7)
+    port.servos = (
+        *port.servos,
+        VirtualServo(1, one.model, r.backend, 4, np.random.default_rng(1), noise_steps=0.0),
+    )
+    findings = check_ports(r.plans)
+    assert any("several servos answer to id 1" in line for line in findings.errors)
+    with pytest.raises(BusError, match="several servos answer to id 1"):
+        find_servos("p0", str(tmp_path / "p0"))
+
+
+def test_a_disturbed_line_makes_no_doubles(rig: Callable) -> None:
     r = rig(**AX)
-    port = r.ports[0]
-    port.servos = (*port.servos, port.servos[0])
-    assert any("several servos answer to id 1" in line for line in check_ports(r.plans).errors)
+    r.fault("flip:p=0.05")
+    assert check_ports(r.plans, full=False).errors == []
 
 
 def test_nobody_at_all(rig: Callable) -> None:
@@ -73,6 +93,17 @@ def test_a_wrong_operating_mode(rig: Callable) -> None:
     r.servo(4)._store("operating_mode", 1)
     [line] = check_ports(r.plans, full=False).errors
     assert "servo 4 is in operating mode 1, expected 3" in line
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_servo_that_has_shut_itself_down(rig: Callable, kind: dict) -> None:
+    r = rig(**kind)
+    r.servo(2).set_errors(0x20)
+    findings = check_ports(r.plans, full=False)
+    assert findings.errors == []
+    [line] = findings.advice
+    assert "servo 2: shut down" in line
+    assert "power off and on" in line
 
 
 @pytest.mark.parametrize("kind", [AX, XL])
@@ -139,6 +170,15 @@ def test_bad_descriptions_are_told_in_one_line(old: str, new: str, words: str) -
     with pytest.raises(ConfigurationError, match=words) as caught:
         planned(BASE.replace(old, new))
     assert "\n" not in str(caught.value)
+
+
+def test_two_ports_on_one_device(tmp_path: Path) -> None:
+    (tmp_path / "by-id").symlink_to("/dev/ttyA")
+    text = BASE.replace("ids = [1, 2]", 'ids = [1, 2], port = "a"') + (
+        f'[port.b]\ndevice = "{tmp_path / "by-id"}"\n'
+    )
+    with pytest.raises(ConfigurationError, match=r"\[port.b\] and \[port.a\] are one device"):
+        planned(text)
 
 
 def test_a_device_from_the_command_line() -> None:

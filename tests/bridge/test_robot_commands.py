@@ -13,15 +13,15 @@ from typer.testing import CliRunner
 from adaptive_contact.bridge.freeswing import REST_TICKS, free_swings
 from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
 from adaptive_contact.cli import main as cli
+from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
-from adaptive_contact.cli.robot import _losses, _pose
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
-pytestmark = pytest.mark.slow
+real_time = pytest.mark.slow
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL330-M288", "protocol": 2}
@@ -41,6 +41,7 @@ def invoke(*words: str) -> str:
     return result.output
 
 
+@real_time
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
     r = rig(**kind)
@@ -75,6 +76,7 @@ def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
         group([found], 5, ("a", "b"))
 
 
+@real_time
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_init_waits_for_a_slow_servo(rig: Callable, tmp_path: Path, kind: dict) -> None:
     r = rig(**kind)
@@ -113,6 +115,7 @@ def test_a_written_description_reads_back_the_same(name: str) -> None:
     assert (again.name, again.period_s) == (robot.name, robot.period_s)
 
 
+@real_time
 def test_check_shows_and_moves_nothing(rig: Callable, tmp_path: Path) -> None:
     r = rig(**AX)
     r.backend.place(0, 0.5)
@@ -143,14 +146,20 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
     with pytest.raises(ConfigurationError, match="has no lengths_m"):
         invoke("robot", "learn", "--config", str(path), "--drive", "--yes")
     with pytest.raises(ConfigurationError, match="expected 3 angles in rad"):
-        _pose("0,x", r.robot)
-    assert _pose("0,0.5,-1", r.robot) == [0.0, 0.5, -1.0]
+        pose_of("0,x", r.robot, r.plans)
+    assert pose_of("0,0.5,-1", r.robot, r.plans) == [0.0, 0.5, -1.0]
+    with pytest.raises(ConfigurationError, match=r"joint 'j1' of leg 'l0' may go from -1.00 to 1"):
+        pose_of("0,1.5,-1", r.robot, r.plans)
     legs = tuple(msgspec.structs.replace(x, lengths_m=(0.05, 0.06, 0.1)) for x in r.robot.legs)
     path.write_text(write_robot(msgspec.structs.replace(r.robot, legs=legs)))
     result = CliRunner().invoke(
-        cli.app, ["robot", "learn", "--config", str(path), "--drive"], input="n\n"
-    )
+        cli.app,
+        ["robot", "learn", "--config", str(path), "--drive", "--pose", "0,0.5,-1", "--out",
+         str(tmp_path / "b.json")],
+        input="n\n",
+    )  # fmt: skip
     assert result.exit_code == 1
+    assert "around 0.0, 0.5, -1.0 rad" in result.output
     assert all(s.writes == 0 for s in r.ports[0].servos)
 
 
@@ -162,7 +171,7 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
             for k, mark in enumerate(marks)
         ]
 
-    [line] = _losses({"good": rows(99, 1), "bad": rows(60, 40), "none": []})
+    [line] = losses({"good": rows(99, 1), "bad": rows(60, 40), "none": []})
     assert line.startswith("leg bad: only 60 % of its ticks were read in whole and in time; end")
 
 
@@ -179,6 +188,11 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
         (("bridge", "virtual", "--ports", "9"), "9 ports for 6 legs"),
         (("bridge", "virtual", "--robot", "spider"), "no robot 'spider'"),
+        (("bridge", "virtual", "--robot", "quadruped", "--ports", "2"), "has ports of its own"),
+        (("bridge", "virtual", "--write-config", "/nonexist/x.toml"), "another --write-config"),
+        (("bridge", "virtual", "--fault", "silent@1.2.3"), "times in seconds, such as"),
+        (("bridge", "virtual", "--fault", "silent:id=99"), "there is no such servo; ids are 1, 2"),
+        (("bridge", "virtual", "--fault", "hangup:port=x"), "there is no such port; there are p"),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line(

@@ -29,7 +29,7 @@ from adaptive_contact_sim.virtual.quadruped_trials import SCENARIOS, play, recor
 
 
 def horns(robot: str = "hexapod") -> Horns:
-    plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), 1))
+    plans = plan_ports(with_ports(shipped_robot(robot), Path("x"), None))
     return Horns.of(plans, order() if robot == "hexapod" else quadruped_order())
 
 
@@ -125,6 +125,84 @@ def test_registers_refuse_what_real_ones_refuse() -> None:
     assert servo.read(660, 20) is not None
 
 
+def servo_of(name: str, backend: KinematicBackend) -> VirtualServo:
+    return VirtualServo(7, models_named(name)[0], backend, 0, np.random.default_rng(1))
+
+
+def test_an_ax_servo_in_overload_has_no_torque_until_its_limit_is_written() -> None:
+    backend = KinematicBackend(1)
+    servo = servo_of("AX-12A", backend)
+    registers = servo.model.registers
+    servo.write(registers["goal_position"].address, (612).to_bytes(2, "little"))
+    assert servo.drives
+    assert servo.set_errors(0x20) == 0x20
+    assert servo.value("torque_limit") == 0
+    backend.advance(1.0)
+    backend.advance(2.0)
+    assert backend.angle(0) == 0.0
+    assert servo.set_errors(0) == 0
+    servo.write(registers["goal_position"].address, (600).to_bytes(2, "little"))
+    assert not servo.drives
+    servo.write(registers["torque_limit"].address, b"\xff\x03")
+    backend.advance(3.0)
+    assert backend.angle(0) == pytest.approx(88 * servo.model.step_rad, abs=0.01)
+
+
+def test_an_x_servo_in_overload_has_no_torque_until_a_reboot() -> None:
+    servo = servo_of("XM430-W350", KinematicBackend(1))
+    enable = servo.model.registers["torque_enable"].address
+    servo.write(enable, b"\x01")
+    servo.set_errors(0x20)
+    assert not servo.drives
+    assert servo.set_errors(0) == 0x20  # the alert stays
+    assert servo.write(enable, b"\x01") is not None
+    servo.reboot()
+    assert servo.set_errors(0) == 0
+    assert servo.write(enable, b"\x01") is None
+    servo.reboot()
+    servo.set_errors(0x01)  # a low voltage is told, and not shut down for, as delivered
+    assert servo.write(enable, b"\x01") is None
+
+
+@pytest.mark.parametrize(("name", "rate"), [("AX-12A", 1_000_000), ("XL330-M288", 57_600)])
+def test_a_factory_reset(name: str, rate: int) -> None:
+    servo = servo_of(name, KinematicBackend(1))
+    servo.write(servo.model.registers["return_delay"].address, b"\x05")
+    servo.reset(keep=("id", "baud"))
+    assert (servo.id, servo.baud, servo.value("return_delay")) == (7, 1_000_000, 250)
+    servo.reset()
+    assert (servo.id, servo.baud) == (1, rate)
+
+
+def test_a_gentler_slope_lets_a_leg_sag_further() -> None:
+    sag = []
+    for slope in (32, 128):
+        backend, now = PassiveBackend(horns()), 3.0
+        servo = VirtualServo(
+            2, models_named("AX-12A")[0], backend, 1, np.random.default_rng(1), noise_steps=0.0
+        )  # a femur, that holds its leg out level
+        registers = servo.model.registers
+        servo.write(registers["lower_slope"].address, bytes((slope, slope)))
+        servo.write(registers["goal_position"].address, (512).to_bytes(2, "little"))
+        for _ in range(800):
+            now += 0.001
+            backend.advance(now)
+        sag.append(abs(backend.angle(1)))
+    assert sag[1] > 2 * sag[0]
+    servo.reset()
+    assert backend.plant.servos.parameters.slope_steps[1] == pytest.approx(32)
+
+
+def test_a_p_gain_acts_on_the_quadruped() -> None:
+    backend = QuadrupedBackend(horns("quadruped"))
+    gain = backend.plant.gain.copy()
+    servo = VirtualServo(3, models_named("XL330-M288")[0], backend, 2, np.random.default_rng(1))
+    servo.write(servo.model.registers["position_p"].address, (800).to_bytes(2, "little"))
+    assert backend.plant.gain[2] == pytest.approx(2 * gain[2])
+    servo.reboot()
+    assert backend.plant.gain == pytest.approx(gain)
+
+
 def test_torque_on_an_x_servo_does_not_jump() -> None:
     backend = KinematicBackend(1)
     backend.place(0, 0.5)
@@ -163,7 +241,7 @@ def test_faults_are_read(text: str, expected: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "quiet", "silent:id=x", "flip:p=2", "error:bits=sad", "late:z=1"]
+    "text", ["", "quiet", "silent:id=x", "silent@1.2.3", "flip:p=2", "error:bits=sad", "late:z=1"]
 )
 def test_faults_that_cannot_be_read(text: str) -> None:
     with pytest.raises(ConfigurationError, match="fault '"):
@@ -176,6 +254,13 @@ def test_faults_strike_when_and_whom_they_should() -> None:
     assert schedule.strike("silent", 4, 6.0) is None
     assert schedule.strike("silent", 3, 6.0) is not None
     assert schedule.strike("silent", 3, 7.0) is None
+
+
+@pytest.mark.parametrize("ports", range(1, 7))
+def test_a_robot_gets_as_many_ports_as_were_asked_for(ports: int) -> None:
+    plans = plan_ports(with_ports(shipped_robot(), Path("x"), ports))
+    assert len(plans) == ports
+    assert sum(len(plan.legs) for plan in plans) == 6
 
 
 def test_the_quadrupeds_description_fits_its_model() -> None:

@@ -158,5 +158,5 @@ def test_too_few_ticks_are_told() -> None:
     motion, prediction = walk(6, n=100)
     with pytest.raises(IdentificationError, match="free ticks"):
         learn_noise(motion, prediction, motion.judged, QUANTUM)
-    with pytest.raises(IdentificationError, match="exceedances"):
+    with pytest.raises(IdentificationError, match="too few for a threshold"):
         calibrate([np.ones((100, 3))])

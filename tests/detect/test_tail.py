@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from adaptive_contact.detect.tail import PRIOR_EXCEEDANCES, PRIOR_SHAPE, fit_tail
-from adaptive_contact.errors import IdentificationError
+from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
 
 @pytest.mark.parametrize("shape", [-0.1, 0.0, 0.2, 0.4])
@@ -43,8 +43,9 @@ def test_nan_is_left_out_and_order_does_not_matter() -> None:
 
 
 def test_too_few_ticks_are_refused() -> None:
-    with pytest.raises(IdentificationError, match="1000 free ticks give 10 exceedances"):
+    with pytest.raises(TooLittleDataError, match="1000 free swing ticks are too few") as told:
         fit_tail(np.arange(1000.0))
+    assert (told.value.have, told.value.needed) == (1000, 5000)
 
 
 def test_a_constant_statistic_has_a_threshold_above_it() -> None:

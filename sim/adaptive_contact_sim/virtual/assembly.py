@@ -16,10 +16,11 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Port, Robot
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec
-from adaptive_contact_sim.virtual.server import VirtualPort, VirtualServer
+from adaptive_contact_sim.virtual.port import VirtualPort
+from adaptive_contact_sim.virtual.server import VirtualServer
 from adaptive_contact_sim.virtual.servo import VirtualServo
 
-__all__ = ["VirtualSettings", "assemble", "with_ports"]
+__all__ = ["VirtualSettings", "assemble", "check_faults", "with_ports"]
 
 # An AX-12A's reading, see docs/simulator.md; an X-series' magnetic encoder jitters by a step.
 NOISE_STEPS: Final = {1: 0.5, 2: 0.5}
@@ -44,17 +45,24 @@ class VirtualSettings:
     wire_time: bool = True
 
 
-def with_ports(robot: Robot, directory: Path, ports: int) -> Robot:
+def with_ports(robot: Robot, directory: Path, ports: int | None) -> Robot:
     """A description whose ports lie in a directory.
 
     Args:
         robot: its own ports are kept by name; one without ports gets some, legs dealt evenly.
         directory: where the links will be.
-        ports: how many to make for a robot without any.
+        ports: how many to make for a robot without any; None for one.
 
     Raises:
-        ConfigurationError: there are more ports than legs, or a leg has no servos.
+        ConfigurationError: there are more ports than legs, a leg has no servos, or a robot that has
+            ports of its own is to get others.
     """
+    if robot.ports and ports not in (None, len(robot.ports)):
+        raise ConfigurationError(
+            f"--ports {ports}: '{robot.name}' has ports of its own ({', '.join(robot.ports)}); "
+            "leave --ports out"
+        )
+    ports = ports or 1
     if robot.ports:
         own = {
             name: msgspec.structs.replace(port, device=str(directory / name))
@@ -66,14 +74,13 @@ def with_ports(robot: Robot, directory: Path, ports: int) -> Robot:
             f"{ports} ports for {len(robot.legs)} legs; expected 1 to {len(robot.legs)}"
         )
     names = [f"port{i}" for i in range(ports)]
-    per_port = -(-len(robot.legs) // ports)
     legs = []
     for i, leg in enumerate(robot.legs):
         if leg.servos is None:
             raise ConfigurationError(
                 f"leg '{leg.id}' of '{robot.name}' has no servos; add servos = {{ ids = [...] }}"
             )
-        servos = msgspec.structs.replace(leg.servos, port=names[i // per_port])
+        servos = msgspec.structs.replace(leg.servos, port=names[i * ports // len(robot.legs)])
         legs.append(msgspec.structs.replace(leg, servos=servos))
     protocol = _protocol(robot)
     made = {name: Port(device=str(directory / name), protocol=protocol) for name in names}
@@ -113,6 +120,7 @@ def assemble(
                     else settings.noise_steps
                 ),
                 return_delay=settings.return_delay,
+                baud=plan.port.baud,
             )
             for leg in plan.legs
             for joint in leg.joints
@@ -128,6 +136,27 @@ def assemble(
             )
         )
     return VirtualServer(ports, backend)
+
+
+def check_faults(plans: Sequence[PortPlan], faults: Sequence[FaultSpec]) -> None:
+    """Make sure that faults are of servos and ports that there are.
+
+    Raises:
+        ConfigurationError: one is not.
+    """
+    servos = sorted({joint.servo for plan in plans for joint in plan.joints})
+    ports = [plan.name for plan in plans]
+    for fault in faults:
+        if fault.servo is not None and fault.servo not in servos:
+            raise ConfigurationError(
+                f"fault '{fault.kind}' of servo {fault.servo}: there is no such servo; ids are "
+                f"{', '.join(map(str, servos))}"
+            )
+        if fault.port is not None and fault.port not in ports:
+            raise ConfigurationError(
+                f"fault '{fault.kind}' of port '{fault.port}': there is no such port; there are "
+                f"{', '.join(ports)}"
+            )
 
 
 def _protocol(robot: Robot) -> Literal[1, 2]:

@@ -41,6 +41,9 @@ class Backend(Protocol):
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
 
+    def set_slope(self, index: int, slope_rad: float) -> None:
+        """Set the position error at which a servo drives with all it has."""
+
 
 class KinematicBackend:
     """Servos that run to their goals: exponentially, with a largest speed; no forces.
@@ -103,6 +106,9 @@ class KinematicBackend:
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
         self._driven[index] = on
+
+    def set_slope(self, index: int, slope_rad: float) -> None:
+        """Not heard: these servos know no load, so their law is only a time constant."""
 
     def place(self, index: int, angle_rad: float) -> None:
         """Put a servo somewhere, at rest, goal included."""

@@ -32,7 +32,8 @@ __all__ = ["FaultKind", "FaultSchedule", "FaultSpec", "parse_fault"]
 FaultKind = Literal["silent", "late", "flip", "stale", "error", "hangup"]
 _KINDS: Final = get_args(FaultKind)
 _FORM: Final = re.compile(
-    r"(?P<kind>[a-z]+)(?::(?P<settings>[^@]*))?(?:@(?P<start>[0-9.]+)(?:\+(?P<length>[0-9.]+))?)?\Z"
+    r"(?P<kind>[a-z]+)(?::(?P<settings>[^@]*))?"
+    r"(?:@(?P<start>\d+\.?\d*)(?:\+(?P<length>\d+\.?\d*))?)?\Z"
 )
 _EXAMPLE: Final = "silent:id=3@5+2"
 
@@ -80,7 +81,8 @@ def parse_fault(text: str) -> FaultSpec:
     match = _FORM.match(text)
     if match is None or match["kind"] not in _KINDS:
         raise ConfigurationError(
-            f"fault '{text}': expected one of {', '.join(_KINDS)}, such as {_EXAMPLE}"
+            f"fault '{text}': expected one of {', '.join(_KINDS)}, with times in seconds, such as "
+            f"{_EXAMPLE}"
         )
     start = float(match["start"] or 0.0)
     spec = FaultSpec(

@@ -92,6 +92,9 @@ class GaitedBackend:
     def set_torque(self, index: int, on: bool) -> None:
         """Not heard: the robot's own controller keeps the torque on."""
 
+    def set_slope(self, index: int, slope_rad: float) -> None:
+        """Not heard: the servos are the simulation's own."""
+
     def _let_begin(self, now_s: float) -> None:
         """Let the present tick be now, by the monotonic clock and in the time stamps to come."""
         self._start_s = now_s - self._tick * self._period_s

@@ -17,7 +17,7 @@ from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.elements import JOINTS, LEGS, N_SERVOS, PARTS
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import robot_xml
-from adaptive_contact_sim.servo import manufactured
+from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
 from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.horns import Horns
@@ -110,6 +110,11 @@ class PassiveBackend:
         """Switch a servo's drive on or off."""
         self._on[index] = on
         self._changed = True
+
+    def set_slope(self, index: int, slope_rad: float) -> None:
+        """Set a servo's compliance slope."""
+        self.plant.servos.parameters.slope_steps[index] = slope_rad / QUANTUM_RAD
+        self.plant.servos.refresh()
 
     # -- private -------------------------------------------------------------------------------
 

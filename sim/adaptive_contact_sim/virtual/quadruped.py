@@ -71,6 +71,7 @@ class QuadrupedPlant:
         goal: (8,) rad, written by :meth:`write_goal`.
         steps: physics steps made.
         friction_factor, supply_v: condition of the servos; :meth:`refresh` takes a change up.
+        gain: (8,) of PWM per step of error.
     """
 
     def __init__(self, robot_seed: int = 0, start_rad: Array | None = None) -> None:
@@ -94,6 +95,7 @@ class QuadrupedPlant:
         self._stall, self._no_load = _STALL_NM * spread[0], _NO_LOAD_RAD_S * spread[1]
         self._coulomb, self._viscous = _COULOMB_NM * spread[2], _VISCOUS_NMS * spread[3]
         self.friction_factor, self.supply_v = 1.0, 5.0
+        self.gain = np.full(N_SERVOS, _GAIN)
         self.refresh()
         start = np.zeros(N_SERVOS) if start_rad is None else np.array(start_rad)
         self.data.qpos[self._qpos] = start
@@ -153,7 +155,7 @@ class QuadrupedPlant:
             SimulationDivergedError: the state is no longer finite, or absurdly fast.
         """
         error = np.rint(self.goal / STEP_RAD) - np.rint(self.angles / STEP_RAD)
-        duty = np.clip(_GAIN * error / _PWM, -1.0, 1.0)
+        duty = np.clip(self.gain * error / _PWM, -1.0, 1.0)
         self.data.ctrl[self._ctrl] = self._stall * (self.supply_v / 5.0) * duty
         mujoco.mj_step(self.model, self.data)
         self.steps += 1
@@ -220,6 +222,10 @@ class QuadrupedBackend:
     def set_torque(self, index: int, on: bool) -> None:
         """Switch a servo's drive on or off."""
         self._on[index] = on
+
+    def set_slope(self, index: int, slope_rad: float) -> None:
+        """Set a servo's gain."""
+        self.plant.gain[index] = _PWM * STEP_RAD / slope_rad
 
 
 def quadruped_order() -> list[tuple[str, str]]:

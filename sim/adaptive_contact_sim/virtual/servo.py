@@ -1,17 +1,22 @@
 """One virtual servo: a control table over a backend's angle.
 
 Only what a master can see is modelled: which registers there are, which may be written and when,
-what is refused and with which error.  Sources: the e-manual pages named in
-:mod:`adaptive_contact.bridge.tables`, whose addresses are used.
+what is refused and with which error; that a servo in trouble shuts itself down, and how to wake it.
+The slope of the control law (compliance slope, P gain, PWM limit) acts on the servo behind; other
+registers of the law (margin, punch, I and D, speeds, a torque limit above 0) are kept and change
+nothing.  Sources: the e-manual pages named in :mod:`adaptive_contact.bridge.tables`, whose
+addresses are used.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.bridge.tables import Register, ServoModel
+from adaptive_contact.bridge.law import LAW_REGISTERS, slope_rad
+from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
 from adaptive_contact_sim.virtual.backend import Backend
 
 __all__ = ["Refusal", "VirtualServo"]
@@ -32,6 +37,13 @@ _READ_ONLY: Final = (
 )
 # Size of the table: AX-12A ends at 49, X-series at 661.
 _SIZES: Final = {1: 50, 2: 662}
+_BAUD_TOLERANCE: Final = 0.03  # e-manual: within 3 % no more errors than at the rate itself
+_FACTORY_BAUD: Final = {1: 1, 2: 1}  # 1,000,000 and 57,600
+_BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+# Registers of the delivered AX and MX, and of X-series: what shuts a servo down.
+_SHUTDOWN: Final = {1: 0x24, 2: 0x34}
+_FULL_TORQUE: Final = 1023
+_LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
 # A horn slower than this stands still for the register Moving.
 _MOVING_RAD_S: Final = 0.05
 
@@ -53,8 +65,10 @@ class VirtualServo:
         rng: of the reading noise.
         noise_steps: standard deviation of a reading, in steps.
         return_delay: register, 2 us each; 250 when new.
+        baud: it hears packets at this rate only.
 
     Attributes:
+        id, baud: follow their registers.
         writes: instructions to write, carried out or refused.
     """
 
@@ -68,6 +82,7 @@ class VirtualServo:
         *,
         noise_steps: float = 0.5,
         return_delay: int = 0,
+        baud: int = 1_000_000,
     ) -> None:
         self.id = servo
         self.model = model
@@ -79,12 +94,20 @@ class VirtualServo:
         self.registered: tuple[int, bytes] | None = None
         self.stale_data: bytes | None = None
         self.writes = 0
-        self._power_on(return_delay)
+        self._factory(return_delay)
+        self._store("baud", _baud_register(model.protocol, baud))
+        self.baud = baud
+        self._power_on()
 
     @property
     def torque(self) -> bool:
         """Whether the servo drives."""
         return bool(self.value("torque_enable"))
+
+    @property
+    def drives(self) -> bool:
+        """Whether torque reaches the horn: not after a shutdown."""
+        return self.torque and (self.model.protocol == 2 or self.value("torque_limit") > 0)
 
     @property
     def answers(self) -> int:
@@ -102,9 +125,42 @@ class VirtualServo:
         part = self._memory[register.address : register.address + register.size]
         return int.from_bytes(part, "little", signed=register.signed)
 
-    def set_hardware_error(self, bits: int) -> None:
-        """Put up the bits behind protocol 2.0's alert."""
-        self._store("hardware_error", bits)
+    def set_errors(self, bits: int) -> int:
+        """Put up what is wrong now; a servo told to shut down for it does so.
+
+        Args:
+            bits: of protocol 1.0's error byte, or of Hardware Error Status; they are the same for
+                overload and overheating.
+
+        Returns:
+            Bits to tell: those that an X-series servo has shut down for stay until a reboot.
+        """
+        fatal = bits & self.value("shutdown")
+        if self.model.protocol == 1:
+            if fatal:
+                self._store("torque_limit", 0)
+                self._backend.set_torque(self._index, False)
+            return bits
+        if fatal:
+            self._store("torque_enable", 0)
+            self._backend.set_torque(self._index, False)
+            self._latched |= fatal
+        self._store("hardware_error", bits | self._latched)
+        return bits | self._latched
+
+    def reboot(self) -> None:
+        """Begin anew, as after a loss of power: no torque, what is not in EEPROM as delivered."""
+        self._power_on()
+        self._set_slope()
+
+    def reset(self, keep: Collection[str] = ()) -> None:
+        """Set EEPROM to what it is delivered with, but for some registers, and reboot."""
+        kept = {name: self.value(name) for name in keep}
+        self._factory(250)
+        for name, value in ({"id": 1, "baud": _FACTORY_BAUD[self.model.protocol]} | kept).items():
+            self._store(name, value)
+        self.id, self.baud = self.value("id"), self._baud()
+        self.reboot()
 
     def read(self, address: int, size: int) -> bytes | Refusal:
         """Bytes of the control table, as of now."""
@@ -141,6 +197,8 @@ class VirtualServo:
             return Refusal(INSTRUCTION1 if one else ACCESS2)
         if register.eeprom and self.torque and not one:
             return Refusal(ACCESS2)
+        if name == "torque_enable" and self._latched:
+            return Refusal(ACCESS2)  # shut down: only a reboot helps
         if name == "goal_position":
             at = register.address - address
             if at < 0 or at + register.size > len(data):
@@ -155,15 +213,31 @@ class VirtualServo:
             if self.model.protocol == 1:
                 # An AX servo that is given a goal switches its torque on.
                 self._store("torque_enable", 1)
-                self._backend.set_torque(self._index, True)
+                self._backend.set_torque(self._index, self.drives)
             if self.torque:
                 self._drive()
+        elif name == "id":
+            self.id = self.value("id")
+        elif name == "baud":
+            self.baud = self._baud()
+        elif name in _LAW:
+            self._set_slope()
+        elif name == "torque_limit":
+            self._backend.set_torque(self._index, self.drives)
         elif name == "torque_enable":
-            self._backend.set_torque(self._index, self.torque)
+            self._backend.set_torque(self._index, self.drives)
             if self.torque and self.model.protocol == 2:
                 # X-series: the goal is where the horn is when torque comes on.
                 self._store("goal_position", self._steps(self._backend.angle(self._index)))
                 self._drive()
+
+    def _set_slope(self) -> None:
+        values: dict[str, int] = {
+            name: self.value(name) for name in _LAW if name in self.model.registers
+        }
+        slope = slope_rad(self.model, values)
+        if slope is not None:
+            self._backend.set_slope(self._index, slope)
 
     def _drive(self) -> None:
         steps = self.value("goal_position") - self.model.centre
@@ -193,7 +267,8 @@ class VirtualServo:
         data = value.to_bytes(register.size, "little", signed=register.signed)
         self._memory[register.address : register.address + register.size] = data
 
-    def _power_on(self, return_delay: int) -> None:
+    def _factory(self, return_delay: int) -> None:
+        """EEPROM as delivered, but for what a robot's owner sets first."""
         model = self.model
         initial = {
             "model_number": model.number,
@@ -202,18 +277,47 @@ class VirtualServo:
             "return_delay": return_delay,
             "lower_limit": model.lowest,
             "upper_limit": model.highest,
-            "status_return": 2,
+            "shutdown": _SHUTDOWN[model.protocol],
+        }
+        if model.protocol == 1:
+            initial |= {"status_return": 2}
+        else:
+            initial |= {"operating_mode": 3, "pwm_limit": 885}
+        for name, value in initial.items():
+            self._store(name, value)
+
+    def _baud(self) -> int:
+        register = self.value("baud")
+        if self.model.protocol == 1:
+            rate = 2_000_000 / (register + 1)
+            near = min(BAUDS, key=lambda baud: abs(baud - rate))
+            return near if abs(near - rate) < _BAUD_TOLERANCE * rate else 0
+        return _BAUDS2[register] if register < len(_BAUDS2) else 0
+
+    def _power_on(self) -> None:
+        model = self.model
+        self._latched = 0
+        initial = {
             "temperature": 35,
             "voltage": 120 if model.protocol == 1 else 50,
             "goal_position": self._steps(self._backend.angle(self._index)),
         }
         if model.protocol == 1:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
-            initial |= {"torque_limit": 1023, "punch": 32}
+            initial |= {"torque_limit": _FULL_TORQUE, "punch": 32, "position_p": 32}
         else:
-            initial |= {"operating_mode": 3, "position_p": 400}
+            gain = 400 if "330" in model.name else 800
+            initial |= {"position_p": gain, "hardware_error": 0, "status_return": 2}
         for name, value in initial.items():
-            self._store(name, value)
+            if name in model.registers:
+                self._store(name, value)
         inside = self._backend.goal(self._index)
         self._store("torque_enable", int(inside is not None))
         self._backend.set_torque(self._index, inside is not None)
+
+
+def _baud_register(protocol: int, baud: int) -> int:
+    """Value of the register for a rate; the nearest there is."""
+    if protocol == 1:
+        return min(max(round(2_000_000 / baud) - 1, 0), 254)
+    return min(range(len(_BAUDS2)), key=lambda i: abs(_BAUDS2[i] - baud))

@@ -16,7 +16,12 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactTruth, truth_key
 from adaptive_contact_sim.scenario import load_scenario
-from adaptive_contact_sim.virtual.assembly import VirtualSettings, assemble, with_ports
+from adaptive_contact_sim.virtual.assembly import (
+    VirtualSettings,
+    assemble,
+    check_faults,
+    with_ports,
+)
 from adaptive_contact_sim.virtual.backend import Backend
 from adaptive_contact_sim.virtual.gaited import GaitedBackend
 from adaptive_contact_sim.virtual.horns import Horns
@@ -37,7 +42,7 @@ class VirtualPlan:
         robot: its description: ids, models, mounting of the servos.
         simulated: name of the shipped robot that moves.
         directory: where the ports' links go.
-        ports: how many, for a description without any.
+        ports: how many, for a description without any; None for one.
         bus: how the bus behaves.
         scenario: the robot moves by itself; None for one on a stand that the bus moves.
         height_m: of the stand.
@@ -52,7 +57,7 @@ class VirtualPlan:
     robot: Robot
     simulated: str
     directory: Path
-    ports: int
+    ports: int | None
     bus: VirtualSettings
     scenario: str | None = None
     height_m: float = 1.0
@@ -97,8 +102,15 @@ def run(
         ) from error
     robot = with_ports(plan.robot, plan.directory.resolve(), plan.ports)
     plans = plan_ports(robot)
+    check_faults(plans, plan.bus.faults)
     if plan.write_config is not None:
-        plan.write_config.write_text(write_robot(robot), encoding="utf-8")
+        try:
+            plan.write_config.write_text(write_robot(robot), encoding="utf-8")
+        except OSError as error:
+            raise ConfigurationError(
+                f"{plan.write_config}: cannot be written ({error.strerror}); give another "
+                "--write-config"
+            ) from error
     with ExitStack() as stack:
         publish = _truth(plan, stack, stop)
         backend, pairs = _backend(plan, plans, publish, stack)

@@ -1,0 +1,233 @@
+"""Behind ``robot learn``: what legs are to do, what is kept of it, and how good a fit it makes."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from adaptive_contact.adapt.gather import LegGatherer
+    from adaptive_contact.adapt.training import Stretch, Training
+    from adaptive_contact.bridge.collect import Script
+    from adaptive_contact.bridge.plan import PortPlan
+    from adaptive_contact.robot import Robot
+    from adaptive_contact.wire import ServoSample
+
+__all__ = ["fit_samples", "free_file", "keep", "losses", "pose_of", "swings_of", "verdict"]
+
+# A model is good where it errs little more than readings do; half a step of noise and the step's
+# own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
+_NOISE_STEPS: Final = 0.82
+_GOOD, _FAIR = 2.5, 4.0
+# Free ticks per term of the library at which held-out error has settled, and below which a fit is
+# refused (adapt.training).
+_ENOUGH_ROWS: Final = 12
+_LEAST_ROWS: Final = 4
+# Not every free tick can be used: some are too early in a stretch to have a past.
+_MORE: Final = 1.15
+_LEAST_TICKS: Final = 12
+# Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
+_ENOUGH_READ: Final = 0.97
+
+
+def pose_of(text: str, robot: Robot, plans: Sequence[PortPlan]) -> list[float]:
+    """The joint angles of ``--pose``, rad.
+
+    Raises:
+        ConfigurationError: it is no pose of this robot, or no leg may go there.
+    """
+    try:
+        pose = [float(part) for part in text.split(",")]
+    except ValueError:
+        pose = []
+    joints = {len(leg.joints) for leg in robot.legs}
+    if joints != {len(pose)} or not all(map(math.isfinite, pose)):
+        raise ConfigurationError(
+            f"--pose {text}: expected {' or '.join(map(str, sorted(joints)))} angles in rad, such "
+            f"as {','.join(['0.1'] * max(joints))}"
+        )
+    for plan in plans:
+        for leg in plan.legs:
+            for joint, angle in zip(leg.joints, pose, strict=True):
+                if not joint.lower_rad <= angle <= joint.upper_rad:
+                    raise ConfigurationError(
+                        f"--pose {text}: joint '{joint.name}' of leg '{leg.id}' may go from "
+                        f"{joint.lower_rad:.2f} to {joint.upper_rad:.2f} rad; give angles within"
+                    )
+    return pose
+
+
+def swings_of(
+    robot: Robot,
+    plans: Sequence[PortPlan],
+    amplitude: float,
+    seed: int,
+    home: list[float] | None,
+) -> dict[str, Script]:
+    """Free swings of every leg, each with a stream of randomness of its own."""
+    import numpy as np
+
+    from adaptive_contact.bridge.freeswing import free_swings
+
+    steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}
+    seeds = np.random.SeedSequence(seed).spawn(len(robot.legs))
+
+    def script(
+        leg_id: str, seed_of: np.random.SeedSequence, first: ServoSample
+    ) -> Iterator[list[float]]:
+        return free_swings(
+            robot.leg(leg_id),
+            first.measured if home is None else home,  # the bridge comes there at an easy pace
+            np.random.default_rng(seed_of),
+            amplitude_rad=amplitude,
+            max_step_rad=steps[leg_id],
+        )
+
+    return {
+        leg.id: functools.partial(script, leg.id, seed_of)
+        for leg, seed_of in zip(robot.legs, seeds, strict=True)
+        if leg.id in steps
+    }
+
+
+def free_file(out: Path) -> Path:
+    """Where the recording of a run goes whose baseline is ``out``: beside it, nothing replaced."""
+    path, number = out.with_suffix(".mcap"), 1
+    while path.exists() or path == out:
+        number += 1
+        path = out.with_name(f"{out.stem}-{number}.mcap")
+    return path
+
+
+def keep(samples: Mapping[str, Sequence[ServoSample]], path: Path, robot: Robot) -> None:
+    """Write a run's samples into a recording, in the order of their time.
+
+    Raises:
+        RecordingError: it cannot be written.
+    """
+    from adaptive_contact.service.recording import RecordingWriter
+    from adaptive_contact.wire import servo_key
+
+    rows = [(row.t_ns, leg, row) for leg, of_leg in samples.items() for row in of_leg]
+    with RecordingWriter(path, {"robot": robot.name, "by": "adaptive-contact robot learn"}) as file:
+        for t_ns, leg, row in sorted(rows, key=lambda item: item[:2]):
+            file.write_message(servo_key(leg), row, t_ns)
+
+
+def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) -> Training:
+    """Learn every leg from what was gathered, all of it free.
+
+    Raises:
+        TooLittleDataError: there is too little to learn from; what is missing, leg by leg.
+        IdentificationError: it cannot be learned from.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from adaptive_contact.adapt.training import learn
+
+    streams = {
+        leg: [
+            stretch
+            for stretch in gatherer.stretches(free=True)
+            # Lost ticks cut a stream to pieces; what is shorter than a swing teaches nothing.
+            if _free(stretch) > _LEAST_TICKS
+        ]
+        for leg, gatherer in gathered.items()
+        if gatherer.samples
+    }
+    if not any(streams.values()):
+        raise TooLittleDataError(
+            "no leg was swung; swing them in free air while this runs, or let --drive do it", 0, 1
+        )
+    try:
+        with threadpool_limits(1):  # matrices this small only wait for each other in threads
+            return learn(robot, streams, origin=origin)
+    except IdentificationError as error:
+        short = _shortfalls(robot, streams, gathered, error)
+        if not short:
+            raise
+        have = sum(_free(x) for stretches in streams.values() for x in stretches)
+        needed = round(have * max(factor for _, factor in short))
+        lines = "; ".join(line for line, _ in short)
+        raise TooLittleDataError(f"too little to learn from: {lines}", have, needed) from error
+
+
+def _free(stretch: Stretch) -> int:
+    return int((stretch.swing & stretch.free & stretch.sound).sum())
+
+
+def _shortfalls(
+    robot: Robot,
+    streams: Mapping[str, Sequence[Stretch]],
+    gathered: Mapping[str, LegGatherer],
+    error: IdentificationError,
+) -> list[tuple[str, float]]:
+    """What is missing of every leg, in words, and how many times as much it takes."""
+    from adaptive_contact.identify import leg_library
+
+    # Thresholds rest on all legs together: each has its part in what they lack.
+    together = error.needed / max(error.have, 1) if isinstance(error, TooLittleDataError) else 0.0
+    lines = []
+    for leg in robot.legs:
+        have = sum(_free(stretch) for stretch in streams.get(leg.id, ()))
+        if not have:
+            lines.append((f"leg {leg.id} was not swung", 0.0))
+            continue
+        least = _LEAST_ROWS * leg_library(robot, leg, "servo", None).size
+        factor = max(together, least / have) * _MORE
+        if factor > _MORE:
+            seconds = gathered[leg.id].samples * robot.period_s
+            more = max(math.ceil(seconds * (factor - 1.0)), 1)
+            wanted = math.ceil(have * factor)
+            lines.append(
+                (f"leg {leg.id} {have} of {wanted} free ticks, {more} s more at this pace", factor)
+            )
+    return lines if any(factor for _, factor in lines) else []
+
+
+def losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
+    """Legs of which too little was read to learn from, and what to do about it."""
+    lines = []
+    for leg, rows in samples.items():
+        if not rows:
+            continue
+        whole = sum(row.valid is None for row in rows) / (rows[-1].seq - rows[0].seq + 1)
+        if whole < _ENOUGH_READ:
+            lines.append(
+                f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
+                "end other work on this computer, give --realtime, or check cable and power"
+            )
+    return lines
+
+
+def verdict(robot: Robot, training: Training) -> list[str]:
+    """How good every leg was learned, in words, and what to do about it."""
+    import numpy as np
+
+    lines = []
+    for leg, figures in training.figures.items():
+        noise = _NOISE_STEPS * robot.quantum(leg)
+        worst = float(np.max(figures.held_out_rms)) / noise
+        wanted = _ENOUGH_ROWS * figures.library_size
+        if figures.rows < wanted:
+            more = wanted / max(figures.rows, 1)
+            word = f"too little: {figures.rows} of {wanted} free ticks; swing {more:.1f} x as long"
+        elif worst <= _GOOD:
+            word = "good"
+        elif worst <= _FAIR:
+            word = "usable; longer and more varied swings may help"
+        else:
+            word = "poor; check lengths, signs, servo.slope_rad, and that nothing was touched"
+        lines.append(f"leg {leg}: {word} (errs by {worst:.1f} x the noise of its readings)")
+    for leg in robot.leg_ids:
+        if leg not in training.figures:
+            why = training.skipped.get(leg, "it was not swung")
+            lines.append(f"leg {leg}: not learned: {why}")
+    return lines

@@ -1,0 +1,341 @@
+"""A pseudo-terminal with servos behind it: packets in, answers out, each at its time.
+
+A port's path is a symbolic link, so that it stays the same when a hang-up gives it another
+pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import os
+import pty
+import termios
+import tty
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Frame, Instruction, Status
+from adaptive_contact.bridge.protocol1 import Protocol1
+from adaptive_contact.bridge.protocol2 import Protocol2, fast_sync_status
+from adaptive_contact.bridge.tables import BAUDS
+from adaptive_contact_sim.virtual.faults import FaultSchedule
+from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
+
+__all__ = ["VirtualPort"]
+
+_ALERT: Final = 0x80
+_INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
+# What protocol 2.0's factory reset leaves as it is, by its parameter.
+_KEPT: Final = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud")}
+_BITS_PER_BYTE: Final = 10
+_READS_OF_MANY: Final = (
+    Instruction.SYNC_READ,
+    Instruction.FAST_SYNC_READ,
+    Instruction.BULK_READ,
+)
+# Terminals' constants of rates.
+_SPEEDS: Final = {
+    baud: s for baud in BAUDS if (s := getattr(termios, f"B{baud}", None)) is not None
+}
+# Id, address and length, before a bulk write's data.
+_BULK_ROW: Final = 5
+
+
+class _Answer(NamedTuple):
+    """A packet on its way: when it is through, and when it would have been without faults."""
+
+    packet: bytes
+    due_s: float
+    free_s: float
+
+
+class VirtualPort:
+    """One bus: a pseudo-terminal and its servos.
+
+    Args:
+        name: as in ``robot.toml``.
+        path: of the link that masters open.
+        servos: on this bus; two of the same id answer both, at once: the wire shows 0 where one of
+            them does.
+        faults: what goes wrong.
+        baud: of the wire, for the time that packets take.
+        wire_time: let answers take as long as on a wire of this baud rate.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        path: Path,
+        servos: Sequence[VirtualServo],
+        faults: FaultSchedule,
+        *,
+        baud: int = 1_000_000,
+        wire_time: bool = False,
+    ) -> None:
+        self.name = name
+        self.path = path
+        self.servos = tuple(servos)
+        self.faults = faults
+        self.requests = 0
+        self.master = -1
+        self._slave = -1
+        self._byte_s = _BITS_PER_BYTE / baud if wire_time else 0.0
+        self._wire_time = wire_time
+        self._hearing = self.servos
+        protocol = servos[0].model.protocol if servos else 1
+        self._codec: Codec = Protocol1() if protocol == 1 else Protocol2()
+        self._buffer = bytearray()
+        self._replies: list[tuple[float, int, bytes]] = []
+        self._sent = 0
+
+    @property
+    def is_up(self) -> bool:
+        """Whether there is a terminal to open."""
+        return self.master >= 0
+
+    def open(self) -> None:
+        """Make the pseudo-terminal and its link."""
+        self.master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        part = self.path.with_name(self.path.name + ".part")
+        with contextlib.suppress(FileNotFoundError):
+            part.unlink()
+        part.symlink_to(os.ttyname(self._slave))
+        part.replace(self.path)
+        self._buffer.clear()
+        self._replies.clear()
+
+    def close(self) -> None:
+        """Hang up: the link is gone, and who has the terminal open sees the end of it."""
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        for descriptor in (self.master, self._slave):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self.master = self._slave = -1
+
+    def receive(self, now_s: float, elapsed_s: float) -> None:
+        """Take what has come and answer it."""
+        try:
+            data = os.read(self.master, 4096)
+        except (BlockingIOError, InterruptedError):
+            return
+        speed = termios.tcgetattr(self._slave)[4]
+        # At another baud rate, packets are noise.
+        self._hearing = tuple(servo for servo in self.servos if _SPEEDS.get(servo.baud) == speed)
+        if not self._hearing:
+            return
+        self._buffer += data
+        frames, _ = self._codec.parse(self._buffer)
+        for frame in frames:
+            self.requests += 1
+            heard = len(data) * self._byte_s
+            self._answer(frame, now_s + heard, elapsed_s)
+
+    def flush(self, now_s: float) -> float:
+        """Send replies that are due.
+
+        Returns:
+            When the next is due, infinity without any.
+        """
+        while self._replies and self._replies[0][0] <= now_s:
+            packet = heapq.heappop(self._replies)[2]
+            with contextlib.suppress(BlockingIOError):  # nobody reads: as on a wire, it is lost
+                os.write(self.master, packet)
+        return self._replies[0][0] if self._replies else float("inf")
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _answer(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
+        version = self._codec.version
+        if version == 2 and frame.code in _READS_OF_MANY:
+            self._read_many(frame, now_s, elapsed_s)
+            return
+        if frame.code == Instruction.SYNC_WRITE:
+            self._sync_write(frame)
+            return
+        if version == 2 and frame.code == Instruction.BULK_WRITE:
+            self._bulk_write(frame)
+            return
+        everyone = frame.id == BROADCAST_ID
+        answers = []
+        for servo in self._hearing:
+            if not everyone and servo.id != frame.id:
+                continue
+            # It answers as it was when asked: a new id or baud rate counts from then on.
+            speaks = servo.answers == 2 or frame.code == Instruction.PING
+            speaks |= servo.answers == 1 and frame.code == Instruction.READ
+            status = self._execute(servo, frame)
+            if everyone:
+                speaks = version == 2 and frame.code == Instruction.PING
+            if status is None or not speaks:
+                continue
+            if everyone:
+                now_s = self._reply(servo, status, now_s, elapsed_s)
+            elif self.faults.strike("silent", frame.id, elapsed_s) is None:
+                answers.append(self._answer_of(servo, status, now_s, elapsed_s))
+        self._send_all(answers)
+
+    def _execute(self, servo: VirtualServo, frame: Frame) -> Status | None:
+        """Carry out an instruction; None for those that nobody answers."""
+        version, p = self._codec.version, frame.parameters
+        width = version  # bytes of an address and of a length
+        if frame.code == Instruction.PING:
+            if version == 1:
+                return Status(servo.id, 0, b"")
+            told = servo.model.number.to_bytes(2, "little") + bytes((servo.value("firmware"),))
+            return Status(servo.id, 0, told)
+        if frame.code == Instruction.READ and len(p) == 2 * width:
+            return _told(servo, _number(p[:width]), _number(p[width:]))
+        if frame.code in (Instruction.WRITE, Instruction.REG_WRITE) and len(p) > width:
+            address = int.from_bytes(p[:width], "little")
+            if frame.code == Instruction.REG_WRITE:
+                servo.registered = (address, p[width:])
+                return Status(servo.id, 0, b"")
+            own = servo.id  # a new one counts from the next packet on
+            refusal = servo.write(address, p[width:])
+            return Status(own, 0 if refusal is None else refusal.error, b"")
+        if frame.code == Instruction.ACTION:
+            if servo.registered is not None:
+                servo.write(*servo.registered)
+                servo.registered = None
+            return Status(servo.id, 0, b"")
+        if frame.code == Instruction.REBOOT and version == 2:
+            servo.reboot()
+            return Status(servo.id, 0, b"")
+        if frame.code == Instruction.FACTORY_RESET:
+            kept = () if version == 1 else _KEPT.get(p[0] if p else 0xFF)
+            if kept is not None:
+                answer = Status(servo.id, 0, b"")
+                servo.reset(kept)
+                return answer
+        return Status(servo.id, _INSTRUCTION_ERROR[version], b"")
+
+    def _sync_write(self, frame: Frame) -> None:
+        p, width = frame.parameters, self._codec.version
+        address = int.from_bytes(p[:width], "little")
+        size = int.from_bytes(p[width : 2 * width], "little")
+        rows = p[2 * width :]
+        for at in range(0, len(rows) - size, size + 1):
+            for servo in self._hearing:
+                if servo.id == rows[at]:
+                    servo.write(address, rows[at + 1 : at + 1 + size])
+
+    def _bulk_write(self, frame: Frame) -> None:
+        rows = frame.parameters
+        while len(rows) > _BULK_ROW:
+            address, size = _number(rows[1:3]), _number(rows[3:5])
+            for servo in self._hearing:
+                if servo.id == rows[0]:
+                    servo.write(address, rows[_BULK_ROW : _BULK_ROW + size])
+            rows = rows[_BULK_ROW + size :]
+
+    def _read_many(self, frame: Frame, now_s: float, elapsed_s: float) -> None:
+        """Sync, fast sync and bulk read: servos answer one after the other."""
+        p = frame.parameters
+        if frame.code == Instruction.BULK_READ:
+            rows = [p[at : at + _BULK_ROW] for at in range(0, len(p), _BULK_ROW)]
+            asked = [(row[0], _number(row[1:3]), _number(row[3:5])) for row in rows]
+        else:
+            asked = [(wanted, _number(p[:2]), _number(p[2:4])) for wanted in p[4:]]
+        joint: list[list[tuple[VirtualServo, Status]]] = []
+        for wanted, address, size in asked:
+            group = [servo for servo in self._hearing if servo.id == wanted]
+            if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
+                # Each waits for the one before it: whoever comes after a mute one stays mute.
+                break
+            statuses = [(servo, _told(servo, address, size)) for servo in group]
+            if frame.code == Instruction.FAST_SYNC_READ:
+                joint.append([(s, self._troubled(s, told, elapsed_s)) for s, told in statuses])
+            else:
+                answers = [self._answer_of(s, told, now_s, elapsed_s) for s, told in statuses]
+                now_s = self._send_all(answers)
+        if joint and len(joint) == len(asked):
+            packet = fast_sync_status([group[0][1] for group in joint])
+            if any(len(group) > 1 for group in joint):
+                packet = _overlap(packet, fast_sync_status([group[-1][1] for group in joint]))
+            due_s = now_s + self._spent(joint[0][0][0], packet)
+            self._send(
+                *self._spoiled([group[0][0].id for group in joint], packet, due_s, elapsed_s)
+            )
+
+    def _spoiled(
+        self, ids: Sequence[int], packet: bytes, due_s: float, elapsed_s: float
+    ) -> tuple[bytes, float]:
+        """A packet of these servos as it comes, and when: flipped, late."""
+        if any(self.faults.strike("flip", servo, elapsed_s) for servo in ids):
+            packet = self.faults.flip(packet)
+        late = [self.faults.strike("late", servo, elapsed_s) for servo in ids]
+        return packet, due_s + max((x.ms for x in late if x is not None), default=0.0) / 1000.0
+
+    def _troubled(self, servo: VirtualServo, status: Status, elapsed_s: float) -> Status:
+        """A status as faults make it: stale data, error bits."""
+        stale = self.faults.strike("stale", servo.id, elapsed_s)
+        if stale and servo.stale_data is not None and len(servo.stale_data) == len(status.data):
+            status = status._replace(data=servo.stale_data)
+        elif status.data:
+            servo.stale_data = status.data
+        spec = self.faults.strike("error", servo.id, elapsed_s)
+        if servo.model.protocol == 1:
+            alert = servo.set_errors(0 if spec is None else spec.error1)
+        else:
+            alert = _ALERT if servo.set_errors(0 if spec is None else spec.error2) else 0
+        return status._replace(error=status.error | alert)
+
+    def _reply(self, servo: VirtualServo, status: Status, now_s: float, elapsed_s: float) -> float:
+        """Queue an answer, with what goes wrong; returns when the bus is free again."""
+        if self.faults.strike("silent", servo.id, elapsed_s):
+            return now_s
+        return self._send_all([self._answer_of(servo, status, now_s, elapsed_s)])
+
+    def _answer_of(
+        self, servo: VirtualServo, status: Status, now_s: float, elapsed_s: float
+    ) -> _Answer:
+        status = self._troubled(servo, status, elapsed_s)
+        packet = self._codec.status(status.id, status.error, status.data)
+        free_s = now_s + self._spent(servo, packet)
+        packet, due_s = self._spoiled([servo.id], packet, free_s, elapsed_s)
+        return _Answer(packet, due_s, free_s)
+
+    def _send_all(self, answers: Sequence[_Answer]) -> float:
+        """Queue what servos say at once; returns when the bus is free again."""
+        merged: list[_Answer] = []
+        for answer in sorted(answers, key=lambda a: a.due_s):
+            begins_s = answer.due_s - len(answer.packet) * self._byte_s
+            if merged and begins_s <= merged[-1].due_s:
+                before = merged.pop()
+                answer = answer._replace(packet=_overlap(before.packet, answer.packet))
+            merged.append(answer)
+        for answer in merged:
+            self._send(answer.packet, answer.due_s)
+        return max((answer.free_s for answer in merged), default=0.0)
+
+    def _spent(self, servo: VirtualServo, packet: bytes) -> float:
+        if not self._wire_time:
+            return 0.0
+        return servo.return_delay_s + len(packet) * self._byte_s
+
+    def _send(self, packet: bytes, due_s: float) -> None:
+        self._sent += 1
+        heapq.heappush(self._replies, (due_s, self._sent, packet))
+
+
+def _overlap(one: bytes, other: bytes) -> bytes:
+    """Two packets on the wire at once: it is pulled to 0 by whoever sends a 0."""
+    short, long = sorted((one, other), key=len)
+    return bytes(a & b for a, b in zip(short, long, strict=False)) + long[len(short) :]
+
+
+def _told(servo: VirtualServo, address: int, size: int) -> Status:
+    """What a servo answers to a read."""
+    data = servo.read(address, size)
+    if isinstance(data, Refusal):
+        return Status(servo.id, data.error, b"")
+    return Status(servo.id, 0, data)
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data, "little")

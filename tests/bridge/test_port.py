@@ -1,0 +1,145 @@
+"""The SDK's port made usable: whom it lets in, what is wrong with a device, how it waits."""
+
+from __future__ import annotations
+
+import fcntl
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.bridge.bus import Bus
+from adaptive_contact.bridge.port import latency_advice
+from adaptive_contact.errors import BusError
+from adaptive_contact.robot import Port
+
+AX = {"model": "AX-12A", "protocol": 1}
+
+
+def opened(rig) -> Bus:
+    plan = rig.plans[0]
+    bus = Bus(plan.name, plan.port)
+    bus.open()
+    return bus
+
+
+def test_missing_port(tmp_path: Path) -> None:
+    with pytest.raises(BusError, match=r"port legs: /nowhere/x does not exist; .* plug"):
+        Bus("legs", Port(device="/nowhere/x")).open()
+
+
+def test_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import serial
+
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(13, "could not open port: Permission denied")
+
+    monkeypatch.setattr("adaptive_contact.bridge.port.serial.Serial", refuse)
+    with pytest.raises(BusError, match="dialout"):
+        Bus("legs", Port(device="/dev/ttyX")).open()
+
+
+def test_a_port_in_use(rig: Callable) -> None:
+    r = rig(**AX)
+    first = opened(r)
+    with pytest.raises(BusError, match="in use by another program"):
+        opened(r)
+    first.close()
+
+
+def test_a_port_that_other_software_uses_without_a_lock(rig: Callable) -> None:
+    """The SDK as it comes, in a process of its own: it locks nothing."""
+    r = rig(**AX)
+    device = r.plans[0].port.device
+    script = (
+        "import sys, dynamixel_sdk as sdk\n"
+        f"port = sdk.PortHandler({device!r}); port.setBaudRate(1000000)\n"
+        "print('open', flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert other.stdout.readline() == "open\n"
+        with pytest.raises(BusError, match=rf"in use by python\S* \(process {other.pid}\)") as told:
+            opened(r)
+        assert "\n" not in str(told.value)
+    finally:
+        other.communicate("")
+    opened(r).close()
+
+
+def test_a_virtual_bus_in_another_process_is_no_rival(tmp_path: Path) -> None:
+    script = (
+        "import os, pty, sys\n"
+        "master, slave = pty.openpty(); print(os.ttyname(slave), flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        device = other.stdout.readline().strip()
+        bus = Bus("p0", Port(device=device))
+        bus.open()
+        bus.close()
+    finally:
+        other.communicate("")
+
+
+def test_an_open_port_is_closed_to_others(rig: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    r = rig(**AX)
+    monkeypatch.setattr("adaptive_contact.bridge.port.is_pseudo", lambda _: False)
+
+    def closed_to_others() -> bool:
+        flag = bytearray(4)
+        fcntl.ioctl(r.ports[0]._slave, 0x80045440, flag)  # TIOCGEXCL
+        return flag[0] == 1
+
+    bus = opened(r)
+    assert closed_to_others()
+    bus.close()
+    assert not closed_to_others()
+
+
+@pytest.mark.parametrize(("timer", "told"), [("16", True), ("1", False), ("?", False)])
+def test_an_adapter_that_holds_bytes_back_is_told_of(
+    tmp_path: Path, timer: str, told: bool
+) -> None:
+    (tmp_path / "ttyUSB7").mkdir()
+    (tmp_path / "ttyUSB7" / "latency_timer").write_text(f"{timer}\n")
+    (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
+    advice = latency_advice(str(tmp_path / "by-id"), tmp_path)
+    assert (advice is not None) is told
+    if advice is not None:
+        assert "latency timer is 16 ms, expected 1; run: echo 1 | sudo tee" in advice
+        assert advice.endswith("ttyUSB7/latency_timer")
+    assert latency_advice("/dev/ttyACM0", tmp_path) is None
+
+
+def test_no_serial_port(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no port")
+    with pytest.raises(BusError, match="no serial port"):
+        Bus("legs", Port(device=str(tmp_path / "file"))).open()
+
+
+def test_an_unknown_baud_rate(rig: Callable, tmp_path: Path) -> None:
+    rig(**AX)
+    with pytest.raises(BusError, match="baud rate 250000"):
+        Bus("p0", Port(device=str(tmp_path / "p0"), baud=250000)).open()
+
+
+def test_reading_sleeps_instead_of_spinning(rig: Callable) -> None:
+    r = rig(**AX)
+    bus = opened(r)
+    r.fault("silent:")
+    model = r.plans[0].joints[0].model
+    cpu, wall = time.thread_time(), time.monotonic()
+    for _ in range(40):
+        bus.read([1], model.motion)
+    cpu, wall = time.thread_time() - cpu, time.monotonic() - wall
+    assert wall > 40 * 0.005
+    assert cpu < 0.35 * wall
+    bus.close()

@@ -1,0 +1,180 @@
+"""``robot learn``: too little is told in words and kept; others' swings count as well."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adaptive_contact.adapt.baseline import load_baseline
+from adaptive_contact.bridge.freeswing import free_swings
+from adaptive_contact.bridge.survey import write_robot
+from adaptive_contact.cli import main as cli
+from adaptive_contact.cli._robot_learning import free_file
+from adaptive_contact.errors import AdaptiveContactError, TooLittleDataError
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.wire import ServoSample, decode, leg_of_key, servo_key
+from adaptive_contact_sim.virtual import KinematicBackend
+
+AX = {"model": "AX-12A", "protocol": 1}
+PERIOD_S = 0.02
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _commands() -> None:
+    if not cli.app.registered_groups:
+        cli._register()
+
+
+def learn(*words: str) -> Any:
+    result = CliRunner().invoke(cli.app, ["robot", "learn", *words])
+    if isinstance(result.exception, AdaptiveContactError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result
+
+
+@pytest.fixture
+def robot(rig: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A rig whose description, with lengths, lies in robot.toml; the test is in its folder."""
+    monkeypatch.chdir(tmp_path)
+    r = rig(**AX)
+    legs = tuple(msgspec.structs.replace(leg, lengths_m=(0.05, 0.06, 0.1)) for leg in r.robot.legs)
+    r.robot = msgspec.structs.replace(r.robot, legs=legs)
+    Path("robot.toml").write_text(write_robot(r.robot))
+    return r
+
+
+def swings(robot: Robot, index: int) -> Iterator[list[float]]:
+    return free_swings(
+        robot.legs[index], [0.0] * 3, np.random.default_rng(index), amplitude_rad=0.6,
+        max_step_rad=0.15,
+    )  # fmt: skip
+
+
+def recorded(robot: Robot, ticks: int, path: Path) -> None:
+    """Swings of legs that the light backend moves, as an earlier run would have kept them."""
+    rng = np.random.default_rng(5)
+    backend = KinematicBackend(3 * len(robot.legs))
+    goals = [swings(robot, i) for i in range(len(robot.legs))]
+    quantum = robot.quantum_rad
+    with RecordingWriter(path) as file:
+        for k in range(ticks):
+            t_ns = round(k * PERIOD_S * 1e9)
+            backend.advance(k * PERIOD_S)
+            for i, leg in enumerate(robot.legs):
+                noisy = [backend.angle(3 * i + j) / quantum + rng.normal(0, 0.5) for j in range(3)]
+                goal = np.rint(np.array(next(goals[i])) / quantum) * quantum
+                for j in range(3):
+                    backend.set_goal(3 * i + j, goal[j])
+                measured = [quantum * round(x) for x in noisy]
+                sample = ServoSample(
+                    t_ns=t_ns, seq=k, measured=measured, desired=goal.tolist(), run=1
+                )
+                file.write_message(servo_key(leg.id), sample, t_ns)
+
+
+def samples_of(path: Path, leg: str) -> list[ServoSample]:
+    return [
+        decode(record.payload, ServoSample, record.encoding)
+        for record in read_recording(path)
+        if leg_of_key(record.key) == leg
+    ]
+
+
+def test_too_little_is_told_in_seconds_and_kept(robot: Any) -> None:
+    words = ("--config", "robot.toml", "--drive", "--yes", "--seconds", "3", "--out", "b.json")
+    with pytest.raises(TooLittleDataError) as told:
+        learn(*words)
+    line = str(told.value)
+    assert "\n" not in line
+    for leg in ("l0", "l1"):
+        assert f"leg {leg} " in line
+    assert "s more at this pace" in line
+    assert "exceedance" not in line
+    assert told.value.have < told.value.needed
+    assert "run this again with --more b.mcap" in line
+    assert len(samples_of(Path("b.mcap"), "l0")) > 100
+    assert not Path("b.json").exists()
+    # Two of them are told of together, and none is replaced.
+    with pytest.raises(TooLittleDataError, match=r"with --more b.mcap --more b-2.mcap to add"):
+        learn(*words, "--more", "b.mcap")
+    assert len(samples_of(Path("b-2.mcap"), "l0")) > 100
+
+
+def test_a_recording_that_needs_a_little_more_says_so(robot: Any, tmp_path: Path) -> None:
+    """Rows enough for each leg, and too few for a threshold: the tail's own word, in seconds."""
+    recorded(robot.robot, 1500, tmp_path / "early.mcap")
+    with pytest.raises(TooLittleDataError, match=r"leg l0 \d+ of \d+ free ticks, \d+ s more"):
+        learn("--config", "robot.toml", "--seconds", "1", "--more", "early.mcap")
+
+
+def test_what_another_controller_swings_is_learned_with_an_earlier_recording(
+    robot: Any, tmp_path: Path
+) -> None:
+    recorded(robot.robot, 5600, tmp_path / "early.mcap")
+    stop = threading.Event()
+
+    def control() -> None:
+        """The robot's own controller, which writes goals whenever it likes."""
+        goals = [swings(robot.robot, i) for i in range(2)]
+        while not stop.wait(PERIOD_S):
+            for i, goal in enumerate(goals):
+                for j, angle in enumerate(next(goal)):
+                    servo = robot.servo(3 * i + j + 1)
+                    steps = servo.model.centre + round(angle / servo.model.step_rad)
+                    servo.write(servo.model.registers["goal_position"].address,
+                                steps.to_bytes(2, "little"))  # fmt: skip
+
+    controller = threading.Thread(target=control)
+    controller.start()
+    try:
+        time.sleep(0.1)  # it has begun
+        said = learn("--config", "robot.toml", "--seconds", "4", "--more", "early.mcap")
+    finally:
+        stop.set()
+        controller.join()
+    live = samples_of(Path("baseline.mcap"), "l1")
+    assert np.ptp([sample.desired[1] for sample in live]) > 0.3
+    assert np.ptp([sample.measured[1] for sample in live]) > 0.3
+    assert sorted(load_baseline("baseline.json").legs) == ["l0", "l1"]
+    assert said.output.count("x the noise of its readings") == 2
+
+
+def test_recordings_are_not_replaced(tmp_path: Path) -> None:
+    assert free_file(tmp_path / "b.json").name == "b.mcap"
+    (tmp_path / "b.mcap").touch()
+    assert free_file(tmp_path / "b.json").name == "b-2.mcap"
+    assert free_file(tmp_path / "c.mcap").name == "c-2.mcap"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("learn", "--out", "/nonexist/b.json"), "there is no folder /nonexist"),
+        (("learn", "--out", "."), "it is a folder"),
+        (("learn", "--recording", "/nonexist/b.mcap"), "give another --recording"),
+        (("learn", "--more", "nothing.mcap"), "nothing.mcap"),
+        (("learn", "--drive", "--yes", "--pose", "0,0,3"), "joint 'j2' of leg 'l0' may go from"),
+        (("check", "--picture", "/nonexist/x.svg"), "give another --picture"),
+        (("init", "--device", "p0", "--out", "/nonexist/r.toml"), "give another --out"),
+    ],
+)
+def test_what_cannot_be_is_told_before_any_work(
+    robot: Any, words: tuple[str, ...], message: str
+) -> None:
+    config = () if words[0] == "init" else ("--config", "robot.toml")
+    before = robot.requests
+    result = CliRunner().invoke(cli.app, ["robot", *words, *config])
+    assert isinstance(result.exception, AdaptiveContactError), result.output
+    assert message in str(result.exception)
+    assert "\n" not in str(result.exception)
+    assert robot.requests == before

@@ -1,0 +1,176 @@
+"""Waking servos: a standing robot is taken over where it is held, and nothing jumps."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from adaptive_contact.bridge.status import ServoCounts
+
+AX = {"model": "AX-12A", "protocol": 1}
+XL = {"model": "XL-330", "protocol": 2}
+SPEAKS = ServoCounts()
+
+
+def stand(rig: Any, steps: int, servos: tuple[int, ...] = (1, 2, 3)) -> int:
+    """Servos that hold a load so many steps below the goal that another program has written."""
+    for i in servos:
+        goal = rig.servo(i).model.centre + steps
+        rig.servo(i)._store("torque_enable", 1)
+        rig.servo(i)._store("goal_position", goal)
+    return goal
+
+
+def goals_written(servo: Any) -> list[int]:
+    """Goals that are written to a servo from now on."""
+    goals, write, register = [], servo.write, servo.model.registers["goal_position"]
+
+    def spy(address: int, data: bytes) -> Any:
+        if address == register.address:
+            goals.append(int.from_bytes(data, "little"))
+        return write(address, data)
+
+    servo.write = spy
+    return goals
+
+
+@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_standing_robot_is_taken_over_from_the_goals_in_force(
+    run: Callable, kind: dict, again: bool
+) -> None:
+    r = run("drive", **kind)
+    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    goal = stand(r.rig, 60)
+    written = goals_written(r.rig.servo(1))
+    if again:  # after an outage as well
+        r.rig.fault("hangup:@0+1000000")
+        r.catcher.wait(lambda c: any("is gone" in line for line in c.lines))
+        r.rig.fault()
+        r.catcher.wait(lambda c: any("is back" in line for line in c.lines))
+    step = r.rig.servo(1).model.step_rad
+
+    def feed(_: Any) -> bool:
+        r.command("l0", 90 * step, 60 * step, 60 * step)
+        return bool(written) and written[-1] == goal + 30
+
+    r.catcher.wait(feed)
+    assert written[0] >= goal
+    assert written == sorted(written)  # never away from the goal in force, nor back
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
+    run: Callable, kind: dict
+) -> None:
+    r = run("drive", **kind)
+
+    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def check(c: Any) -> Any:
+            r.command("l0", 0.4, 0.4, 0.4)
+            return true(c)
+
+        return check
+
+    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    servo = r.rig.servo(2)
+    r.rig.fault("silent:id=2")
+    r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent))
+    assert any("servo 2 (l0 j1): no answer" in line for line in r.catcher.lines)
+    r.rig.backend._angle[1] -= 0.1  # it sags under a load, and drives all it has
+    r.rig.backend._driven[1] = False
+    goal, written = servo.value("goal_position"), goals_written(servo)
+    r.rig.fault()
+    r.catcher.wait(feed(lambda c: len(written) >= 10))
+    assert set(written) == {goal}
+    r.catcher.wait(feed(lambda c: any("2 (l0 j1): answers again" in line for line in c.lines)))
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_servo_that_was_silent_is_not_driven_blindly_and_wakes_gently(
+    run: Callable, kind: dict, held: bool
+) -> None:
+    r = run("drive", **kind)
+
+    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def check(c: Any) -> Any:
+            r.command("l0", 0.4, 0.4, 0.4)
+            return true(c)
+
+        return check
+
+    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    r.rig.fault("silent:id=2")
+    while_silent = (lambda true: true) if held else feed
+    r.catcher.wait(
+        while_silent(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent)
+    )
+    r.rig.servo(2)._store("torque_enable", 0)  # it has lost its power
+    r.rig.backend.place(1, -0.6)  # and was moved by hand
+    writes, others, ticks = r.rig.servo(2).writes, r.rig.servo(1).writes, len(r.catcher.ticks)
+    r.catcher.wait(while_silent(lambda c: len(c.ticks) >= ticks + 20))
+    assert r.rig.servo(2).writes == writes
+    assert held or r.rig.servo(1).writes > others
+    r.rig.fault()
+    if held:  # no command comes while it is away, nor when it is back
+        r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid is None)
+    ticks = len(r.catcher.ticks)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured[1] < -0.5))
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    goals = [t["l0"].desired[1] for t in r.catcher.ticks[ticks:]]
+    back = next(k for k, goal in enumerate(goals) if goal < 0.0)
+    assert goals[back] == pytest.approx(-0.6, abs=0.05)
+    assert (
+        max(b - a for a, b in zip(goals[back:], goals[back + 1 :], strict=False)) < 0.15 / 5 + 0.006
+    )
+
+
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_servo_that_shuts_itself_down_is_told_of_and_woken_gently(
+    run: Callable, kind: dict
+) -> None:
+    r = run("drive", **kind)
+    goal = [0.4]
+
+    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def check(c: Any) -> Any:
+            r.command("l0", goal[0], goal[0], goal[0])
+            return true(c)
+
+        return check
+
+    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    servo = r.rig.servo(2)
+    r.rig.fault("error:id=2,bits=overload")
+    r.catcher.wait(feed(lambda c: any("2 (l0 j1): shut down" in line for line in c.lines)))
+    assert any("2 (l0 j1): overload" in line for line in r.catcher.lines)
+    r.catcher.wait(
+        feed(lambda c: c.statuses and "shutdown" in c.statuses[-1].servos.get("2", SPEAKS).alarms)
+    )
+    r.rig.fault()
+    writes, ticks, goal[0] = servo.writes, len(r.catcher.ticks), 0.0
+    r.catcher.wait(feed(lambda c: len(c.ticks) >= ticks + 60))
+    assert servo.writes == writes
+    assert not servo.drives
+    # The others go on; this one hangs where it was.
+    assert r.catcher.ticks[-1]["l0"].measured == pytest.approx([0.0, 0.4, 0.0], abs=0.02)
+    written, ticks = goals_written(servo), len(r.catcher.ticks)
+    if kind is AX:
+        # It drives again at once, to the goal in its register.
+        servo.write(servo.model.registers["torque_limit"].address, b"\xff\x03")
+    else:
+        servo.reboot()
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.0] * 3, abs=0.02)))
+    assert written[0] * servo.model.step_rad == pytest.approx(
+        servo.model.centre * servo.model.step_rad + 0.4, abs=0.05
+    )
+    easy = 0.15 / 5 / servo.model.step_rad
+    assert max(a - b for a, b in itertools.pairwise(written)) <= easy + 1
+    r.catcher.wait(feed(lambda c: any("no longer shut down" in line for line in c.lines)))
