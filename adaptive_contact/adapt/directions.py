@@ -9,6 +9,7 @@ recursion along these, and little elsewhere, lets two swings say what happened.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -22,10 +23,12 @@ Array = NDArray[np.float64]
 
 # Standard deviation of a change of a whole family of terms, as a share of itself.
 FAMILY_SHARE: Final = 0.3
+# Of the slope of the control law: what goes over to a law half as stiff.
+SLOPE_SHARE: Final = 0.5
 # Of a single term, in noise units: friction × 4 moves a prediction by 2 to 4.
-TERM_UNITS: Final = 2.0
+TERM_UNITS: Final = 1.0
 # Of everything else, in noise units.
-OTHER_UNITS: Final = 0.5
+OTHER_UNITS: Final = 0.2
 
 
 def core_support(model: LegModel) -> NDArray[np.bool_]:
@@ -72,6 +75,7 @@ def drift_directions(model: LegModel, scale: Array, noise: Array) -> Array:
             move[family] = FAMILY_SHARE * own[family]
             rows.append(move)
         rows.append(FAMILY_SHARE * own)
+        rows.append(_softer(model, joint, families[0]))
         support = core_support(model)[:, joint]
         single = {_row(model, term) for term in _own_terms(name)}
         for row in np.flatnonzero(support):
@@ -85,6 +89,17 @@ def drift_directions(model: LegModel, scale: Array, noise: Array) -> Array:
     for joint, rows in enumerate(every):
         out[joint, : len(rows)] = rows
     return out
+
+
+def _softer(model: LegModel, joint: int, law: Sequence[int]) -> Array:
+    """The control law with a gentler slope: its terms give way to the one of twice the slope."""
+    move = np.zeros(model.library.size)
+    gentle = _row(model, f"sat(e_{model.library.joints[joint]}/2s)")
+    if gentle is not None:
+        own = model.coefficients[law, joint]
+        move[law] = -SLOPE_SHARE * own
+        move[gentle] += SLOPE_SHARE * own.sum()
+    return move
 
 
 def _own_terms(joint: str) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from adaptive_contact.adapt.challenger import Challenger
 from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
-from adaptive_contact.adapt.monitor import LEVEL_RANGE, PATIENCE_SWINGS, DriftMonitor
+from adaptive_contact.adapt.monitor import LEVEL_RANGE, DriftMonitor
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.snapshot import (
@@ -92,7 +92,7 @@ class Follower:
         self._queue: deque[Row] = deque()
         self._better_baseline = 0
         self._era = 0
-        self._loose_swings = 0
+        self._loosened = False  # the recursion, since it was begun
         self._challenger = Challenger(leg, self._noise, self._scale, refitter)
 
     # -- what the detector asks -------------------------------------------------------------------
@@ -114,7 +114,7 @@ class Follower:
             (J,) or one number.
         """
         level = self.monitor.level_in_force
-        if self._loose_swings > 0:
+        if self._loosened:
             return level * (1.0 + self._rls.uncertainty(theta))
         return level
 
@@ -163,7 +163,6 @@ class Follower:
 
     def swing_done(self) -> None:
         """A swing has been resolved."""
-        self._loose_swings = max(0, self._loose_swings - 1)
         if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
             self._challenger.swing_done(self.model, self.buffer, self._era)
 
@@ -200,7 +199,7 @@ class Follower:
             "level": self.monitor.level,
             "status": self.monitor.status,
             "era": self._era,
-            "loose_swings": self._loose_swings,
+            "loosened": self._loosened,
             "refits": self._challenger.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
         }
@@ -249,7 +248,7 @@ class Follower:
         self._rls.restore(coefficients, factor)
         self.monitor.resume(level, status)
         self._era = era
-        self._loose_swings = int(saved.get("loose_swings", 0))
+        self._loosened = bool(saved.get("loosened", False))
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(segments)
         return None
@@ -264,7 +263,7 @@ class Follower:
             self.monitor.kind = kind_of_change(theta, residual, self.model, self._noise)
         self._era += 1
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
-            self._loose_swings = PATIENCE_SWINGS
+            self._loosened = True
             self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
         self._challenger.withdraw()
 
@@ -288,7 +287,7 @@ class Follower:
         if self._better_baseline < RETURN_SWINGS:
             return
         self._better_baseline = 0
-        self._rls = self._recursion(self._baseline)
+        self._rls, self._loosened = self._recursion(self._baseline), False
         self._queue.clear()
         self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self._moved = True
@@ -310,7 +309,7 @@ class Follower:
     def _promote(self, model: LegModel | None) -> None:
         if model is not None:
             self._model, self._moved = model, False
-            self._rls = self._recursion(model)
+            self._rls, self._loosened = self._recursion(model), False
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:
         theta = np.array([row.theta for row in rows])
@@ -327,7 +326,7 @@ class Follower:
         try:
             self._model = self._model.moved(self._rls.coefficients, version)
         except IdentificationError:
-            self._rls = self._recursion(self._baseline)
+            self._rls, self._loosened = self._recursion(self._baseline), False
             self._challenger.rolled_back("a coefficient was not finite")
             self._model = self._model.moved(self._rls.coefficients, version)
         self._moved = False
