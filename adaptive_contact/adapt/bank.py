@@ -7,10 +7,10 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 

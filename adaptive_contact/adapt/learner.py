@@ -1,7 +1,7 @@
 """The learner of one leg: samples in, contact events out.
 
 :class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
-state machine.  A :class:`~adaptive_contact.adapt.advance.Team` takes several learners one tick
+state machine.  A :class:`~adaptive_contact.adapt.team.Team` takes several learners one tick
 further and evaluates their libraries and statistics together, which is what makes six legs cost
 little more than one.
 
@@ -19,7 +19,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.advance import Team, within_domain
 from adaptive_contact.adapt.baseline import (
     Baseline,
     LegBaseline,
@@ -38,6 +37,7 @@ from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
+from adaptive_contact.adapt.team import Team, within_domain
 from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import (
     ContactState,

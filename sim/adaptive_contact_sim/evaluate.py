@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.advance import Team
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.robot import Robot, foot
 from adaptive_contact.score import (
     Events,

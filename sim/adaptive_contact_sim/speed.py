@@ -12,8 +12,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.refit import Job
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.refits import ProcessRefitter
@@ -77,7 +77,7 @@ class _Watched(ProcessRefitter):
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
-    """Measure :class:`~adaptive_contact.adapt.advance.Team` over a run of all legs."""
+    """Measure :class:`~adaptive_contact.adapt.team.Team` over a run of all legs."""
     legs = list(run.legs)
     refitter = _Watched()
     with threadpool_limits(1), contextlib.closing(refitter):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.adapt import Baseline, LearnerBank, LearnerMode
-from adaptive_contact.adapt.advance import Team
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactEvent, Reject

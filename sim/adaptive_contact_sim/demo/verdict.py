@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt import ContactLearner, LearnerMode, shipped_baseline
-from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.gather import untouched
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
     Gatherer,

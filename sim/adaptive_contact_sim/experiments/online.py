@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 
 from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.advance import Team
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, ServoSample

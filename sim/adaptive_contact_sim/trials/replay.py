@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 import adaptive_contact
 from adaptive_contact.adapt import ContactLearner
-from adaptive_contact.adapt.advance import Team
 from adaptive_contact.adapt.baseline import dump_baseline
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
