@@ -9,64 +9,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.tracker import Tracker, push, take
 from adaptive_contact.detect import WINDOWS, whitened
 
 if TYPE_CHECKING:
-    from adaptive_contact.adapt.learner import ContactLearner
     from adaptive_contact.identify import LegModel
 
-__all__ = ["Block", "Verdict"]
+__all__ = ["Block"]
 
 Array = NDArray[np.float64]
 
 
-class Verdict(NamedTuple):
-    """What is known of a tick that can be judged.
-
-    Attributes:
-        scores: statistic over threshold for each window, NaN where it reaches too far back.
-        distance: of the last residual from zero, whitened and squared, in any direction.
-        residual: (J,) rad, that residual.
-        target: (J,) rad, the movement that was measured.
-    """
-
-    scores: list[float]
-    distance: float
-    residual: Array
-    target: Array
-
-    @property
-    def score(self) -> float:
-        """The largest."""
-        # The window of one tick is always usable; longer ones may be NaN, which `max` passes over
-        # when it does not come first.
-        return max(self.scores)
-
-
 class Block:
-    """Learners with models of one library, and the arrays of their trackers.
+    """Detectors with models of one library, and the arrays of their trackers.
 
     Args:
-        learners: each with a tracker, which moves in.
+        detectors: whose trackers move in.
 
     Attributes:
-        learners: L of them; row i of every array belongs to the i-th.
+        detectors: L of them; row i of every array belongs to the i-th.
         trackers: theirs.
         window: (L, lags, J) rad, measured, desired and preview.
         history: (2, L, 3, J) rad, residuals and increments.
         increment: (L, J) rad, predicted for the tick to come.
     """
 
-    def __init__(self, learners: Sequence[ContactLearner]) -> None:
-        trackers = [learner.tracker for learner in learners]
-        self.learners = tuple(learners)
-        self.trackers: tuple[Tracker, ...] = tuple(t for t in trackers if t is not None)
+    def __init__(self, detectors: Sequence[LegDetector]) -> None:
+        self.detectors = tuple(detectors)
+        self.trackers: tuple[Tracker, ...] = tuple(d.tracker for d in detectors)
         first = self.trackers[0]
         library = first.model.library
         rows, joints = len(self.trackers), len(library.joints)
@@ -85,10 +61,7 @@ class Block:
         # Whitening of each row's tick in hand, and what it was made for: context and unit.
         self._whiten = np.zeros((rows, len(WINDOWS), joints, joints))
         self._made_for: list[tuple[int, float] | None] = [None] * rows
-        self._thresholds: list[list[float]] = [
-            [math.inf] * len(WINDOWS) if learner.thresholds is None else learner.thresholds.tolist()
-            for learner in learners
-        ]
+        self._thresholds: list[list[float]] = [d.thresholds.tolist() for d in detectors]
 
     def take(self, rows: Sequence[int], readings: Sequence[Sequence[float] | Array]) -> None:
         """Take in readings, (J,) rad for each of some rows."""
@@ -148,12 +121,12 @@ class Block:
 
     def _whiten_for(self, row: int) -> None:
         """Make a row's whitening that of its tick, which most often is that of the tick before."""
-        learner = self.learners[row]
-        context, unit = learner.context, learner.unit
+        detector = self.detectors[row]
+        context, unit = detector.context, detector.unit
         if isinstance(unit, float):
             if self._made_for[row] == (context, unit):
                 return
             self._made_for[row] = (context, unit)
         else:
             self._made_for[row] = None
-        self._whiten[row] = learner.whitening
+        self._whiten[row] = detector.whitening

@@ -12,7 +12,6 @@ free is learned there, a few rows per tick.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from typing import Any, Final
 
@@ -27,9 +26,8 @@ from adaptive_contact.adapt.baseline import (
     thresholds_of,
     unlike,
 )
-from adaptive_contact.adapt.block import Verdict
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
-from adaptive_contact.adapt.contacts import Touch
+from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
@@ -37,15 +35,12 @@ from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
-from adaptive_contact.adapt.team import Team, within_domain
+from adaptive_contact.adapt.team import Team
 from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import (
     ContactState,
     Decision,
-    NoiseModel,
     Tail,
-    context_of,
-    onset_fraction,
 )
 from adaptive_contact.errors import BaselineError
 from adaptive_contact.identify import LegModel, leg_library
@@ -83,10 +78,7 @@ class ContactLearner:
         refitter: does the sparse refits; in line where absent.
 
     Attributes:
-        tracker: the leg's recent past; None while there is no model.
-        thresholds: (windows,) of the statistic.
-        context: of the tick in hand, for its covariance.
-        unit: variance of its residual over the baseline's, one number or (J,).
+        detector: judges its ticks; None while there is no model.
 
     Raises:
         ConfigurationError: the robot has no such leg.
@@ -125,11 +117,7 @@ class ContactLearner:
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
-        self.context = 0
-        self.unit: Array | float = 1.0
-        self.tracker: Tracker | None = None
-        self.thresholds: Array | None = None
-        self._threshold = math.inf  # of the window of one tick
+        self.detector: LegDetector | None = None
         self._quarantine = Quarantine(self._swing)
         self._cold: ColdStart | None = None
         self._started_cold = False
@@ -169,27 +157,9 @@ class ContactLearner:
         return None if self._follower is None else self._follower.model
 
     @property
-    def whitening(self) -> Array:
-        """(windows, J, J) for the tick in hand."""
-        whiten: Array = self.noise.whiten[self.context]
-        # (J,) scales the columns, as it belongs to the residual's joints.
-        unit = self.unit
-        return whiten / (math.sqrt(unit) if isinstance(unit, float) else np.sqrt(unit))
-
-    @property
-    def noise(self) -> NoiseModel:
-        """Residuals of the model known at the start, on free ticks."""
-        assert self._known is not None
-        return self._known.noise
-
-    def alike(self, other: ContactLearner) -> bool:
-        """Whether another's model is made of the same library, so that arrays can be shared."""
-        ours, theirs = self.tracker, other.tracker
-        if ours is None or theirs is None:
-            return False
-        return (
-            ours.model.library is theirs.model.library or ours.model.library == theirs.model.library
-        ) and self.noise.whiten.shape == other.noise.whiten.shape
+    def tracker(self) -> Tracker | None:
+        """The leg's recent past, or None while there is no model."""
+        return None if self.detector is None else self.detector.tracker
 
     def drain_confirmed(self) -> list[int]:
         """Times of the ticks confirmed as free since the last call, ns."""
@@ -227,9 +197,10 @@ class ContactLearner:
     @property
     def model_report(self) -> ModelReport | None:
         """The model in terms and equations, or None while there is none."""
-        if self._follower is None or self.thresholds is None:
+        if self._follower is None or self.detector is None:
             return None
-        return report_of(self.leg, self._follower.model, float(self.thresholds[0]), self._origin)
+        threshold = float(self.detector.thresholds[0])
+        return report_of(self.leg, self._follower.model, threshold, self._origin)
 
     def snapshot(self) -> dict[str, Any] | None:
         """What has been learned, as a tree that msgpack can write; None without a model."""
@@ -339,8 +310,9 @@ class ContactLearner:
 
     def observe(self, sample: ServoSample) -> bool:
         """The tracker has taken the reading in; True if its residual can be judged."""
-        tracker = self.tracker
-        assert tracker is not None
+        detector = self.detector
+        assert detector is not None
+        tracker = detector.tracker
         judged = tracker.judge()
         self._swing.observe(sample)
         if self._rate.off:  # the model speaks of ticks of another length
@@ -350,28 +322,26 @@ class ContactLearner:
         if not judged or self._swing.ticks < 2:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
-        self.context = context_of(
-            self._command, self._command_before, self._swing.direction, self._quantum
-        )
+        detector.place(self._command, self._command_before, self._swing.direction)
         if self._follower is not None and tracker.theta is not None:
-            self.unit = self._follower.variance(tracker.theta) * tracker.inflation
+            detector.unit = self._follower.variance(tracker.theta) * tracker.inflation
         return True
 
     def decide(self, verdict: Verdict, sample: ServoSample) -> ContactEvent | None:
         """Turn the statistic of a tick that can be judged into an event, or into none."""
-        tracker = self.tracker
-        assert tracker is not None
+        detector = self.detector
+        assert detector is not None
+        tracker = detector.tracker
         loaded = self._state.loaded
         score, onset_ns = verdict.score, sample.t_ns
         if score > 1.0 and self._quarantine.lift_first:
             score = 1.0
         elif score > 1.0 and not loaded:
-            assert self._known is not None
-            score, width = within_domain(verdict.scores, tracker.thetas, self._known.domain)
-            onset_ns = self._onset(sample, width)
+            score, width = detector.known_score(verdict)
+            onset_ns = detector.onset_ns(sample.t_ns, width)
         decision = self._state.swing_tick(
             score,
-            verdict.distance / self._threshold,
+            detector.distance(verdict),
             sample.t_ns,
             onset_ns,
             descending=self._quarantine.lift_over,
@@ -393,7 +363,8 @@ class ContactLearner:
         if decision.contact:
             self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, self._period_ns)
-            self._keep(tracker)
+            if self._follower is not None and self._follower.learning:
+                self._follower.touched(detector.touch())
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
@@ -432,9 +403,8 @@ class ContactLearner:
         model = dataclasses.replace(known.model, version=version)
         known = dataclasses.replace(known, model=model)
         self._known, self._note = known, None
-        self.tracker = Tracker(model, self._quantum)
-        self.thresholds = thresholds_of(tails, self.robot.detector.false_alarms_per_hour)
-        self._threshold = float(self.thresholds[0])
+        thresholds = thresholds_of(tails, self.robot.detector.false_alarms_per_hour)
+        self.detector = LegDetector(known, thresholds, self._quantum, self._period_ns)
         self._quarantine.follower = Follower(self.leg.id, known, self._mode, self._refitter)
 
     def _cold_start(self) -> ColdStart:
@@ -454,7 +424,7 @@ class ContactLearner:
 
     def _forget_baseline(self) -> None:
         """The baseline was never this leg's: start cold, and say so."""
-        self._known = self._quarantine.follower = self.tracker = None
+        self._known = self._quarantine.follower = self.detector = None
         self._origin = None
         self._started_cold = False
         self._let_go()
@@ -491,24 +461,6 @@ class ContactLearner:
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()
-
-    def _onset(self, sample: ServoSample, width: int) -> int:
-        tracker = self.tracker
-        assert tracker is not None
-        period = self._period_ns
-        first = width - 1
-        share = onset_fraction(tracker.residuals[first], tracker.increments[first])
-        return sample.t_ns - first * period - round(share * period)
-
-    def _keep(self, tracker: Tracker) -> None:
-        """Keep what looked like a contact, for candidates to be tried on."""
-        follower = self._quarantine.follower
-        if follower is None or not follower.learning or self.thresholds is None:
-            return
-        target = tracker.residuals + tracker.increments
-        follower.touched(
-            Touch.of(tracker.thetas, target, self.whitening, self.thresholds, tracker.usable)
-        )
 
     def _event(self, decision: Decision, sample: ServoSample) -> ContactEvent:
         assert self.tracker is not None
@@ -556,11 +508,8 @@ class ContactLearner:
                 "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
                 "contacts are not reported"
             )
-        if self._rate.off and self._rate.found_ns is not None:
-            return (
-                f"samples are {self._rate.found_ns / 1e6:.1f} ms apart, robot.toml says "
-                f"{self._period_ns / 1e6:.1f} ms: nothing is judged or learned until they agree"
-            )
+        if self._rate.note is not None:
+            return self._rate.note
         if self._tally.counts["no_preview"]:
             return "the model needs a preview that the samples do not carry: no predictions"
         return None

@@ -164,6 +164,16 @@ class RateWatch:
         self._period_ns = period_ns
         self._ticks: deque[tuple[int, int]] = deque(maxlen=RATE_STEPS + 1)  # (t_ns, seq)
 
+    @property
+    def note(self) -> str | None:
+        """One line for a person while the rate is off."""
+        if not self.off or self.found_ns is None:
+            return None
+        return (
+            f"samples are {self.found_ns / 1e6:.1f} ms apart, robot.toml says "
+            f"{self._period_ns / 1e6:.1f} ms: nothing is judged or learned until they agree"
+        )
+
     def follow(self, t_ns: int, seq: int, *, restart: bool) -> bool:
         """Take in the time and number of an accepted sample.
 

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.adapt import Baseline, LearnerBank, LearnerMode
-from adaptive_contact.adapt.team import Team
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactEvent, Reject
@@ -103,68 +102,6 @@ def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) 
         for i in range(1, 50)
     ]
     assert not [e for e in play(learner, frozen) if e.contact]
-
-
-def test_several_at_once_equal_one_by_one(robot: Robot, baseline: Baseline) -> None:
-    streams = [
-        samples(*FakeLeg(seed=10 + i).run(30, touch=lambda n: 16 if n % 2 else None)[:3])
-        for i in range(3)
-    ]
-    alone = [play(ContactLearner(robot, "rf", baseline), stream) for stream in streams]
-    learners = [ContactLearner(robot, "rf", baseline) for _ in streams]
-    together: list[list[ContactEvent]] = [[] for _ in streams]
-    team = Team(learners)
-    for tick in zip(*streams, strict=True):
-        for i, event in enumerate(team.advance(tick)):
-            if event is not None:
-                together[i].append(event)
-    for one, many in zip(alone, together, strict=True):
-        assert [(e.seq, e.contact) for e in one] == [(e.seq, e.contact) for e in many]
-        np.testing.assert_allclose([e.score for e in one], [e.score for e in many], rtol=1e-9)
-
-
-def test_legs_whose_samples_are_lost_do_not_disturb_the_others(
-    robot: Robot, baseline: Baseline
-) -> None:
-    """Gaps, a leg that starts cold beside known ones, one that is taken further on its own."""
-    rng = np.random.default_rng(3)
-    streams = [
-        samples(*FakeLeg(seed=20 + n).run(60, touch=lambda k: 16 if k % 2 else None)[:3])
-        for n in range(4)
-    ]
-    length = min(len(stream) for stream in streams)
-    ticks = [
-        [None if rng.random() < 0.03 else sample for sample in tick]
-        for tick in zip(*(stream[:length] for stream in streams), strict=True)
-    ]
-
-    def learners() -> list[ContactLearner]:
-        known = [ContactLearner(robot, "rf", baseline) for _ in streams[1:]]
-        return [*known, ContactLearner(robot, "rf", None)]
-
-    one_by_one = learners()
-    alone = [
-        [learner.update(sample) for sample in own if sample is not None]
-        for learner, own in zip(one_by_one, zip(*ticks, strict=True), strict=True)
-    ]
-    members = learners()
-    team = Team(members)
-    together: list[list[ContactEvent | None]] = [[] for _ in members]
-    for k, tick in enumerate(ticks):
-        given = list(tick)
-        if k % 100 == 0 and given[0] is not None:  # a service asks one leg by itself
-            together[0].append(members[0].update(given[0]))
-            given[0] = None
-        for own, sample, event in zip(together, given, team.advance(given), strict=True):
-            if sample is not None:
-                own.append(event)
-    for one, many in zip(alone, together, strict=True):
-        assert [e and (e.seq, e.contact) for e in one] == [e and (e.seq, e.contact) for e in many]
-    assert any(event is not None for event in together[0])
-    for a, b in zip(one_by_one, members, strict=True):
-        assert a.model is not None
-        assert b.model is not None
-        np.testing.assert_allclose(a.model.coefficients, b.model.coefficients, rtol=1e-6, atol=1e-9)
 
 
 def test_the_same_samples_give_the_same_events(robot: Robot, baseline: Baseline) -> None:

@@ -130,15 +130,15 @@ class _Watch:
 
     def tick(self, k: int) -> None:
         """After the learner has taken a tick in, if it is traced."""
-        of, tracker = self.learner, self.learner.tracker
-        if self._residual is None or tracker is None or tracker.usable == 0:
+        detector = self.learner.detector
+        if self._residual is None or detector is None or detector.tracker.usable == 0:
             return
+        tracker = detector.tracker
         self._residual[k] = tracker.residuals[0]
-        if of.thresholds is not None:
-            said = statistic(
-                tracker.residuals, tracker.increments, of.whitening, np.array(tracker.usable)
-            )
-            self._score[k] = np.nanmax(said.value / of.thresholds)
+        said = statistic(
+            tracker.residuals, tracker.increments, detector.whitening, np.array(tracker.usable)
+        )
+        self._score[k] = np.nanmax(said.value / detector.thresholds)
 
     def swing_over(self) -> None:
         """At the first sample after a swing."""
