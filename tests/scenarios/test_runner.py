@@ -14,6 +14,7 @@ from adaptive_contact_sim.trials.figures import figures, judge_scenario
 from adaptive_contact_sim.trials.recording import file_of
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.replay import load_replay, replay_file
+from adaptive_contact_sim.trials.report import report_text
 from adaptive_contact_sim.trials.results import merge, read_results, results, write_results
 from adaptive_contact_sim.trials.runner import Done, Folders, jobs, run
 from adaptive_contact_sim.trials.runs import QUICK_SIZES
@@ -114,3 +115,13 @@ def test_no_results_are_told_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text('{"v": 99}')
     with pytest.raises(ConfigurationError, match="not results of this version"):
         read_results(tmp_path / "results.json")
+
+
+def test_the_report_says_what_the_whole_would_have_besides(
+    scenario: Scenario, whole: Folders
+) -> None:
+    judged = [judge_scenario(scenario, whole)]
+    part = report_text(results(judged, replace(SIZES, leg_runs=8), size="full"), set())
+    assert "**A part of it**: 8 leg-runs of each scenario instead of 20; not run: " in part
+    assert "step-friction4, " in part.split("not run: ")[1]
+    assert "step-mass50" not in part.split("not run: ")[1].split("\n")[0]

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.runner import Folders
+from adaptive_contact_sim.trials.runs import FULL_SIZES
 from adaptive_contact_sim.trials.spec import Variant
 from adaptive_contact_sim.trials.words import percent, phases_around, plain_number, rate, swings
 
@@ -122,6 +124,7 @@ def report_text(results: Tree, pictures: set[str]) -> str:
     parts = [_INTRODUCTION]
     if results["size"] != "full":
         parts.append(_SMALL[results["size"]])
+    parts += _lacking(results)
     parts.append(_verdict(table))
     parts += [f"- {problem}\n" for problem in results["problems"]]
     if SUMMARY in pictures:
@@ -137,6 +140,20 @@ def report_text(results: Tree, pictures: set[str]) -> str:
         "was learned from or tuned on.\n"
     )
     return "\n".join(parts)
+
+
+def _lacking(results: Tree) -> list[str]:
+    """What the full form would have besides, if these are figures of a part of it."""
+    wanted = FULL_SIZES.leg_runs
+    absent = [name for name in scenarios(FULL_SIZES) if name not in results["scenarios"]]
+    words = []
+    if results["size"] == "full" and results["leg_runs"] < wanted:
+        words.append(f"{results['leg_runs']} leg-runs of each scenario instead of {wanted}")
+    if absent:
+        words.append(f"not run: {', '.join(absent)}")
+    if not words:
+        return []
+    return [f"**A part of it**: {'; '.join(words)}. `make scenarios` makes the whole.\n"]
 
 
 def _verdict(table: Tree) -> str:
