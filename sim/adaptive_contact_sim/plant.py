@@ -5,6 +5,7 @@ The plant knows joints, servos and contacts; it knows nothing of gaits, drifts o
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Final, NamedTuple
 
@@ -122,6 +123,7 @@ class Plant:
         self._touching = [False] * len(LEGS)
         self._contacts = 0
         self._velocity6 = np.zeros(6)
+        self._geom_leg: list[int] = e.geom_leg.tolist()
 
     @property
     def time_s(self) -> float:
@@ -242,15 +244,13 @@ class Plant:
 
     def _note_contacts(self) -> None:
         """Remember which parts of which legs came into contact in the step just made."""
-        data, e = self.data, self.elements
+        data, leg_of = self.data, self._geom_leg
         self._contacts = data.ncon
         now = [False] * len(LEGS)
         if self._contacts:
-            pairs = data.contact.geom
-            for k in range(self._contacts):
-                first, second = int(pairs[k, 0]), int(pairs[k, 1])
-                geom, other = (first, second) if e.geom_leg[first] >= 0 else (second, first)
-                leg = int(e.geom_leg[geom])
+            for k, (first, second) in enumerate(data.contact.geom.tolist()):
+                geom, other = (first, second) if leg_of[first] >= 0 else (second, first)
+                leg = leg_of[geom]
                 if leg < 0:
                     continue
                 if not now[leg] and not self._touching[leg]:
@@ -264,11 +264,13 @@ class Plant:
         mujoco.mj_objectVelocity(
             self.model, data, mujoco.mjtObj.mjOBJ_GEOM, geom, self._velocity6, 0
         )
-        arm = data.contact.pos[contact] - data.geom_xpos[geom]
-        velocity = self._velocity6[3:] + np.cross(self._velocity6[:3], arm)
-        speed = float(np.linalg.norm(velocity))
-        normal = data.contact.frame[contact, :3]
-        into = abs(float(velocity @ normal))
+        # Feet that stand lose and find the ground all the time, and `np.cross` takes its time.
+        wx, wy, wz, vx, vy, vz = self._velocity6.tolist()
+        x, y, z = (data.contact.pos[contact] - data.geom_xpos[geom]).tolist()
+        turning = (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)
+        velocity = np.array([vx + turning[0], vy + turning[1], vz + turning[2]])
+        speed = math.sqrt(velocity @ velocity)
+        into = abs(float(velocity @ data.contact.frame[contact, :3]))
         return Touch(
             step=self.steps,
             part=int(self.elements.geom_part[geom]),

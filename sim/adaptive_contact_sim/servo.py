@@ -227,8 +227,7 @@ class ServoBank:
         np.multiply(self._position, 1.0 / QUANTUM_RAD, out=work)
         np.add(work, self._offset_steps, out=work)
         np.rint(work, out=work)
-        np.subtract(self._base, work, out=work)
-        self._index[:] = work
+        np.subtract(self._base, work, out=self._index, casting="unsafe")
         self._flat.take(self._index, out=self._torque, mode="clip")
         np.multiply(self._torque, self._sag, out=self._torque)
 
