@@ -14,7 +14,8 @@ Cycle time and jitter come as quantiles of ten seconds and a port; the verdict i
 the p99 of the whole run, put together from all of them.  Missed cycles are counted twice: by the
 bridge, and as gaps in ``seq`` of what arrives here; both have to be 0.  A virtual computer stands
 still now and then, for everybody; sleepers before everything else see it, and how many of the
-missed ticks fell into such a time stands beside.
+missed ticks fell into such a time stands beside.  So do the figures of a bare bus
+(:mod:`bare`) that ran all along: the bridge's over those is what the bridge is answerable for.
 
 The bytes of a pseudo-terminal pass through workers of the kernel, which have no priority: on a
 computer with other work each of a cycle's 24 passages may wait for it, by milliseconds.  With
@@ -40,7 +41,8 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from machine import STALL_MS, Computer, Stall, Stalls, Workers  # beside this file
+from bare import BareBus  # beside this file
+from machine import STALL_MS, Computer, Stall, Stalls, Workers
 
 from adaptive_contact.bridge.status import BridgeStatus, Quantiles
 from adaptive_contact.robot import shipped_robot
@@ -205,8 +207,10 @@ def watch(ears: Ears, seconds: float) -> tuple[Windows, float, list[Stall]]:
     return windows, began, stood
 
 
-def report(ears: Ears, seconds: float, most_ms: float) -> list[Verdict]:
+def report(ears: Ears, options: Options, seconds: float, most_ms: float) -> list[Verdict]:
+    bare_bus = BareBus(realtime=options.realtime)
     windows, began, stalls = watch(ears, seconds)
+    bare = bare_bus.end()
     if not windows.kept:
         raise SystemExit("no status of any port; is the bridge running?")
     lost, excused, heard_ms = ears.gaps(began, began + seconds, stalls)
@@ -223,6 +227,10 @@ def report(ears: Ears, seconds: float, most_ms: float) -> list[Verdict]:
     )
     print(f"  jitter of arrival here, through the router: p99 {heard_ms:.2f} ms")
     cycle, jitter = windows.told("cycle_ms")[1], windows.told("jitter_ms")[1]
+    print(
+        f"  {bare}\n  over the bare bus: cycle p99 {cycle / bare.cycle_p99:.2f} times, jitter p99 "
+        f"{jitter / bare.jitter_p99:.2f} times"
+    )
     return [
         Verdict("cycle, p99 of the run", cycle, most_ms, "ms"),
         Verdict("jitter of publication, p99 of the run", jitter, JITTER_MS, "ms"),
@@ -234,7 +242,7 @@ def report(ears: Ears, seconds: float, most_ms: float) -> list[Verdict]:
 def bridge_cycle(options: Options) -> list[Verdict]:
     with chain(options) as ears:
         settle(ears)
-        return report(ears, options.seconds, CYCLE_MS)
+        return report(ears, options, options.seconds, CYCLE_MS)
 
 
 def bridge_silent_servo(options: Options) -> list[Verdict]:
@@ -244,7 +252,7 @@ def bridge_silent_servo(options: Options) -> list[Verdict]:
         key = str(SILENT)
         ears.until(lambda status: key in status.servos and status.servos[key].silent, 90)
         settle(ears)
-        cycle, _, missed, lost = report(ears, min(options.seconds, 60.0), SILENT_MS)
+        cycle, _, missed, lost = report(ears, options, min(options.seconds, 60.0), SILENT_MS)
         return [cycle, missed, lost]  # each time it is asked, its time runs out: publication waits
 
 
