@@ -58,10 +58,9 @@ class Block:
         self._library = library
         self._models: list[LegModel | None] = [None] * rows
         self._coefficients = np.zeros((rows, library.size, joints))
-        # Whitening of each row's tick in hand, and what it was made for: context and unit.
+        # Whitening of each row's tick in hand, and what it was made for: context, unit, revision.
         self._whiten = np.zeros((rows, len(WINDOWS), joints, joints))
-        self._made_for: list[tuple[int, float] | None] = [None] * rows
-        self._thresholds: list[list[float]] = [d.thresholds.tolist() for d in detectors]
+        self._made_for: list[tuple[int, float, int] | None] = [None] * rows
 
     def take(self, rows: Sequence[int], readings: Sequence[Sequence[float] | Array]) -> None:
         """Take in readings, (J,) rad for each of some rows."""
@@ -96,7 +95,11 @@ class Block:
             scores = [
                 math.nan if ticks > usable else value / limit if opposes < 0.0 else 0.0
                 for ticks, value, opposes, limit in zip(
-                    WINDOWS, squares[row], products[row], self._thresholds[row], strict=True
+                    WINDOWS,
+                    squares[row],
+                    products[row],
+                    self.detectors[row].recent.limits,
+                    strict=True,
                 )
             ]
             said.append(Verdict(scores, squares[row][0], residual[row], target[row]))
@@ -124,9 +127,10 @@ class Block:
         detector = self.detectors[row]
         context, unit = detector.context, detector.unit
         if isinstance(unit, float):
-            if self._made_for[row] == (context, unit):
+            made_for = (context, unit, detector.recent.revision)
+            if self._made_for[row] == made_for:
                 return
-            self._made_for[row] = (context, unit)
+            self._made_for[row] = made_for
         else:
             self._made_for[row] = None
         self._whiten[row] = detector.whitening

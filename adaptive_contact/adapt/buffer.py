@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 
 # 120 segments are the lifts and descents of 60 swings: about a minute of walking.
 MAX_SEGMENTS: Final = 120
+# A large library needs more rows than that, and its segments are kept for longer; 1,000 segments of
+# the paper's library are 20 MB.
+MOST_SEGMENTS: Final = 1000
 
 
 class Segment(NamedTuple):
@@ -32,6 +35,7 @@ class Segment(NamedTuple):
 
     Attributes:
         theta: (n, p); target: (n, J) rad.
+        context: (n,) by which the rows' covariances were chosen.
         cell: direction and region it counts towards.
         era: which state of the leg it belongs to; raised by the drift monitor.
         t_ns: of its last row.
@@ -39,6 +43,7 @@ class Segment(NamedTuple):
 
     theta: Array
     target: Array
+    context: NDArray[np.int64]
     cell: tuple[int, int]
     era: int
     t_ns: int
@@ -46,11 +51,17 @@ class Segment(NamedTuple):
 
 @dataclasses.dataclass
 class SlidingBuffer:
-    """Confirmed segments of one leg."""
+    """Confirmed segments of one leg.
+
+    Attributes:
+        limit: segments kept, more where they hold less than ``rows`` rows.
+        rows: that a refit wants.
+    """
 
     limit: int = MAX_SEGMENTS
+    rows: int = 0
     _segments: deque[Segment] = dataclasses.field(default_factory=deque)
-    _swings: int = 0
+    _held: int = 0  # rows
 
     @property
     def segments(self) -> list[Segment]:
@@ -77,22 +88,23 @@ class SlidingBuffer:
         cell = (0 if rows[0].lift else 1, region)
         theta = np.array([row.theta for row in rows])
         target = np.array([row.target for row in rows])
-        self._segments.append(Segment(theta, target, cell, era, rows[-1].t_ns))
-        if len(self._segments) > self.limit:
+        context = np.array([row.context for row in rows])
+        self._segments.append(Segment(theta, target, context, cell, era, rows[-1].t_ns))
+        self._held += len(rows)
+        if len(self._segments) > self.limit and (
+            self._held > self.rows or len(self._segments) > MOST_SEGMENTS
+        ):
             self._evict()
 
     def _evict(self) -> None:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
         newest = self._segments[-1].era
-        for index, segment in enumerate(self._segments):
-            if segment.era != newest:
-                del self._segments[index]
-                return
         fullest, _ = Counter(segment.cell for segment in self._segments).most_common(1)[0]
-        for index, segment in enumerate(self._segments):
-            if segment.cell == fullest:
-                del self._segments[index]
-                return
+        index = next((i for i, segment in enumerate(self._segments) if segment.era != newest), None)
+        if index is None:
+            index = next(i for i, s in enumerate(self._segments) if s.cell == fullest)
+        self._held -= len(self._segments[index].target)
+        del self._segments[index]
 
     def factors(
         self, terms: int, joints: int, *, era: int, every: int = 5
@@ -124,8 +136,10 @@ class SlidingBuffer:
 
     def restore(self, segments: list[Segment]) -> None:
         """Take over saved segments, oldest first; beyond the limit, the newest."""
-        self._segments = deque(segments[-self.limit :])
+        self._segments = deque(segments[-MOST_SEGMENTS:])
+        self._held = sum(len(segment.target) for segment in self._segments)
 
     def clear(self) -> None:
         """Forget everything: the rows belong to another model's regressors."""
         self._segments.clear()
+        self._held = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -15,7 +16,7 @@ from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import FitStatus, LegModel
 from adaptive_contact.wire import RefitCounts
 
-__all__ = ["Challenger"]
+__all__ = ["Challenger", "rows_for_refit"]
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,16 @@ TRIAL_ROWS: Final = 200
 PROMOTE_ERRORS: Final = 3.0
 # Of the stored contacts that the champion finds, it may miss this share.
 MISSED_SHARE: Final = 0.05
+# A champion that was displaced stands by for so many ticks, and comes back where it does better.
+PROBATION_ROWS: Final = 100
+# Share of the buffer that is fitted to, and room for segments of an older state of the leg.
+FITTED_SHARE: Final = 0.8
+ROOM: Final = 1.3
+
+
+def rows_for_refit(model: LegModel) -> int:
+    """Rows that a buffer must hold for refits of a model's library."""
+    return math.ceil(ROOM * MIN_ROWS_PER_TERM * model.library.size / FITTED_SHARE)
 
 
 class Challenger:
@@ -61,6 +72,7 @@ class Challenger:
         self._jobs = 0
         self._pending: tuple[int, int] | None = None  # job, ticks to go
         self._candidate: Array | None = None
+        self._probation = False  # the candidate is the champion of before
         # How far champion (over the noise) and candidate were off in the rows of its trial.
         self._off: list[tuple[Sequence[float], Array]] = []
         self._tally = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
@@ -71,9 +83,18 @@ class Challenger:
         """For the status."""
         return RefitCounts(**self._tally, last_reason=self._reason)
 
-    def swing_done(self, model: LegModel, buffer: SlidingBuffer, era: int) -> None:
-        """Ask for a refit when it is time and there is enough to fit to."""
-        self._swings += 1
+    def swing_done(
+        self, model: LegModel, buffer: SlidingBuffer, era: int, *, learned: bool = True
+    ) -> None:
+        """Ask for a refit when it is time and there is enough to fit to.
+
+        Args:
+            model: in force.
+            buffer: confirmed segments.
+            era: the present state of the leg.
+            learned: some of the swing's ticks were confirmed.
+        """
+        self._swings += learned
         if self._pending or self._candidate is not None:
             return
         waited_s = self._ticks * model.library.period_s
@@ -82,6 +103,10 @@ class Challenger:
         p, joints = model.coefficients.shape
         fit, held_out = buffer.factors(p, joints, era=era)
         if fit.rows < MIN_ROWS_PER_TERM * p:
+            self._reason = (
+                f"waiting: {fit.rows:.0f} free ticks of the leg as it is to fit to, "
+                f"{MIN_ROWS_PER_TERM * p} are needed"
+            )
             return
         prior = np.diag(self._scale * PRIOR_ROWS**0.5)
         fit.add(prior, prior @ model.coefficients)
@@ -108,7 +133,7 @@ class Challenger:
         if result.status is not FitStatus.OK:
             self._refuse(f"the fit ended with '{result.status}'")
             return
-        self._candidate, self._off = result.coefficients, []
+        self._candidate, self._off, self._probation = result.coefficients, [], False
 
     @property
     def trying(self) -> bool:
@@ -126,7 +151,7 @@ class Challenger:
         if self._candidate is None:
             return None
         self._off.append((champion, row.target - row.theta @ self._candidate))
-        if len(self._off) < TRIAL_ROWS:
+        if len(self._off) < (PROBATION_ROWS if self._probation else TRIAL_ROWS):
             return None
         coefficients, self._candidate = self._candidate, None
         of_champion = np.square([champion for champion, _ in self._off])
@@ -136,6 +161,12 @@ class Challenger:
         mean = float(gain.mean())
         errors = mean / max(float(gain.std()) / len(gain) ** 0.5, 1e-12)
         words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
+        if self._probation:
+            self._probation = False
+            if errors < PROMOTE_ERRORS:
+                return None
+            self.rolled_back(f"the model before is {words}")
+            return model.moved(coefficients, model.version + 1)
         if errors < PROMOTE_ERRORS:
             self._refuse(words)
             return None
@@ -146,11 +177,12 @@ class Challenger:
             return None
         self._tally["promoted"] += 1
         self._reason = f"promoted: {words}"
+        self._candidate, self._off, self._probation = model.coefficients, [], True
         return model.moved(coefficients, model.version + 1)
 
     def withdraw(self) -> None:
         """The leg has changed: what was fitted to its past is void, a new fit does not wait."""
-        self._pending, self._candidate = None, None
+        self._pending, self._candidate, self._probation = None, None, False
         self._early = True
         self.contacts.clear()
 

@@ -15,16 +15,18 @@ from numpy.typing import NDArray
 
 from adaptive_contact.detect import WINDOWS, statistic
 
-__all__ = ["StoredContacts", "Touch"]
+__all__ = ["TICKS", "StoredContacts", "Touch"]
 
 Array = NDArray[np.float64]
 
 # As many as a minute of walking brings, half of them of the ground.
 MOST: Final = 40
+# Ticks of each, from the alarm on.
+TICKS: Final = 3
 
 
 class Touch(NamedTuple):
-    """The ticks that decided a contact, and how they were judged.
+    """A tick in contact with those before it, and how they were judged.
 
     Attributes:
         theta: (3, p) regressors, lag 0 first; zero before the first usable one.
@@ -55,14 +57,14 @@ class StoredContacts:
     """The newest contacts of one leg as it is now."""
 
     def __init__(self) -> None:
-        self._kept: deque[Touch] = deque(maxlen=MOST)
+        self._kept: deque[tuple[Touch, ...]] = deque(maxlen=MOST)
 
     def __len__(self) -> int:
         return len(self._kept)
 
-    def add(self, touch: Touch) -> None:
-        """Keep one; the oldest goes if there are too many."""
-        self._kept.append(touch)
+    def add(self, ticks: Sequence[Touch]) -> None:
+        """Keep one, the ticks from its alarm on; the oldest goes if there are too many."""
+        self._kept.append(tuple(ticks))
 
     def clear(self) -> None:
         """The leg has changed: what looked like contacts may have been the change."""
@@ -70,6 +72,9 @@ class StoredContacts:
 
     def found(self, coefficients: Array) -> NDArray[np.bool_]:
         """Which of them a model reports, whatever happened before.
+
+        In any of their ticks: an alarm that came too early, which a better model would not raise,
+        is followed by the touch itself.
 
         Args:
             coefficients: (p, J).
@@ -79,7 +84,10 @@ class StoredContacts:
         """
         if not self._kept:
             return np.zeros(0, dtype=np.bool_)
-        theta, target, whiten, limits, usable = map(np.array, zip(*self._kept, strict=True))
+        ticks = [touch for contact in self._kept for touch in contact]
+        theta, target, whiten, limits, usable = map(np.array, zip(*ticks, strict=True))
         increment = theta @ coefficients
         said = statistic(target - increment, increment, whiten, usable)
-        return np.asarray((np.nan_to_num(said.value) / limits).max(axis=-1) > 1.0)
+        alarm = (np.nan_to_num(said.value) / limits).max(axis=-1) > 1.0
+        begins = np.cumsum([0, *(len(contact) for contact in self._kept)])[:-1]
+        return np.asarray(np.logical_or.reduceat(alarm, begins))

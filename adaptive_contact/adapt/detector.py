@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.contacts import Touch
+from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import context_of, onset_fraction
 from adaptive_contact.identify import Domain
@@ -51,35 +52,38 @@ class LegDetector:
     """One leg's.
 
     Args:
-        known: its model at the start, and the covariances and domain of that.
-        thresholds: (windows,) of the statistic.
+        known: its model at the start, and the domain of that.
+        recent: covariances and thresholds, which follow.
         quantum_rad: position step of the servos.
         period_ns: control tick.
 
     Attributes:
         tracker: the leg's recent past.
-        thresholds: as given.
+        recent: as given.
         context: of the tick in hand, for its covariance.
         unit: variance of its residual over the baseline's, one number or (J,).
     """
 
     def __init__(
-        self, known: LegBaseline, thresholds: Array, quantum_rad: float, period_ns: int
+        self, known: LegBaseline, recent: RecentNoise, quantum_rad: float, period_ns: int
     ) -> None:
         self.tracker = Tracker(known.model, quantum_rad)
-        self.thresholds = thresholds
+        self.recent = recent
         self.context = 0
         self.unit: Array | float = 1.0
-        self._noise = known.noise
         self._domain = known.domain
         self._quantum = quantum_rad
         self._period_ns = period_ns
-        self._threshold = float(thresholds[0])
+
+    @property
+    def thresholds(self) -> Array:
+        """(windows,) of the statistic, at present."""
+        return self.recent.thresholds
 
     @property
     def whitening(self) -> Array:
         """(windows, J, J) for the tick in hand."""
-        whiten: Array = self._noise.whiten[self.context]
+        whiten: Array = self.recent.whiten[self.context]
         # (J,) scales the columns, as it belongs to the residual's joints.
         unit = self.unit
         return whiten / (math.sqrt(unit) if isinstance(unit, float) else np.sqrt(unit))
@@ -88,7 +92,7 @@ class LegDetector:
         """Whether another's model is made of the same library, so that arrays can be shared."""
         ours, theirs = self.tracker.model.library, other.tracker.model.library
         return (ours is theirs or ours == theirs) and (
-            self._noise.whiten.shape == other._noise.whiten.shape
+            self.recent.whiten.shape == other.recent.whiten.shape
         )
 
     def place(self, command: Sequence[float], before: Sequence[float], direction: int) -> None:
@@ -107,7 +111,7 @@ class LegDetector:
 
     def distance(self, verdict: Verdict) -> float:
         """From free motion in any direction, over the threshold of one tick."""
-        return verdict.distance / self._threshold
+        return verdict.distance / self.recent.limits[0]
 
     def onset_ns(self, t_ns: int, ticks: int) -> int:
         """When a touch began that a window of so many ticks has shown."""

@@ -1,5 +1,7 @@
 """Follows one leg's model: recursion, refits, return to what was known.
 
+The model of the last good swing is kept: one that turns out implausible is replaced by it.
+
 When the monitor says that the leg has changed, the recursion is loosened along the ways in which
 legs change, and learns from the lifts at once.
 """
@@ -8,18 +10,20 @@ from __future__ import annotations
 
 import enum
 from collections import deque
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
-from adaptive_contact.adapt.challenger import Challenger
+from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
 from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
-from adaptive_contact.adapt.monitor import LEVEL_RANGE, DriftMonitor
+from adaptive_contact.adapt.monitor import LEVEL_RANGE, SETTLED_LEVEL, DriftMonitor
+from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.snapshot import (
@@ -31,7 +35,6 @@ from adaptive_contact.adapt.snapshot import (
     segment_of,
     unpack_segment,
 )
-from adaptive_contact.errors import IdentificationError
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 from adaptive_contact.wire import RefitCounts, Status
@@ -47,8 +50,14 @@ RETURN_SWINGS: Final = 3
 CALM_QUEUE: Final = 24
 # Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
 CONFIRMED_TICKS: Final = 2048
-# A term never moves a tick by more than this; the fastest servos make 0.5 rad in one.
-MAX_TERM_RAD: Final = 2.0
+# A term never moves a tick by more than this: the fastest servos make it in one, and no term of the
+# shipped models moves a typical tick by more than an eighth of it.
+MAX_TERM_RAD: Final = 0.5
+# Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
+# times what the baseline's do.
+BALANCE: Final = 5.0
+# Covariances and thresholds are made anew after so many swings.
+REFRESH_SWINGS: Final = 4
 
 
 class LearnerMode(enum.StrEnum):
@@ -61,12 +70,21 @@ class LearnerMode(enum.StrEnum):
     FULL = "full"
 
 
+class _Good(NamedTuple):
+    """A model that fitted, with the recursion that went on from it."""
+
+    model: LegModel
+    rls: RecursiveLeastSquares
+    loosened: bool
+
+
 class Follower:
     """The adapting part of one leg's learner.
 
     Args:
         leg: its id.
         known: the baseline.
+        recent: covariances and thresholds, which it keeps up to date.
         mode: what it may do.
         refitter: does the sparse refits.
 
@@ -75,14 +93,22 @@ class Follower:
         gated: whether it learns from what is confirmed only, and lifts are heard as witnesses.
     """
 
-    def __init__(self, leg: str, known: LegBaseline, mode: LearnerMode, refitter: Refitter) -> None:
+    def __init__(
+        self,
+        leg: str,
+        known: LegBaseline,
+        recent: RecentNoise,
+        mode: LearnerMode,
+        refitter: Refitter,
+    ) -> None:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
         self.gated = mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
         self._model = known.model
         self._moved = False  # the recursion has, since the model was made
         self.monitor = DriftMonitor(len(known.noise.rms))
-        self.buffer = SlidingBuffer()
+        self.buffer = SlidingBuffer(rows=rows_for_refit(known.model))
+        self._recent = recent
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
         self._baseline = known.model
@@ -93,6 +119,12 @@ class Follower:
         self._better_baseline = 0
         self._era = 0
         self._loosened = False  # the recursion, since it was begun
+        # What a term may move a tick by, at most.
+        own = np.abs(known.model.coefficients * known.scale[:, None]).max()
+        self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
+        self._good: _Good | None = None
+        self._swings = 0  # since covariances were made anew
+        self._learned_swing = False
         self._challenger = Challenger(leg, self._noise, self._scale, refitter)
 
     # -- what the detector asks -------------------------------------------------------------------
@@ -156,15 +188,23 @@ class Follower:
         """The confirmed part of a descent."""
         self._confirm(rows, region)
 
-    def touched(self, touch: Touch) -> None:
+    def touched(self, ticks: Sequence[Touch]) -> None:
         """A contact was reported; while the leg is known, it is one to try candidates on."""
         if self.monitor.status == "valid":
-            self._challenger.contacts.add(touch)
+            self._challenger.contacts.add(ticks)
 
     def swing_done(self) -> None:
         """A swing has been resolved."""
+        learned, self._learned_swing = self._learned_swing, False
+        if not self.gated:
+            return
+        self._swings += 1
+        if self._swings >= REFRESH_SWINGS:
+            self._refresh()
+        if self.monitor.status == "valid" and self.monitor.level < SETTLED_LEVEL:
+            self._good = _Good(self.model, self._rls.copy(), self._loosened)
         if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
-            self._challenger.swing_done(self.model, self.buffer, self._era)
+            self._challenger.swing_done(self.model, self.buffer, self._era, learned=learned)
 
     def tick(self, budget: int) -> None:
         """Once per control tick: learn a few rows, collect a result that is due.
@@ -201,6 +241,7 @@ class Follower:
             "era": self._era,
             "loosened": self._loosened,
             "refits": self._challenger.snapshot(),
+            "recent": self._recent.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
         }
 
@@ -225,14 +266,15 @@ class Follower:
                 raise ImplausibleError("it was learned from another baseline")
             coefficients = array_of(saved.get("coefficients"), (p, joints), "its model")
             # A model that moves a typical tick by radians is none of a servo's.
-            if np.abs(coefficients * self._scale[:, None]).max() > MAX_TERM_RAD:
+            if self._implausible(coefficients):
                 raise ImplausibleError("its model is implausible")
             support = array_of(saved.get("support"), (p, joints), "its support") > 0.5
             # A promoted model has a support of its own.
             rls = RecursiveLeastSquares(coefficients, support, self._scale, self._noise)
             q = len(rls.terms)
             factor = array_of(saved.get("factor"), (joints, q, q), "its covariance")
-            segments = [unpack_segment(s, p, joints) for s in saved.get("segments", [])]
+            contexts = len(self._recent.whiten)
+            segments = [unpack_segment(s, p, joints, contexts) for s in saved.get("segments", [])]
             version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
             if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
                 raise ImplausibleError("its version or era is no number")
@@ -251,6 +293,8 @@ class Follower:
         self._loosened = bool(saved.get("loosened", False))
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(segments)
+        self._recent.restore(saved.get("recent"))
+        self._refresh()
         return None
 
     # -- private ----------------------------------------------------------------------------------
@@ -266,9 +310,13 @@ class Follower:
             self._loosened = True
             self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
         self._challenger.withdraw()
+        self._refresh()
 
     def _confirm(self, rows: list[Row], region: int) -> None:
         rows = [row for row in rows if row.cleared]
+        self._learned_swing |= bool(rows)
+        if self.monitor.status == "valid":
+            self._recent.count([row.value for row in rows])
         self.confirmed_ns.extend(row.t_ns for row in rows)
         self.buffer.add(rows, region, self._era)
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
@@ -293,6 +341,7 @@ class Follower:
         self._moved = True
         self.monitor.level = 1.0
         self._era += 1
+        self._refresh()
 
     def _learn(self, row: Row) -> None:
         """Learn a row, and let a candidate, if there is one, be tried on it."""
@@ -310,6 +359,7 @@ class Follower:
         if model is not None:
             self._model, self._moved = model, False
             self._rls, self._loosened = self._recursion(model), False
+            self._refresh()
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:
         theta = np.array([row.theta for row in rows])
@@ -321,12 +371,27 @@ class Follower:
             model.coefficients, core_support(model), self._scale, self._noise
         )
 
+    def _refresh(self) -> None:
+        """Make covariances and thresholds those of the model in force and the leg as it is."""
+        self._swings = 0
+        segments = [s for s in self.buffer.segments if s.era == self._era]
+        self._recent.refresh(segments, self.model.coefficients)
+
+    def _implausible(self, coefficients: Array) -> bool:
+        """Whether a model would move a typical tick by more than any servo's can; NaN is, too."""
+        return not np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad
+
     def _publish(self) -> None:
         version = max(1, self._model.version)
-        try:
-            self._model = self._model.moved(self._rls.coefficients, version)
-        except IdentificationError:
-            self._rls, self._loosened = self._recursion(self._baseline), False
-            self._challenger.rolled_back("a coefficient was not finite")
-            self._model = self._model.moved(self._rls.coefficients, version)
         self._moved = False
+        coefficients = self._rls.coefficients
+        if not self._implausible(coefficients):
+            self._model = self._model.moved(coefficients, version)
+            return
+        good = self._good or _Good(self._baseline, self._recursion(self._baseline), loosened=False)
+        self._model = self._model.moved(good.model.coefficients, version)
+        self._rls, self._loosened = good.rls.copy(), good.loosened
+        self._queue.clear()
+        self._challenger.withdraw()
+        whose = "the baseline" if self._good is None else "the last good model"
+        self._challenger.rolled_back(f"a coefficient was not finite, or implausible: {whose} again")

@@ -23,13 +23,14 @@ from adaptive_contact.adapt.baseline import (
     LegBaseline,
     leg_of_tree,
     leg_tree,
-    thresholds_of,
     unlike,
 )
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
+from adaptive_contact.adapt.contacts import TICKS, Touch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower, LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
+from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
@@ -119,6 +120,7 @@ class ContactLearner:
         self._alone: Team | None = None
         self.detector: LegDetector | None = None
         self._quarantine = Quarantine(self._swing)
+        self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._cold: ColdStart | None = None
         self._started_cold = False
         if self._known is not None:
@@ -251,12 +253,13 @@ class ContactLearner:
             known = leg_of_tree(start.get("known") if isinstance(start, dict) else None, library)
         except BaselineError as problem:
             return f"snapshot of leg '{self.leg.id}' not used: {problem}"
-        follower = Follower(self.leg.id, known, self._mode, self._refitter)
-        refused = follower.restore(inner)
-        if refused is not None:
-            return refused
+        before = (self._known, self._note, self.detector, self._quarantine.follower)
         self._begin(known, prior_tails(len(self.leg.joints)), version=1)
-        self._quarantine.follower = follower
+        assert self._follower is not None
+        refused = self._follower.restore(inner)
+        if refused is not None:
+            self._known, self._note, self.detector, self._quarantine.follower = before
+            return refused
         self._cold, self._started_cold = None, True
         origin = start.get("origin") if isinstance(start, dict) else None
         self._origin = origin if isinstance(origin, str) else "cold start"
@@ -352,19 +355,21 @@ class ContactLearner:
             self._recent.append(verdict.residual)
         self._quarantine.enter(
             tracker.thetas[0],
-            verdict.target,
-            verdict.distance,
+            verdict,
+            detector,
             t_ns=sample.t_ns,
             at=sample.desired,
             free=not (loaded or self._state.contact),
         )
         if decision is None:
+            if self._touching:
+                self._touch(detector)
             return None
         if decision.contact:
             self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, self._period_ns)
-            if self._follower is not None and self._follower.learning:
-                self._follower.touched(detector.touch())
+            self._touching = []
+            self._touch(detector)
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
@@ -398,14 +403,27 @@ class ContactLearner:
 
     # -- private -------------------------------------------------------------------------------
 
+    def _touch(self, detector: LegDetector) -> None:
+        """Keep the first ticks of a contact, for candidate models to be tried on."""
+        if self._follower is None or not self._follower.learning:
+            return
+        self._touching.append(detector.touch())
+        if len(self._touching) >= TICKS:
+            self._hand_touch()
+
+    def _hand_touch(self) -> None:
+        ticks, self._touching = self._touching, []
+        if ticks and self._follower is not None:
+            self._follower.touched(ticks)
+
     def _begin(self, known: LegBaseline, tails: tuple[Tail, ...], version: int = 0) -> None:
         """Detect and follow from here on."""
         model = dataclasses.replace(known.model, version=version)
         known = dataclasses.replace(known, model=model)
         self._known, self._note = known, None
-        thresholds = thresholds_of(tails, self.robot.detector.false_alarms_per_hour)
-        self.detector = LegDetector(known, thresholds, self._quantum, self._period_ns)
-        self._quarantine.follower = Follower(self.leg.id, known, self._mode, self._refitter)
+        recent = RecentNoise(known.noise, tails, self.robot.detector.false_alarms_per_hour)
+        self.detector = LegDetector(known, recent, self._quantum, self._period_ns)
+        self._quarantine.follower = Follower(self.leg.id, known, recent, self._mode, self._refitter)
 
     def _cold_start(self) -> ColdStart:
         return ColdStart(self.leg, leg_library(self.robot, self.leg), self._quantum)
@@ -455,6 +473,8 @@ class ContactLearner:
     def _follow_phase(self, sample: ServoSample) -> None:
         self._swing.follow(sample)
         if self._swing.ticks == 0:
+            if self._touching:
+                self._hand_touch()
             self._quarantine.resolve()
         elif self._swing.ticks == 1:
             self._quarantine.begin(sample.t_ns)
@@ -510,6 +530,11 @@ class ContactLearner:
             )
         if self._rate.note is not None:
             return self._rate.note
+        if self._swing.deaf and self._follower is not None and self._follower.gated:
+            return (
+                "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the "
+                "leg are not followed; give the lengths of its links"
+            )
         if self._tally.counts["no_preview"]:
             return "the model needs a preview that the samples do not carry: no predictions"
         return None

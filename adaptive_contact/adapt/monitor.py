@@ -2,7 +2,9 @@
 
 The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
 the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
-widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change.
+widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change; so
+is a level that crept up without any lift standing out.  A leg that will not fit again is never
+called valid: it is ambiguous, as a foot that drags looks the same.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from scipy import stats
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.wire import DriftLevel, Status
 
-__all__ = ["LEVEL_RANGE", "PATIENCE_SWINGS", "DriftMonitor", "Heard"]
+__all__ = ["LEVEL_RANGE", "PATIENCE_SWINGS", "SETTLED_LEVEL", "DriftMonitor", "Heard"]
 
 # A good model's lift exceeds the doubt level once in so many; the slack is for what a covariance
 # of one context does not tell of another.
@@ -36,8 +38,10 @@ LEVEL_RANGE: Final = (1.0, 400.0)
 # Calm lifts in a row after which an adapting leg is valid again.
 SETTLED_SWINGS: Final = 3
 SETTLED_LEVEL: Final = 2.5
-# Swings after which a leg that will not settle is called ambiguous, or taken for noisier.
+# Swings after which a leg that will not settle is taken for noisier, or, above the level of a worn
+# leg (two and a half times the noise), called ambiguous.
 PATIENCE_SWINGS: Final = 20
+WORN_LEVEL: Final = 6.25
 LOOSEN_EVERY: Final = 5
 # A foot that does not rise in so many swings in a row is held by something.
 HELD_SWINGS: Final = 2
@@ -85,8 +89,9 @@ class DriftMonitor:
         self._since_doubt: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
         self._settled = 0
         self._since_ns: int | None = None
-        self._swings_adapting = 0
-        self._held_swings = 0
+        self._swings_adapting = self._swings_loose = 0  # since the change, since it was let loose
+        self._held_swings = self._worn_swings = 0
+        self._came = 1.0
         self._lifts = self._lifts_far = 0
 
     @property
@@ -108,11 +113,14 @@ class DriftMonitor:
     def note(self) -> str | None:
         """One line for a person, None when all is well."""
         if self._held_swings >= HELD_SWINGS:
-            return f"the foot did not rise in {self._held_swings} swings: caught, or no strength"
+            return (
+                f"the foot came {100 * self._came:.0f} % of its command's way, and did not rise in "
+                f"{self._held_swings} swings: caught, or no strength"
+            )
         if self.status == "ambiguous":
             return (
-                f"lifts stay {self.level**0.5:.1f} times as far from the model as they should: "
-                "a lasting change, or a foot that drags"
+                f"lifts have been {self.level**0.5:.1f} times as far from the model as they should "
+                f"for {self._swings_adapting} swings: a lasting change, or a foot that drags"
             )
         return None
 
@@ -136,6 +144,8 @@ class DriftMonitor:
             return self._doubt(list(rows), level, t_ns)
         self._doubts, self._doubted = 0, []
         self._follow_level(level)
+        if self._crept():
+            return self._changed(list(rows), t_ns)
         self._settle(level)
         return Heard(list(rows))
 
@@ -150,20 +160,27 @@ class DriftMonitor:
             self._swing_level = None
             self._doubts, self._doubted = 0, []
 
-    def foot_held(self, *, held: bool) -> None:
+    def foot_held(self, *, held: bool, came: float) -> None:
         """Tell whether the foot failed to rise with its command in the swing that ends.
 
         A foot that is caught and a leg that has lost its strength look alike; neither is learned.
+
+        Args:
+            held: whether it did.
+            came: share of its command's way that it went.
         """
+        released = self._held_swings >= HELD_SWINGS and not held
         self._held_swings = self._held_swings + 1 if held else 0
+        self._came = came
         if self._held_swings >= HELD_SWINGS:
             self.status = "ambiguous"
-        elif self.status == "ambiguous" and not held and self._swings_adapting == 0:
-            self.status = "valid"
+        elif released:
+            self.status = "adapting" if self._swings_adapting else "valid"
 
     def resume(self, level: float, status: Status) -> None:
         """Go on from a saved state; since when is of another clock, perhaps."""
         self.level, self.status, self._since_ns = level, status, None
+        self._swings_adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}.get(status, 0)
 
     def _doubt(self, rows: list[Row], level: float, t_ns: int) -> Heard:
         self._swing_level = float(np.clip(level, *LEVEL_RANGE))
@@ -174,33 +191,47 @@ class DriftMonitor:
             self._doubted, self._doubted_ns = rows, t_ns
             return Heard([])
         rows, self._doubted = [*self._doubted, *rows], []
-        first = self.status != "adapting"
-        changed = first or self._swings_adapting >= LOOSEN_EVERY
-        if first:
-            self._since_ns = self._doubted_ns
-        if changed:
-            self.status, self._swings_adapting = "adapting", 0
-        self._swings_adapting += 1
         self.level = self._swing_level**0.5
+        heard = self._changed(rows, self._doubted_ns)
         self._follow_level(level)
+        return heard
+
+    def _crept(self) -> bool:
+        """Whether the leg has left its model so slowly that no lift was doubted."""
+        worn = self.status == "valid" and self.level > WORN_LEVEL
+        self._worn_swings = self._worn_swings + 1 if worn else 0
+        return self._worn_swings >= LOOSEN_EVERY
+
+    def _changed(self, rows: list[Row], since_ns: int) -> Heard:
+        """The leg is another than the model's, for the first time or still."""
+        first = self._swings_adapting == 0
+        if first:
+            self.status, self._since_ns = "adapting", since_ns
+            self._worn_swings = 0
+        loose = first or self._swings_loose >= LOOSEN_EVERY
+        self._swings_loose = 1 if loose else self._swings_loose + 1
+        self._swings_adapting += 1
         if self._swings_adapting > PATIENCE_SWINGS:
             self.status = "ambiguous"
-        return Heard(rows, changed, first)
+        return Heard(rows, loose, first)
 
     def _follow_level(self, level: float) -> None:
-        share = LEVEL_SHARE_ADAPTING if self.status == "adapting" else LEVEL_SHARE
+        share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
         self.level = float(np.clip((1 - share) * self.level + share * level, *LEVEL_RANGE))
 
     def _settle(self, level: float) -> None:
         if self.status == "valid":
             return
         self._swings_adapting += 1
+        self._swings_loose += 1
         self._settled = self._settled + 1 if level < SETTLED_LEVEL else 0
         patient = self._swings_adapting > PATIENCE_SWINGS
-        if self._settled >= SETTLED_SWINGS or patient:
+        if self._settled >= SETTLED_SWINGS or (patient and self.level <= WORN_LEVEL):
             self.status = "valid"
             self._since_ns = self.kind = None
             self._swings_adapting = 0
+        elif patient:
+            self.status = "ambiguous"
 
 
 @functools.cache

@@ -6,11 +6,13 @@ its top, a descent once the swing is over, and nothing of a foot that is held.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.swing import SwingWatch
@@ -36,6 +38,7 @@ class Quarantine:
         self._book = SwingBook()
         self._open = False
         self._region = 0
+        self._regions = _Regions()
 
     @property
     def lift_first(self) -> bool:
@@ -75,15 +78,15 @@ class Quarantine:
         self._book.discard()
 
     def enter(
-        self, theta: Array, target: Array, distance: float, *, t_ns: int, at: Sequence[float],
-        free: bool,
+        self, theta: Array, verdict: Verdict, detector: LegDetector, *, t_ns: int,
+        at: Sequence[float], free: bool,
     ) -> None:  # fmt: skip
         """Enter a judged tick, and hand on the lift where this tick is past its top.
 
         Args:
             theta: (p,) regressors that predicted it.
-            target: (J,) rad, the movement that was measured.
-            distance: of its residual from zero, whitened by the level in force, squared.
+            verdict: on it.
+            detector: whose verdict that is.
             t_ns: of the tick.
             at: (J,) rad, the command in force.
             free: the leg had been found free before, and is not held to touch.
@@ -93,8 +96,18 @@ class Quarantine:
             return
         # The model's own doubt is part of the unit; the followed level is not.
         monitor, book = follower.monitor, self._book
-        level = distance * monitor.level_in_force / len(target)
-        row = Row(theta, target, level, t_ns, swing.rising, free, swing.cleared)
+        level = verdict.distance * monitor.level_in_force / len(verdict.target)
+        row = Row(
+            theta,
+            verdict.target,
+            level,
+            verdict.scores[0] * detector.recent.limits[0],
+            detector.context,
+            t_ns,
+            lift=swing.rising,
+            calm=free,
+            cleared=swing.cleared,
+        )
         if not follower.gated:
             follower.learn_now(row)
             return
@@ -105,9 +118,9 @@ class Quarantine:
             return
         held = swing.judge_lift()
         if held is not None:
-            follower.monitor.foot_held(held=held)
+            follower.monitor.foot_held(held=held, came=swing.came)
         if swing.lifted and not swing.held:
-            self._region = _region(at)
+            self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)
 
     def alarm(self, onset_ns: int, period_ns: int) -> None:
@@ -127,7 +140,23 @@ class Quarantine:
             self.follower.descent(rows, self._region)
 
 
-def _region(at: Sequence[float]) -> int:
-    """A coarse place in the workspace: where the first joint points, and how far it reaches."""
-    first, bend = at[0], at[-1]
-    return int(first > 0.2) - int(first < -0.2) + 1 + 3 * int(bend > -1.4)
+class _Regions:
+    """Coarse places in a leg's workspace: where the first joint points, how far the last bends.
+
+    Thirds and halves of what has been seen of them, so that legs of any build have several.
+    """
+
+    def __init__(self) -> None:
+        self._first = self._last = (math.inf, -math.inf)
+
+    def of(self, at: Sequence[float]) -> int:
+        """The region of a command, (J,) rad, 0 to 5."""
+        self._first = (min(self._first[0], at[0]), max(self._first[1], at[0]))
+        self._last = (min(self._last[0], at[-1]), max(self._last[1], at[-1]))
+        return 2 * _part(at[0], self._first, 3) + _part(at[-1], self._last, 2)
+
+
+def _part(value: float, seen: tuple[float, float], parts: int) -> int:
+    """Which of so many equal parts of a range a value lies in."""
+    width = seen[1] - seen[0]
+    return 0 if width <= 0.0 else min(int(parts * (value - seen[0]) / width), parts - 1)

@@ -41,6 +41,8 @@ class Row(NamedTuple):
         theta: (p,) regressors that predicted it.
         target: (J,) rad, the movement that was measured.
         level: squared whitened distance of its residual over J: 1 on average for a good model.
+        value: the statistic of this tick alone, by which it was judged.
+        context: by which its covariance was chosen.
         t_ns: of the tick.
         lift: the foot was rising.
         calm: the leg had been found free before.
@@ -50,6 +52,8 @@ class Row(NamedTuple):
     theta: Array
     target: Array
     level: float
+    value: float
+    context: int
     t_ns: int
     lift: bool
     calm: bool

@@ -26,7 +26,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 
 
 class ImplausibleError(Exception):
@@ -80,13 +80,14 @@ def segment_of(segment: Segment) -> dict[str, Any]:
     return {
         "theta": pack(segment.theta),
         "target": pack(segment.target),
+        "context": pack(segment.context.astype(np.float64)),
         "cell": list(segment.cell),
         "era": segment.era,
         "t_ns": segment.t_ns,
     }
 
 
-def unpack_segment(value: object, terms: int, joints: int) -> Segment:
+def unpack_segment(value: object, terms: int, joints: int, contexts: int) -> Segment:
     """A segment from a snapshot.
 
     Raises:
@@ -96,6 +97,9 @@ def unpack_segment(value: object, terms: int, joints: int) -> Segment:
         raise ImplausibleError("a segment is no map")
     theta = array_of(value.get("theta"), (-1, terms), "a segment's regressors")
     target = array_of(value.get("target"), (len(theta), joints), "a segment's targets")
+    context = array_of(value.get("context"), (len(theta),), "a segment's contexts")
+    if not ((context >= 0) & (context < contexts)).all():
+        raise ImplausibleError("a segment's contexts are none")
     cell, era, t_ns = value.get("cell"), value.get("era"), value.get("t_ns")
     if not (
         isinstance(cell, list | tuple) and len(cell) == 2 and all(isinstance(c, int) for c in cell)
@@ -103,4 +107,5 @@ def unpack_segment(value: object, terms: int, joints: int) -> Segment:
         raise ImplausibleError("a segment's cell is no pair")
     if not (isinstance(era, int) and isinstance(t_ns, int)):
         raise ImplausibleError("a segment's era or time is no number")
-    return Segment(theta, target, (int(cell[0]), int(cell[1])), era, t_ns)
+    place = (int(cell[0]), int(cell[1]))
+    return Segment(theta, target, context.astype(np.int64), place, era, t_ns)

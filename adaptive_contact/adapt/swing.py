@@ -34,6 +34,10 @@ CLEARANCE_M: Final = 0.015
 LIFTED_M: Final = 0.006
 # A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
 CLEAR_TICKS: Final = 11
+# Without geometry the first half of a swing stands for its lift, if it holds enough ticks after the
+# foot has let go; the shortest of the last few swings says how long they are.
+LIFT_TICKS: Final = 10
+SWINGS: Final = 5
 
 
 class SwingWatch:
@@ -42,9 +46,10 @@ class SwingWatch:
     Attributes:
         ticks: samples since the swing began, 1 at its first, 0 in stance.
         direction: of the command in force.
-        rising: the measured foot went up in this tick.
+        rising: the measured foot went up in this tick; without geometry, the time says so.
         cleared: the foot was off the ground before this tick began, whatever residuals say.
         held: the foot does not follow its command: something holds it, or it has no strength.
+        came: share of its command's way that the foot went in the last lift that told.
         untold: samples whose phase could not be told.
     """
 
@@ -54,6 +59,7 @@ class SwingWatch:
         self.rising = False
         self.cleared = False
         self.held = False
+        self.came = 1.0
         self.untold = 0
         self._leg = leg
         self._axes = leg.joint_axes
@@ -67,6 +73,7 @@ class SwingWatch:
         self._start: _Place = self._measured
         self._rise = self._moved = 0.0
         self._asked: deque[float] = deque([0.0], maxlen=LAG_TICKS + 1)
+        self._lengths: deque[int] = deque(maxlen=SWINGS)  # of swings, ticks
 
     @property
     def blind(self) -> bool:
@@ -77,8 +84,17 @@ class SwingWatch:
     def descending(self) -> bool:
         """Whether the command in force is past the lift; without geometry, the time says so."""
         if self._leg.lengths_m is None:
-            return self.ticks > 2 * LIFT_OFF_TICKS
+            return self.ticks > max(2 * LIFT_OFF_TICKS, self._half)
         return self.direction is Direction.DESCENT and self.ticks > LIFT_OFF_TICKS
+
+    @property
+    def deaf(self) -> bool:
+        """Whether swings are too short to hear of changes without the leg's geometry."""
+        return self._leg.lengths_m is None and bool(self._lengths) and self._half < LIFT_TICKS
+
+    @property
+    def _half(self) -> int:
+        return min(self._lengths, default=0) // 2
 
     @property
     def lifted(self) -> bool:
@@ -93,7 +109,8 @@ class SwingWatch:
         asked = self._asked[0]
         if asked <= LEAST_WAY_M:
             return None
-        self.held = self._moved < (FREE_SHARE if self.held else HELD_SHARE) * asked
+        self.came = self._moved / asked
+        self.held = self.came < (FREE_SHARE if self.held else HELD_SHARE)
         return self.held
 
     def restart(self) -> None:
@@ -115,6 +132,8 @@ class SwingWatch:
         self._told = sample.phase is not None
         if phase is None:
             self.untold += 1
+        if self.ticks and phase != "swing":
+            self._lengths.append(self.ticks)
         # Between swings nobody asks for places, and four in five ticks lie there.
         self.ticks = self.ticks + 1 if phase == "swing" else 0
         if self.ticks and self._leg.lengths_m is not None:
@@ -136,6 +155,7 @@ class SwingWatch:
             return
         if self._leg.lengths_m is None:
             self.cleared = self.ticks >= CLEAR_TICKS
+            self.rising = self._half >= LIFT_TICKS and LIFT_OFF_TICKS < self.ticks <= self._half
             return
         self.cleared = self._rise > CLEARANCE_M or self.ticks >= CLEAR_TICKS
         now = self._place(sample.measured)

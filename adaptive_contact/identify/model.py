@@ -18,9 +18,6 @@ __all__ = ["LegModel"]
 
 Array = NDArray[np.float64]
 
-# Servos of this kind turn at most about 25 rad/s; a model that promises more is implausible.
-MAX_SPEED_RAD_S = 25.0
-
 
 @dataclasses.dataclass(frozen=True)
 class LegModel:

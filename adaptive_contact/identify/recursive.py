@@ -19,6 +19,7 @@ cannot lose definiteness.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 
@@ -133,6 +134,13 @@ class RecursiveLeastSquares:
             root = factor[joint, np.searchsorted(terms, index[held])]
             self._take_root(joint, root / self.noise[joint])
         self._bound()
+
+    def copy(self) -> RecursiveLeastSquares:
+        """One that goes its own way from here; what never changes is shared."""
+        twin = copy.copy(self)
+        twin._full, twin._xi, twin._s = self._full.copy(), self._xi.copy(), self._s.copy()
+        twin._outer = np.empty_like(self._outer)
+        return twin
 
     def reset_covariance(self) -> None:
         """Back to the prior: every term free to move by as much as it says."""

@@ -8,6 +8,7 @@ import pytest
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import (
+    PROBATION_ROWS,
     REFIT_DUE_TICKS,
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
@@ -51,7 +52,7 @@ def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
     theta = np.zeros(p)
     theta[0] = rng.normal() + 2.0
     target = theta[0] * truth + rng.normal(size=3) * NOISE
-    return Row(theta, target, 1.0, 0, lift=True, calm=True, cleared=True)
+    return Row(theta, target, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True)
 
 
 def stopped(model: LegModel) -> Touch:
@@ -71,18 +72,22 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challe
     for k in range(60):
         buffer.add([row(rng, p, truth=0.06) for _ in range(12)], k % 3, 0)
     for _ in range(contacts):
-        challenger.contacts.add(stopped(model))
+        challenger.contacts.add([stopped(model)])
     for _ in range(REFIT_EVERY_SWINGS):
         challenger.swing_done(model, buffer, 0)
     for _ in range(REFIT_DUE_TICKS + 1):
         challenger.tick()
     assert challenger.trying
     promoted = None
-    while challenger.trying:
-        new = row(rng, p, truth=0.06)
-        off = (new.target - new.theta @ model.coefficients) / NOISE
-        promoted = challenger.compare(new, off.tolist(), model)
+    while challenger.trying and promoted is None:
+        promoted = compared(challenger, row(rng, p, truth=0.06), model)
     return challenger, promoted or model
+
+
+def compared(challenger: Challenger, new: Row, model: LegModel) -> LegModel | None:
+    """A row of the trial, as the follower lets it be tried."""
+    off = (new.target - new.theta @ model.coefficients) / NOISE
+    return challenger.compare(new, off.tolist(), model)
 
 
 def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
@@ -109,6 +114,70 @@ def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:
     challenger, after = tried(model, model.coefficients * 0.8, contacts=0)
     assert after is model
     assert challenger.counts.refused == 1
+
+
+def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_better(
+    model: LegModel,
+) -> None:
+    """It is followed by the touch itself, which the better model reports."""
+    candidate = model.coefficients * 0.5
+    early = stopped(model)
+    early = early._replace(target=np.array([early.theta[k] @ candidate for k in range(3)]))
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(candidate))
+    challenger.contacts.add([early])
+    assert challenger.contacts.found(model.coefficients).tolist() == [True]
+    assert challenger.contacts.found(candidate).tolist() == [False]
+    challenger.contacts.clear()
+    challenger.contacts.add([early, stopped(model)])
+    challenger.contacts.add([early])
+    assert challenger.contacts.found(candidate).tolist() == [True, False]
+
+
+def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel) -> None:
+    challenger, promoted = tried(model, model.coefficients * 1.2, contacts=0)
+    assert promoted.version == 1
+    rng = np.random.default_rng(1)
+    back = None
+    for _ in range(PROBATION_ROWS):  # the leg is again what it was
+        back = compared(challenger, row(rng, model.library.size, truth=0.05), promoted)
+    assert back is not None
+    np.testing.assert_array_equal(back.coefficients, model.coefficients)
+    assert back.version == 2
+    assert challenger.counts.rolled_back == 1
+    assert "rolled back: the model before is" in (challenger.counts.last_reason or "")
+    assert not challenger.trying
+
+
+def test_a_promoted_model_that_goes_on_well_stays(model: LegModel) -> None:
+    challenger, promoted = tried(model, model.coefficients * 1.2, contacts=0)
+    rng = np.random.default_rng(1)
+    for _ in range(PROBATION_ROWS):
+        assert compared(challenger, row(rng, model.library.size, truth=0.06), promoted) is None
+    assert challenger.counts.rolled_back == 0
+    assert not challenger.trying
+
+
+def test_only_swings_of_which_something_was_learned_count(model: LegModel) -> None:
+    given = Given(model.coefficients)
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
+    rng = np.random.default_rng(0)
+    buffer = SlidingBuffer()
+    for k in range(60):
+        buffer.add([row(rng, model.library.size, truth=0.05) for _ in range(12)], k % 3, 0)
+    for _ in range(3 * REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0, learned=False)
+    assert given.asked == 0
+
+
+def test_a_refit_that_waits_for_rows_says_so(model: LegModel) -> None:
+    given = Given(model.coefficients)
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, SlidingBuffer(), 0)
+    assert given.asked == 0
+    assert challenger.counts.last_reason == (
+        f"waiting: 0 free ticks of the leg as it is to fit to, {4 * model.library.size} are needed"
+    )
 
 
 def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
@@ -150,7 +219,7 @@ def test_the_newest_contacts_are_kept(model: LegModel) -> None:
     stored = StoredContacts()
     assert stored.found(model.coefficients).shape == (0,)
     for _ in range(MOST + 5):
-        stored.add(stopped(model))
+        stored.add([stopped(model)])
     assert len(stored) == MOST
     assert stored.found(model.coefficients).all()
     assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"

@@ -20,7 +20,8 @@ PERIOD = 20_000_000
 def row(
     tick: int, *, lift: bool, level: float = 1.0, calm: bool = False, cleared: bool = True
 ) -> Row:
-    return Row(np.full(2, float(tick)), np.zeros(1), level, tick * PERIOD, lift, calm, cleared)
+    at = np.full(2, float(tick))
+    return Row(at, np.zeros(1), level, level, 0, tick * PERIOD, lift, calm, cleared)
 
 
 def ticks(rows: list[Row] | None) -> list[int]:
@@ -126,6 +127,13 @@ def test_a_monotonous_gait_does_not_push_out_the_rest() -> None:
         buffer.add(rows(4), region=0, era=0)
     kept = {segment.cell[1] for segment in buffer.segments}
     assert kept == {0, 1, 2, 3}
+
+
+def test_a_large_library_is_given_the_rows_it_needs() -> None:
+    buffer = SlidingBuffer(limit=10, rows=100)
+    for _ in range(200):
+        buffer.add(rows(4), region=0, era=0)
+    assert 100 <= sum(len(segment.target) for segment in buffer.segments) <= 104
 
 
 def test_what_belongs_to_the_leg_before_its_change_goes_first() -> None:

@@ -1,0 +1,149 @@
+r"""What the residuals of a leg look like lately: covariance and tail that follow.
+
+A baseline's covariances and tails are of the day it was learned.  A joint that has grown noisier,
+a reading that has become rougher, a model that fits one direction less well show in the confirmed
+free ticks, and only there: a contact is never among them.  Two things follow, so that the
+false-alarm rate stays put and not the threshold:
+
+- the *shape* of the covariance.  With z the whitened residuals of the buffer under the model in
+  force, :math:`S = (Z^\top Z + n_0 s I) / (n + n_0)`, shrunk towards the baseline's and normed to
+  a mean variance of one: how large it is on the whole, the drift monitor's level says;
+- the *tail* of the statistic.  How often it passes the level at which the baseline's tail begins,
+  and by how much, against what the baseline promised.
+
+Neither makes the detector more eager than the baseline did.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.baseline import thresholds_of
+from adaptive_contact.detect import NoiseModel, Tail
+
+if TYPE_CHECKING:
+    from adaptive_contact.adapt.buffer import Segment
+
+__all__ = ["RecentNoise"]
+
+Array = NDArray[np.float64]
+
+# The baseline's covariance weighs like so many ticks; the buffer holds some 700.
+SHRINK_TICKS: Final = 200.0
+# A residual further out than so many of its deviations counts as if it were there.
+CLIP: Final = 3.0
+# The baseline's tail weighs like so many exceedances.
+PRIOR_EXCEEDANCES: Final = 200.0
+# Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
+MEMORY_TICKS: Final = 20_000.0
+# A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
+# which the monitor has to say.
+MOST: Final = 4.0
+
+
+class RecentNoise:
+    """Covariances and thresholds of one leg, from a baseline's and its confirmed free ticks.
+
+    Args:
+        noise: of the baseline.
+        tails: (windows,) of the baseline's statistic.
+        false_alarms_per_hour: aimed at.
+
+    Attributes:
+        whiten: (contexts, windows, J, J).
+        thresholds: (windows,) of the statistic.
+        limits: the same, as plain floats.
+        revision: raised whenever one of them changes.
+    """
+
+    def __init__(
+        self, noise: NoiseModel, tails: tuple[Tail, ...], false_alarms_per_hour: float
+    ) -> None:
+        self._noise = noise
+        self._tails = tails
+        self._aim = false_alarms_per_hour
+        self._least = thresholds_of(tails, false_alarms_per_hour)
+        self.whiten: Array = noise.whiten
+        self.thresholds: Array = self._least
+        self.limits: list[float] = self._least.tolist()
+        self.revision = 0
+        # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
+        self._ticks = self._above = self._excess = 0.0
+
+    def count(self, values: Sequence[float]) -> None:
+        """Take in the statistic of one tick at confirmed free ticks of a leg that is known."""
+        tail = self._tails[0]
+        self._ticks += len(values)
+        for value in values:
+            if value > tail.level:  # NaN is not
+                self._above += 1.0
+                self._excess += value - tail.level
+        if self._ticks > MEMORY_TICKS:
+            fade = MEMORY_TICKS / self._ticks
+            self._ticks *= fade
+            self._above *= fade
+            self._excess *= fade
+
+    def refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
+        """Make covariances and thresholds those of now.
+
+        Args:
+            segments: confirmed ticks of the leg as it is.
+            coefficients: (p, J) of the model in force.
+        """
+        self.whiten = self._shaped(segments, coefficients)
+        often, wide = self.tail_factors
+        tails = tuple(
+            dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
+            for t in self._tails
+        )
+        self.thresholds = np.maximum(self._least, thresholds_of(tails, self._aim))
+        self.limits = self.thresholds.tolist()
+        self.revision += 1
+
+    @property
+    def tail_factors(self) -> tuple[float, float]:
+        """How many times as often, and as far, the statistic passes its level; 1 for as before."""
+        tail = self._tails[0]
+        mean = tail.scale / (1.0 - tail.shape)
+        above = PRIOR_EXCEEDANCES + self._above
+        often = above / (PRIOR_EXCEEDANCES + tail.rate * self._ticks)
+        wide = (PRIOR_EXCEEDANCES * mean + self._excess) / (above * mean)
+        return min(max(often, 1.0), MOST), min(max(wide, 1.0), MOST)
+
+    def snapshot(self) -> dict[str, float]:
+        """What was counted, for :meth:`restore`."""
+        return {"ticks": self._ticks, "above": self._above, "excess": self._excess}
+
+    def restore(self, saved: Any) -> None:
+        """Take over saved counts; what is none is left."""
+        if not isinstance(saved, dict):
+            return
+        values = [saved.get(name) for name in ("ticks", "above", "excess")]
+        known = [v for v in values if isinstance(v, float) and 0.0 <= v <= 2.0 * MEMORY_TICKS]
+        if len(known) == len(values):
+            self._ticks, self._above, self._excess = known
+
+    def _shaped(self, segments: Sequence[Segment], coefficients: Array) -> Array:
+        """(contexts, windows, J, J) the baseline's whitening, turned and stretched by S."""
+        if not segments:
+            return self._noise.whiten
+        theta = np.concatenate([s.theta for s in segments])
+        target = np.concatenate([s.target for s in segments])
+        where = np.concatenate([s.context for s in segments])
+        z = np.matvec(self._noise.whiten[where, 0], target - theta @ coefficients)
+        joints = z.shape[1]
+        size = np.sqrt(np.square(z).mean(axis=1))
+        usual = max(float(np.median(size)), 1e-12)
+        z *= np.minimum(1.0, CLIP * usual / np.maximum(size, 1e-12))[:, None]
+        scatter = z.T @ z
+        mean = float(np.trace(scatter)) / joints / len(z)
+        shape = scatter + SHRINK_TICKS * mean * np.eye(joints)
+        shape *= joints / np.trace(shape)
+        turned = np.linalg.inv(np.linalg.cholesky(shape))
+        return np.asarray(turned @ self._noise.whiten)

@@ -1,0 +1,152 @@
+"""The model in force: followed, replaced when it goes wrong, followed without geometry too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from adaptive_contact import ContactLearner
+from adaptive_contact.adapt import Baseline, LearnerMode
+from adaptive_contact.adapt.follower import MAX_TERM_RAD, Follower
+from adaptive_contact.adapt.recent import RecentNoise
+from adaptive_contact.adapt.refit import InlineRefitter
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.robot import Leg, Robot, parse_robot
+
+from .conftest import TOML, FakeLeg, samples
+from .test_learner import outcomes, play
+
+
+@pytest.fixture
+def follower(baseline: Baseline) -> Follower:
+    known = baseline.legs["rf"]
+    recent = RecentNoise(known.noise, baseline.tails, 1.0)
+    return Follower("rf", known, recent, LearnerMode.RLS, InlineRefitter())
+
+
+def lifts(follower: Follower, swings: int, spoil: Callable[[Row], Row] = lambda row: row) -> None:
+    """Swings of a leg that does what the model says, each row changed on its way."""
+    rng = np.random.default_rng(swings)
+    model = follower.model
+    for swing in range(swings):
+        theta = rng.normal(size=(8, model.library.size)) * follower._scale
+        target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
+        rows = [
+            spoil(Row(t, moved, 1.0, 1.0, 0, k, lift=True, calm=True, cleared=True))
+            for k, (t, moved) in enumerate(zip(theta, target, strict=True))
+        ]
+        follower.monitor.begin_swing()
+        follower.lift(rows, 0, swing)
+        for _ in range(28):
+            follower.tick(3)
+        follower.swing_done()
+
+
+def test_a_model_that_fits_stays(follower: Follower) -> None:
+    before = follower.model.coefficients
+    lifts(follower, 10)
+    np.testing.assert_allclose(follower.model.coefficients, before, atol=1e-3)
+    assert follower.refits.rolled_back == 0
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e3])
+def test_a_model_that_went_wild_gives_way_to_the_last_good_one(
+    follower: Follower, wild: float
+) -> None:
+    lifts(follower, 10)
+    good = follower.model.coefficients
+    follower._rls._xi[0, 0] = wild / follower._rls._to_raw[0, 0]
+    follower._moved = True
+    np.testing.assert_allclose(follower.model.coefficients, good, atol=1e-9)
+    assert follower.refits.rolled_back == 1
+    assert follower.refits.last_reason == (
+        "rolled back: a coefficient was not finite, or implausible: the last good model again"
+    )
+    lifts(follower, 5)  # and it goes on from there
+    assert follower.refits.rolled_back == 1
+    assert np.isfinite(follower.model.coefficients).all()
+
+
+def test_one_that_goes_wild_before_there_was_a_good_swing_gives_way_to_the_baseline(
+    follower: Follower,
+) -> None:
+    before = follower.model.coefficients
+    follower._rls._xi[:] = np.nan
+    follower._moved = True
+    np.testing.assert_array_equal(follower.model.coefficients, before)
+    assert "the baseline again" in (follower.refits.last_reason or "")
+
+
+def test_no_row_makes_it_predict_what_no_servo_can_do(follower: Follower) -> None:
+    """Rows of a leg that jumps by radians, let loose as after a change."""
+    lifts(follower, 5)
+    rng = np.random.default_rng(0)
+
+    def jump(row: Row) -> Row:
+        return row._replace(target=rng.normal(size=3) * 50.0, level=300.0, value=900.0)
+
+    lifts(follower, 40, jump)
+    moved = np.abs(follower.model.coefficients * follower._scale[:, None]).max()
+    assert moved <= max(MAX_TERM_RAD, follower._most_rad)
+    assert np.isfinite(follower.model.coefficients).all()
+    assert follower.status != "valid"
+
+
+def without_lengths() -> Robot:
+    text = "\n".join(line for line in TOML.splitlines() if not line.startswith("lengths_m"))
+    return parse_robot(text, source="testbot")
+
+
+def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -> None:
+    """A drive that has lost three tenths of its strength; half of the swings end in contact."""
+    robot = without_lengths()
+    stops = [18 if n % 2 else None for n in range(240)]
+    stream = samples(
+        *FakeLeg(seed=5).run(
+            240, touch=lambda n: stops[n], change=lambda n: 0.7 if n >= 100 else 1.0
+        )[:3]
+    )
+    learner = ContactLearner(robot, "rf", baseline)
+    assert isinstance(learner.leg, Leg)
+    assert learner.leg.lengths_m is None
+    events = play(learner, stream)
+    before = outcomes(events, range(40, 100), stops)
+    after = outcomes(events, range(140, 240), stops)
+    assert before.count("alarm") <= 1
+    assert before.count("hit") >= 28
+    assert after.count("alarm") <= 3
+    assert after.count("hit") >= 47
+    frozen = play(ContactLearner(robot, "rf", baseline, mode=LearnerMode.FROZEN), stream)
+    assert outcomes(frozen, range(140, 240), stops).count("alarm") > 20, "it was worth following"
+
+
+def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:
+    learner = ContactLearner(without_lengths(), "rf", baseline)
+    measured, desired, swing, _ = FakeLeg(seed=6).run(20)
+    short = swing.copy()
+    short[np.arange(len(short)) % 28 >= 14] = False
+    play(learner, samples(measured, desired, short))
+    assert learner.status.note == (
+        "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the leg are "
+        "not followed; give the lengths of its links"
+    )
+
+
+def test_a_joint_that_reads_more_coarsely_raises_no_alarms(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """The covariance follows, so that the other joints stay as sharp as they were."""
+    stops = [16 if n % 2 else None for n in range(400)]
+    measured, desired, swing, _ = FakeLeg(seed=7).run(400, touch=lambda n: stops[n])
+    rng = np.random.default_rng(0)
+    measured[28 * 60 :, 1] += 0.012 * rng.normal(size=len(measured) - 28 * 60)
+    learner = ContactLearner(robot, "rf", baseline)
+    told = outcomes(play(learner, samples(measured, desired, swing)), range(120, 400), stops)
+    assert told.count("alarm") <= 1
+    assert told.count("hit") >= 0.97 * 140
+    assert learner.detector is not None
+    now, then = learner.detector.recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
+    coxa, femur = (np.diag(now) / np.diag(then))[:2]
+    assert femur < 0.7 * coxa, "the femur has grown noisier, the coxa has not"

@@ -1,0 +1,198 @@
+"""What a leg's lifts say of it: change, creep, settling, and what cannot be told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptive_contact.adapt.monitor import (
+    HELD_SWINGS,
+    LOOSEN_EVERY,
+    PATIENCE_SWINGS,
+    SETTLED_SWINGS,
+    UNFIT_LIFTS,
+    WORN_LEVEL,
+    DriftMonitor,
+    Heard,
+)
+from adaptive_contact.adapt.segments import Row
+
+SWING_NS = 1_000_000_000
+
+
+def lift(level: float, rng: np.random.Generator | None = None, ticks: int = 6) -> list[Row]:
+    """Rows of a lift whose residuals are so many times as large, squared, as they should be."""
+    levels = (
+        np.full(ticks, level) if rng is None else level * rng.chisquare(3, ticks) / 3
+    ).tolist()
+    return [
+        Row(np.zeros(1), np.zeros(3), at, 3 * at, 0, k, lift=True, calm=True, cleared=True)
+        for k, at in enumerate(levels)
+    ]
+
+
+def hear(monitor: DriftMonitor, level: float, swing: int, **more: object) -> Heard:
+    monitor.begin_swing()
+    return monitor.hear(lift(level, **more), swing * SWING_NS)  # type: ignore[arg-type]
+
+
+def calm(monitor: DriftMonitor, swings: int = 30) -> None:
+    for k in range(swings):
+        assert not hear(monitor, 1.0, k).changed
+
+
+def test_a_good_model_is_hardly_ever_doubted() -> None:
+    rng = np.random.default_rng(0)
+    monitor = DriftMonitor(3)
+    changed = sum(hear(monitor, 1.0, k, rng=rng).changed for k in range(5000))
+    assert changed == 0
+    assert monitor.status == "valid"
+    assert monitor.level == pytest.approx(1.0, abs=0.35)
+
+
+def test_one_lift_that_stands_out_is_doubted_and_not_learned() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    heard = hear(monitor, 20.0, 30)
+    assert heard == Heard([])
+    assert monitor.level_in_force == 20.0, "this swing is judged by what its lift shows"
+    assert monitor.status == "valid"
+    monitor.begin_swing()
+    assert monitor.level_in_force == pytest.approx(1.0)
+
+
+def test_a_doubt_that_the_ticks_after_it_belie_is_taken_back() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    hear(monitor, 20.0, 30)
+    for _ in range(3):
+        monitor.look(1.0)
+    assert monitor.level_in_force == pytest.approx(1.0)
+    hear(monitor, 20.0, 31)
+    assert monitor.status == "valid", "it counts as the first again"
+
+
+def test_two_in_a_row_are_a_change_and_calm_lifts_end_it() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    hear(monitor, 20.0, 30)
+    heard = hear(monitor, 20.0, 31)
+    assert heard.changed
+    assert heard.first
+    assert len(heard.rows) == 12, "what the doubt held back is handed on"
+    assert monitor.status == "adapting"
+    assert monitor.drift.since_ns == 30 * SWING_NS, "onset: the first doubted lift"
+    assert monitor.drift.level > 4.0, "size"
+    for k in range(SETTLED_SWINGS):
+        assert monitor.status == "adapting", "hysteresis: one calm lift is not enough"
+        hear(monitor, 1.0, 32 + k)
+    assert monitor.status == "valid"
+    assert monitor.drift.since_ns is None
+    assert monitor.level < 2.0
+
+
+def test_a_leg_that_will_not_fit_is_let_loose_now_and_then_and_ends_ambiguous() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    statuses, loose = [], []
+    level = 10.0
+    for k in range(3 * PATIENCE_SWINGS):
+        level *= 1.15  # always further off than the level that follows it
+        loose.append(hear(monitor, min(level, 1e5), 30 + k).changed)
+        statuses.append(monitor.status)
+    assert statuses[1] == "adapting"
+    assert loose[1]
+    assert statuses[PATIENCE_SWINGS + 2 :] == ["ambiguous"] * (2 * PATIENCE_SWINGS - 2)
+    assert 2 <= sum(loose) <= len(loose) / LOOSEN_EVERY + 2
+    assert monitor.drift.since_ns == 30 * SWING_NS
+    assert "as far from the model as they should for" in (monitor.note or "")
+    assert "a lasting change, or a foot that drags" in (monitor.note or "")
+
+
+def test_a_lasting_level_is_never_called_valid() -> None:
+    """A level that stays is followed and doubted no more; it is no good model's all the same."""
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    for k in range(200):
+        hear(monitor, 30.0, 30 + k)
+    assert monitor.status == "ambiguous"
+    assert monitor.drift.since_ns == 30 * SWING_NS
+    for k in range(SETTLED_SWINGS):
+        hear(monitor, 1.0, 230 + k)
+    assert monitor.status == "valid"
+    assert monitor.note is None
+
+
+def test_a_leg_that_is_a_little_noisier_is_valid_again_after_a_while() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    for k in range(2):
+        hear(monitor, 30.0, 30 + k)
+    for k in range(PATIENCE_SWINGS + 1):
+        hear(monitor, 4.0, 32 + k)
+    assert monitor.status == "valid"
+    assert monitor.level == pytest.approx(4.0, rel=0.1)
+
+
+def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    level, heard = 1.0, []
+    for k in range(200):
+        level *= 1.02
+        heard.append(hear(monitor, level, 30 + k))
+        if heard[-1].changed:
+            break
+    assert heard[-1].first
+    assert monitor.status == "adapting"
+    assert level < 2.0 * WORN_LEVEL
+    assert all(h.rows for h in heard), "nothing stood out on the way"
+
+
+def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    for _ in range(HELD_SWINGS):
+        monitor.foot_held(held=True, came=0.4)
+    assert monitor.status == "ambiguous"
+    assert monitor.note == (
+        "the foot came 40 % of its command's way, and did not rise in 2 swings: caught, or no "
+        "strength"
+    )
+    monitor.foot_held(held=False, came=1.0)
+    assert monitor.status == "valid"
+    assert monitor.note is None
+
+
+def test_a_change_goes_on_when_the_foot_comes_free() -> None:
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    for k in range(2):
+        hear(monitor, 20.0, 30 + k)
+    for _ in range(HELD_SWINGS):
+        monitor.foot_held(held=True, came=0.4)
+    monitor.foot_held(held=False, came=1.0)
+    assert monitor.status == "adapting"
+
+
+def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None:
+    monitor = DriftMonitor(3)
+    for k in range(UNFIT_LIFTS):
+        assert not monitor.unfit
+        hear(monitor, 100.0, k)
+    assert monitor.unfit
+    later = DriftMonitor(3)
+    hear(later, 1.0, 0)
+    for k in range(10):
+        hear(later, 100.0, 1 + k)
+    assert not later.unfit, "it fitted once: the leg has changed"
+
+
+def test_a_saved_status_goes_on() -> None:
+    monitor = DriftMonitor(3)
+    monitor.resume(9.0, "ambiguous")
+    hear(monitor, 9.0, 0)
+    assert monitor.status == "ambiguous"
+    for k in range(SETTLED_SWINGS):
+        hear(monitor, 1.0, 1 + k)
+    assert monitor.status == "valid"
