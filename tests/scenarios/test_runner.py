@@ -164,6 +164,31 @@ def test_leg_runs_that_diverged_are_counted(
     assert "1 of 2; 1 diverged" in terminal.file.getvalue()  # type: ignore[attr-defined]
 
 
+def test_the_steady_scenarios_are_told_together(
+    scenario: Scenario, whole: Folders, tmp_path: Path
+) -> None:
+    """On the page and on the terminal, once the table has them all: also if they come by turns."""
+    tree = results([judge_scenario(scenario, whole)], SIZES, size="full")
+    own = tree["scenarios"]["step-mass50"] | {"goals": []}
+    full = own["variants"]["full"]
+    judged = full["judged"] | {"false_alarms": 40, "judged_ticks": 5 * 540_000}
+    own |= {"variants": own["variants"] | {"full": full | {"judged": judged}}}
+    path = tmp_path / "results-full.json"
+    write_results(merge(tree | {"scenarios": {"steady-walk": own}}, path), path)
+    assert read_results(path)["pooled"] == {}
+    both = merge(tree | {"scenarios": {"steady-pose": own}}, path)
+    text = report_text(both, set())
+    names = "[steady-pose](#steady-pose) + [steady-walk](#steady-walk)"
+    assert f"{names} together: 80 false alarms in 10.0 robot-hours, 8.0 (6." in text
+    assert f"| {names} | false alarms per robot-hour, all that is steady | 5 | 8 |" in text
+    assert "0 of 1 goals are met." in text
+    terminal = Console(width=200, file=io.StringIO())
+    terminal.print(results_table(both))
+    told = terminal.file.getvalue()  # type: ignore[attr-defined]
+    assert "steady-pose + steady-walk: 80 false alarms in 10.0 robot-hours, 8.0 per hour" in told
+    assert "not met" in told
+
+
 def test_no_results_are_told_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="run `adaptive-contact scenarios run --all`"):
         read_results(tmp_path / "results.json")
