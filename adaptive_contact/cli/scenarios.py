@@ -109,7 +109,14 @@ def run(
     with needs_simulator():
         from adaptive_contact_sim.trials.figures import judge_scenario
         from adaptive_contact_sim.trials.registry import named, scenarios
-        from adaptive_contact_sim.trials.results import merge, results, write_results
+        from adaptive_contact_sim.trials.results import (
+            belongs,
+            form_of,
+            merge,
+            refuse_to_lose,
+            results,
+            write_results,
+        )
         from adaptive_contact_sim.trials.runner import Folders, jobs
         from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
         from adaptive_contact_sim.trials.words import results_table
@@ -119,19 +126,31 @@ def run(
         raise ConfigurationError(
             "no scenario given; name some (`adaptive-contact scenarios list`), or give --all"
         )
+    if quick and brief:
+        raise ConfigurationError("--quick and --brief are two forms; give one of them")
     size = "quick" if quick else "brief" if brief else "full"
     sizes = {"quick": QUICK_SIZES, "brief": BRIEF_SIZES, "full": FULL_SIZES}[size]
+    form = form_of(size, sizes, seeds)
     if seeds is not None:
         sizes = dataclasses.replace(sizes, leg_runs=seeds)
-    chosen = list(scenarios(sizes).values()) if everything else named(names or (), sizes)
+    chosen = named(names or (), sizes)
+    if everything:
+        if chosen:
+            raise ConfigurationError(
+                f"'{chosen[0].name}' and --all: all are run anyway; give names or --all"
+            )
+        chosen = list(scenarios(sizes).values())
     console = Console(stderr=True)
-    folders = Folders.of(out)
+    folders = Folders.of(out, form)
     try:
+        # Said before the hours of work, not after.
+        refuse_to_lose(folders.results, belongs(sizes, size), [s.name for s in chosen])
         problems = _work(jobs(chosen, folders), folders, processes, console)
         judgements = [judge_scenario(scenario, folders) for scenario in chosen]
         empty = [j.scenario.name for j in judgements if not j.leg_runs]
         if empty:
-            raise ConfigurationError(f"no leg-run of {', '.join(empty)} came about: {problems[0]}")
+            why = problems[0] if problems else "run the same command again"
+            raise ConfigurationError(f"no leg-run of {', '.join(empty)} came about: {why}")
         tree = results(judgements, sizes, size=size, problems=problems)
         whole = merge(tree, folders.results)
         write_results(whole, folders.results)
@@ -156,13 +175,19 @@ def report(
         Path, typer.Option("--docs", metavar="FOLDER", help="Where adaptation.md goes.")
     ] = Path("docs"),
 ) -> None:
-    """Write docs/adaptation.md, with its pictures, from the figures of the last runs."""
+    """Write docs/adaptation.md, with its pictures: of the full form, where there are figures of it.
+
+    Forms are never mixed: each has figures and pictures of its own.
+    """
     with needs_simulator():
         from adaptive_contact_sim.trials.report import write_report
-        from adaptive_contact_sim.trials.results import read_results
-        from adaptive_contact_sim.trials.runner import Folders
+        from adaptive_contact_sim.trials.results import best_form, read_results
+        from adaptive_contact_sim.trials.runner import FULL, Folders
 
-    folders = Folders.of(out)
+    form = best_form(out)
+    folders = Folders.of(out, form)
+    if form != FULL:
+        typer.echo(f"no figures of the full form in {out}; these are of '{form}'", err=True)
     typer.echo(str(write_report(read_results(folders.results), folders, docs)))
 
 

@@ -44,6 +44,8 @@ class FitStatus(enum.StrEnum):
     EMPTIED = "emptied"  # the threshold removed every term of at least one joint
     TOO_FEW_ROWS = "too_few_rows"
     NOT_FINITE = "not_finite"
+    # Nobody finished it.  A status is told to people as it is; this one is never computed with.
+    LOST = "lost: the process that fits died or took too long"
 
 
 class Factor:

@@ -3,7 +3,7 @@
 A fit in a thread of the service raises a callback's latency from 0.4 to 12 ms (measured); in a
 process of its own, with one BLAS thread, it costs the service nothing but the pipe.  The process
 is started with the first job, and anew when it dies; a job that kills it twice, or takes longer
-than a minute, is given up and answered as failed, so that its leg goes on asking.
+than a minute, is given up and answered as lost, so that its leg goes on asking.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def _failed(job: Job) -> object:
     """What a learner gets for a job that cannot be done."""
     if isinstance(job, RefitJob):
         empty = np.zeros((job.fit.terms, job.fit.outputs))
-        return RefitResult(job.number, FitStatus.NOT_FINITE, empty, 0.0, float("nan"))
+        return RefitResult(job.number, FitStatus.LOST, empty, 0.0, float("nan"))
     if isinstance(job, ColdJob):
-        return ColdResult(job.number, None, "the process that fits died of it")
+        return ColdResult(job.number, None, str(FitStatus.LOST))
     return None

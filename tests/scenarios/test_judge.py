@@ -9,7 +9,7 @@ import pytest
 
 from adaptive_contact.score import SwingTable
 from adaptive_contact_sim.trials.figures import quantile
-from adaptive_contact_sim.trials.goals import goals
+from adaptive_contact_sim.trials.goals import goals, pooled
 from adaptive_contact_sim.trials.judge import longest_lock_out, swings_until_valid
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.replay import STATUSES, SwingLog
@@ -115,3 +115,23 @@ def test_a_poisonous_scenario_is_held_to_what_is_learned() -> None:
         ("recall lost, points", True),
         ("contact ticks learned, share", False),
     ]
+
+
+def quiet(alarms: int, ticks: int) -> dict[str, Any]:
+    return {"variants": {"full": {"judged": {"false_alarms": alarms, "judged_ticks": ticks}}}}
+
+
+def test_the_hours_without_change_are_held_to_the_goal_together() -> None:
+    hour = 540_000
+    walking = {"ramp-mud": quiet(900, hour), "steady-walk": quiet(30, 9 * hour)}
+    assert pooled(walking) == {}, "one of the two is not there"
+    pose = {"steady-pose": quiet(20, hour)}  # too many by itself
+    steady = pooled(walking | pose)["steady"]
+    assert steady["scenarios"] == ["steady-pose", "steady-walk"]
+    assert (steady["false_alarms"], steady["robot_hours"]) == (50, 10.0)
+    low, high = steady["per_robot_hour_interval"]
+    assert low < steady["per_robot_hour"] == 5.0 < high
+    assert [goal["met"] for goal in steady["goals"]] == [True]
+    more = pooled(walking | {"steady-pose": quiet(21, hour)})["steady"]
+    assert [(goal["limit"], goal["met"]) for goal in more["goals"]] == [(5.0, False)]
+    assert not pooled({n: quiet(0, 0) for n in steady["scenarios"]})["steady"]["goals"][0]["met"]

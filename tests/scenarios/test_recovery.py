@@ -15,7 +15,7 @@ from adaptive_contact_sim.trials.figures import Judgement, judge_scenario
 from adaptive_contact_sim.trials.judge import within
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.runner import Folders, jobs, run
-from adaptive_contact_sim.trials.runs import QUICK_SIZES
+from adaptive_contact_sim.trials.runs import QUICK_SIZES, Sizes
 from adaptive_contact_sim.trials.spec import Variant
 
 # Seeds of tests, apart from those that are tuned on or reported.
@@ -25,8 +25,8 @@ SIZES = replace(
 PAIR = (Variant.FROZEN, Variant.FULL)
 
 
-def judged(name: str, folder: Path) -> Judgement:
-    scenario = replace(scenarios(SIZES)[name], variants=PAIR)
+def judged(name: str, folder: Path, sizes: Sizes = SIZES) -> Judgement:
+    scenario = replace(scenarios(sizes)[name], variants=PAIR)
     folders = Folders.of(folder)
     assert run(jobs([scenario], folders), folders, processes=1) == []
     return judge_scenario(scenario, folders)
@@ -58,12 +58,13 @@ def test_a_leg_recovers_from_a_step(name: str, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
-    judgement = judged("contacts-level", folder)
+    # Long enough for one learned tick in a thousand to be more than none.
+    judgement = judged("contacts-level", folder, replace(SIZES, contact_swings=200))
     for full in judgement.variants[Variant.FULL]:
         contacts = judgement.scenario.phase("contacts")
         figures = summarise([within(full.outcome, contacts.from_s, contacts.to_s)])
-        assert figures.counted.touches >= 40
-        assert figures.counted.found >= figures.counted.touches - 1
+        assert figures.counted.touches >= 140
+        assert figures.counted.found >= figures.counted.touches - 2
         assert figures.false_alarms <= 1
-        assert full.confirmed > 500
-        assert full.touched <= 0.005 * full.confirmed
+        assert full.confirmed > 1000
+        assert full.touched <= 0.001 * full.confirmed

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.trials import figures as figures_module
+from adaptive_contact_sim.trials import runner
 from adaptive_contact_sim.trials.figures import figures, judge_scenario
-from adaptive_contact_sim.trials.recording import file_of
+from adaptive_contact_sim.trials.recording import Recording, file_of
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.replay import load_replay, replay_file
 from adaptive_contact_sim.trials.report import report_text
-from adaptive_contact_sim.trials.results import merge, read_results, results, write_results
+from adaptive_contact_sim.trials.results import (
+    best_form,
+    merge,
+    read_results,
+    results,
+    write_results,
+)
 from adaptive_contact_sim.trials.runner import Done, Folders, jobs, run
 from adaptive_contact_sim.trials.runs import QUICK_SIZES
-from adaptive_contact_sim.trials.spec import Scenario, Variant
+from adaptive_contact_sim.trials.spec import RecordingSpec, Scenario, Variant
+from adaptive_contact_sim.trials.words import results_table
 
 SIZES = replace(QUICK_SIZES, leg_runs=2, before_s=3.0, after_s=5.0, first_seed=9300)
 
@@ -104,9 +114,79 @@ def test_results_are_merged_with_those_of_the_same_learner_only(
     other = dict(tree) | {"scenarios": {"ramp-mud": tree["scenarios"]["step-mass50"]}}
     write_results(other, path)
     assert list(merge(tree, path)["scenarios"]) == ["step-mass50", "ramp-mud"]
-    write_results(other | {"learner": "another"}, path)
-    assert list(merge(tree, path)["scenarios"]) == ["step-mass50"]
+    write_results(other | {"learner": "another", "simulator": "too"}, path)
+    with pytest.raises(ConfigurationError, match="of another learner and simulator, and") as caught:
+        merge(tree, path)
+    assert "\n" not in str(caught.value)
     assert read_results(path)["learner"] == "another"
+    # What is all made anew is replaced.
+    write_results(tree | {"learner": "another"}, path)
+    assert merge(tree, path) is tree
+    assert results([judgement], replace(SIZES, after_s=6.0), size="quick")["sizes"] != tree["sizes"]
+
+
+def test_the_form_to_publish_is_the_fullest(tmp_path: Path) -> None:
+    assert best_form(tmp_path) == "full"
+    found = []
+    for form in ("mine", "quick", "quick-9", "brief-2", "brief-30", "brief", "full-8", "full-40"):
+        (tmp_path / f"results-{form}.json").write_text("")
+        found.append(best_form(tmp_path))
+    assert found == [
+        *("full", "quick", "quick", "brief-2", "brief-30", "brief", "full-8", "full-40"),
+    ]
+    (tmp_path / "results-full.json").write_text("")
+    assert best_form(tmp_path) == "full"
+
+
+def test_leg_runs_that_diverged_are_counted(
+    scenario: Scenario, whole: Folders, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = Folders.of(tmp_path)
+    real, bad = runner.made, scenario.recordings[1]
+
+    def made(spec: RecordingSpec, folder: Path) -> Recording:
+        if spec == bad:
+            raise SimulationDivergedError("the simulation became unstable")
+        return real(spec, folder)
+
+    monkeypatch.setattr(runner, "made", made)
+    problems = run(jobs([scenario], folders), folders, processes=1)
+    assert problems == ["the run with seed 9301 has no recording: the simulation became unstable"]
+    tree = results([judge_scenario(scenario, folders)], SIZES, size="full", problems=problems)
+    own = tree["scenarios"]["step-mass50"]
+    assert (own["leg_runs"], own["leg_runs_asked"]) == (1, 2)
+    text = report_text(tree, set())
+    assert "| [step-mass50](#step-mass50) | 1 of 2; 1 diverged |" in text
+    assert "1 of 2 leg-runs (1 diverged)" in text
+    assert problems[0] in text
+    terminal = Console(width=200, file=io.StringIO())
+    terminal.print(results_table(tree))
+    assert "1 of 2; 1 diverged" in terminal.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_steady_scenarios_are_told_together(
+    scenario: Scenario, whole: Folders, tmp_path: Path
+) -> None:
+    """On the page and on the terminal, once the table has them all: also if they come by turns."""
+    tree = results([judge_scenario(scenario, whole)], SIZES, size="full")
+    own = tree["scenarios"]["step-mass50"] | {"goals": []}
+    full = own["variants"]["full"]
+    judged = full["judged"] | {"false_alarms": 40, "judged_ticks": 5 * 540_000}
+    own |= {"variants": own["variants"] | {"full": full | {"judged": judged}}}
+    path = tmp_path / "results-full.json"
+    write_results(merge(tree | {"scenarios": {"steady-walk": own}}, path), path)
+    assert read_results(path)["pooled"] == {}
+    both = merge(tree | {"scenarios": {"steady-pose": own}}, path)
+    text = report_text(both, set())
+    names = "[steady-pose](#steady-pose) + [steady-walk](#steady-walk)"
+    assert f"{names} together: 80 false alarms in 10.0 robot-hours, 8.0 (6." in text
+    assert f"| {names} | false alarms per robot-hour, all that is steady | 5 | 8 |" in text
+    assert "0 of 1 goals are met." in text
+    terminal = Console(width=200, file=io.StringIO())
+    terminal.print(results_table(both))
+    told = terminal.file.getvalue()  # type: ignore[attr-defined]
+    assert "steady-pose + steady-walk: 80 false alarms in 10.0 robot-hours, 8.0 per hour" in told
+    assert "not met" in told
 
 
 def test_no_results_are_told_in_one_line(tmp_path: Path) -> None:

@@ -13,11 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.refit import InlineRefitter, RefitJob, RefitResult, Refitter
-from adaptive_contact.identify import Factor, FitStatus
-from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
+from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
+from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
+from adaptive_contact.adapt.refit import InlineRefitter, Job, RefitJob, RefitResult, Refitter
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.identify import Factor, FitStatus, LegModel, Library
+from adaptive_contact.robot import Leg
+from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter, _failed
 
 pytestmark = pytest.mark.e2e
+
+WHY = "the process that fits died or took too long"
 
 
 def job(leg: str = "rf", number: int = 1) -> RefitJob:
@@ -57,12 +64,40 @@ class Endless(RefitJob):
             time.sleep(1.0)
 
 
+@dataclasses.dataclass(frozen=True)
+class Deadly(RefitJob):
+    """A fit that no process survives."""
+
+    def run(self) -> RefitResult:
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError
+
+
+class Giving:
+    """Gives up every refit, as lost or with another status in its place."""
+
+    def __init__(self, up_with: FitStatus) -> None:
+        self._status = up_with
+        self._result: object = None
+
+    def submit(self, job: Job) -> None:
+        """Fail at once."""
+        result = _failed(job)
+        assert isinstance(result, RefitResult)
+        assert result.status is FitStatus.LOST
+        self._result = dataclasses.replace(result, status=self._status)
+
+    def collect(self, leg: str, number: int) -> object:
+        """The failure."""
+        return self._result
+
+
 @pytest.fixture
 def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless):
+    for kind in (Stubborn, Endless, Deadly):
         monkeypatch.setattr(kind, "__module__", here.stem)
     import sys
 
@@ -141,8 +176,51 @@ def test_a_job_that_takes_too_long_is_answered_as_failed(refitter: ProcessRefitt
     refitter.submit(endless)
     found = wait(refitter, "rf", 1)
     assert isinstance(found, RefitResult)
-    assert found.status is FitStatus.NOT_FINITE
+    assert found.status is FitStatus.LOST
     assert refitter.failures == 1
+
+
+def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
+    refitter: ProcessRefitter,
+) -> None:
+    deadly = Deadly(**{f.name: getattr(job(), f.name) for f in dataclasses.fields(RefitJob)})
+    refitter.submit(deadly)
+    found = wait(refitter, "rf", 1)
+    assert isinstance(found, RefitResult)
+    assert found.status is FitStatus.LOST
+    assert not found.coefficients.any()
+    assert refitter.failures == 1
+    refitter.submit(job("rf", 2))
+    again = wait(refitter, "rf", 2)
+    assert isinstance(again, RefitResult)
+    assert again.status is FitStatus.OK
+
+
+def test_a_cold_start_whose_process_died_says_so() -> None:
+    library = Library("linear", ("a", "b"), ("pitch", "pitch"))
+    cold = ColdJob("rf", 3, Leg("rf", ("a", "b")), library, (), 0.005)
+    assert _failed(cold) == ColdResult(3, None, f"lost: {WHY}")
+
+
+def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> None:
+    """Through the leg's own challenger, whose reason is what LearnerStatus carries."""
+    library = Library("linear", ("a", "b"), ("pitch", "pitch"))
+    p = library.size
+    rng = np.random.default_rng(0)
+    buffer = SlidingBuffer()
+    for k in range(40):
+        buffer.add([Row(rng.normal(size=p), np.zeros(2), 1.0, k, True, True, True)] * 12, 0, 0)
+    for status, words in (
+        (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
+        (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
+    ):
+        challenger = Challenger("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
+        for _ in range(REFIT_EVERY_SWINGS):
+            challenger.swing_done(LegModel(library, np.zeros((p, 2))), buffer, 0)
+        for _ in range(REFIT_DUE_TICKS + 1):
+            challenger.tick()
+        assert challenger.counts.refused == 1
+        assert challenger.counts.last_reason == words
 
 
 def test_only_the_newest_job_of_a_leg_waits() -> None:

@@ -32,7 +32,7 @@ class Judgement:
 
     Attributes:
         scenario: which.
-        leg_runs: those that were recorded, in order.
+        leg_runs: those that were recorded, in order; the simulation of the others diverged.
         reference: the frozen learner on what each is compared against.
         variants: every learner, leg-run by leg-run.
     """
@@ -82,6 +82,7 @@ def figures(judgement: Judgement) -> Tree:
         "motion": scenario.motion,
         "expect": scenario.expect.value,
         "leg_runs": len(judgement.leg_runs),
+        "leg_runs_asked": len(scenario.leg_runs),
         "simulated_s": sum(r.seconds for r in scenario.recordings),
         "counts_as_one_to_recover_from": harmful,
         "marks": {mark.name: mark.at_s for mark in scenario.marks},

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from adaptive_contact.robot import ROBOT_HOUR_TICKS
+from adaptive_contact.score import poisson_mean
 from adaptive_contact_sim.trials.figures import LOCK_OUT_SWINGS
+from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.spec import Expect, Scenario, Variant
 
-__all__ = ["Goal", "goals"]
+__all__ = ["Goal", "goals", "pooled"]
 
 Tree = dict[str, Any]
 
@@ -60,6 +64,36 @@ def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
     if scenario.poisonous:
         made.append(_touching(full))
     return made
+
+
+def pooled(table: Mapping[str, Tree]) -> Tree:
+    """Figures and goals over several scenarios together, by the name of what is pooled.
+
+    Args:
+        table: of figures, by name of the scenario.
+
+    Returns:
+        ``steady``: the false alarms of the full learner over all that is quiet; nothing while one
+        of these scenarios is not in the table.
+    """
+    names = [s.name for s in scenarios().values() if s.expect is Expect.QUIET]
+    if not set(names) <= table.keys():
+        return {}
+    judged = [table[name]["variants"][Variant.FULL.value]["judged"] for name in names]
+    alarms = sum(one["false_alarms"] for one in judged)
+    hours = sum(one["judged_ticks"] for one in judged) / ROBOT_HOUR_TICKS
+    mean = poisson_mean(alarms)
+    rate = alarms / hours if hours else None
+    goal = Goal("false alarms per robot-hour, all that is steady", ALARMS_PER_HOUR, rate)
+    steady = {
+        "scenarios": names,
+        "false_alarms": alarms,
+        "robot_hours": hours,
+        "per_robot_hour": rate,
+        "per_robot_hour_interval": [mean.low / hours, mean.high / hours] if hours else [0.0, None],
+        "goals": [asdict(goal) | {"met": goal.met}],
+    }
+    return {"steady": steady}
 
 
 def _recover(tree: Tree, full: Tree) -> list[Goal]:

@@ -11,7 +11,14 @@ from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.runner import Folders
 from adaptive_contact_sim.trials.runs import FULL_SIZES
 from adaptive_contact_sim.trials.spec import Variant
-from adaptive_contact_sim.trials.words import percent, phases_around, plain_number, rate, swings
+from adaptive_contact_sim.trials.words import (
+    leg_runs,
+    percent,
+    phases_around,
+    plain_number,
+    rate,
+    swings,
+)
 
 __all__ = ["PICTURE", "SUMMARY", "report_text", "write_report"]
 
@@ -33,11 +40,11 @@ This page is written by `adaptive-contact scenarios report` from the figures of
 
 _SMALL: Final = {
     "brief": """\
-**These are figures of the short form (`scenarios run --all --brief`)**: 6 leg-runs, half a minute
-around a step, ramps over one minute instead of ten, 60 swings in contact instead of 500, minutes
-without change instead of ten robot-hours. Ramps are thus ten times as steep as they should be, and
-a false alarm more or less moves a rate by hundreds per robot-hour. `make scenarios` makes the full
-form, two hours on two idle cores.
+**These are figures of the short form (`scenarios run --all --brief`)**: {leg_runs} leg-runs, half
+a minute around a step, ramps over one minute instead of ten, 60 swings in contact instead of 500,
+minutes without change instead of ten robot-hours. Ramps are thus ten times as steep as they should
+be, and a false alarm more or less moves a rate by hundreds per robot-hour. `make scenarios` makes
+the full form, two hours on two idle cores.
 """,
     "quick": """\
 **These are figures of a quick look (`--quick`): short recordings, few leg-runs. They show that
@@ -123,9 +130,9 @@ def report_text(results: Tree, pictures: set[str]) -> str:
     table = results["scenarios"]
     parts = [_INTRODUCTION]
     if results["size"] != "full":
-        parts.append(_SMALL[results["size"]])
+        parts.append(_SMALL[results["size"]].format(leg_runs=results["leg_runs"]))
     parts += _lacking(results)
-    parts.append(_verdict(table))
+    parts += [_verdict(results), *_pooled(results["pooled"])]
     parts += [f"- {problem}\n" for problem in results["problems"]]
     if SUMMARY in pictures:
         parts.append(f"![Summary](pictures/{PICTURE.format(name=SUMMARY)})\n")
@@ -156,19 +163,36 @@ def _lacking(results: Tree) -> list[str]:
     return [f"**A part of it**: {'; '.join(words)}. `make scenarios` makes the whole.\n"]
 
 
-def _verdict(table: Tree) -> str:
-    goals = [(name, goal) for name, tree in table.items() for goal in tree["goals"]]
+def _verdict(results: Tree) -> str:
+    table = results["scenarios"]
+    goals = [(f"[{name}](#{name})", goal) for name in table for goal in table[name]["goals"]]
+    pools = results["pooled"].values()
+    goals += [(_names(pool), goal) for pool in pools for goal in pool["goals"]]
     missed = [(name, goal) for name, goal in goals if not goal["met"]]
     text = f"{len(goals) - len(missed)} of {len(goals)} goals are met.\n"
     if not missed:
         return text
     rows = [
-        f"| [{name}](#{name}) | {goal['what']} | {plain_number(goal['limit'])} | "
+        f"| {name} | {goal['what']} | {plain_number(goal['limit'])} | "
         f"{plain_number(goal['measured'])} |"
         for name, goal in missed
     ]
     head = "| not met | figure of the full learner | at most | measured |\n|---|---|---|---|"
     return "\n".join([text, head, *rows, ""])
+
+
+def _names(pool: Tree) -> str:
+    return " + ".join(f"[{name}](#{name})" for name in pool["scenarios"])
+
+
+def _pooled(pools: Tree) -> list[str]:
+    """What is asked of several scenarios together."""
+    return [
+        f"{_names(pool)} together: {pool['false_alarms']} false alarms in "
+        f"{pool['robot_hours']:.1f} robot-hours, {_alarms(pool)} per robot-hour "
+        f"(at most {plain_number(pool['goals'][0]['limit'])}).\n"
+        for pool in pools.values()
+    ]
 
 
 def _full_table(table: Tree) -> str:
@@ -186,7 +210,7 @@ def _full_table(table: Tree) -> str:
         met = [goal["met"] for goal in tree["goals"]]
         touching = full["touching_share"]
         rows.append(
-            f"| [{name}](#{name}) | {tree['leg_runs']} | {counts} | {_recall(before)} "
+            f"| [{name}](#{name}) | {leg_runs(tree)} | {counts} | {_recall(before)} "
             f"| {_recall(after)} | {_alarms(before)} | {_alarms(after)} | {_recovery(tree, full)} "
             f"| {_on_the_way(full)} | {full['longest_lock_out']} "
             f"| {'–' if touching is None else f'{100 * touching:.2f} %'} "
@@ -223,7 +247,7 @@ def _scenario(name: str, tree: Tree, picture: bool) -> str:
     about = tree["about"]
     lines = [
         f"### {name}\n",
-        f"{about[0].upper()}{about[1:]}. {tree['leg_runs']} leg-runs, "
+        f"{about[0].upper()}{about[1:]}. {_leg_runs(tree)}, "
         f"{tree['simulated_s'] / 60:.0f} simulated minutes.",
     ]
     for goal in tree["goals"]:
@@ -260,6 +284,14 @@ def _scenario(name: str, tree: Tree, picture: bool) -> str:
     if picture:
         lines.append(f"\n![{name}](pictures/{PICTURE.format(name=name)})")
     return "\n".join([*lines, ""])
+
+
+def _leg_runs(tree: Tree) -> str:
+    count = f"{tree['leg_runs']} leg-runs"
+    missing = tree["leg_runs_asked"] - tree["leg_runs"]
+    if not missing:
+        return count
+    return f"{tree['leg_runs']} of {tree['leg_runs_asked']} leg-runs ({missing} diverged)"
 
 
 def _recall(summary: Tree) -> str:

@@ -28,8 +28,11 @@ from adaptive_contact_sim.trials.replay import (
 from adaptive_contact_sim.trials.spec import RecordingSpec, ReplaySpec, Scenario
 from adaptive_contact_sim.workers import leave_with_parent
 
-__all__ = ["Done", "Folders", "Job", "jobs", "run"]
+__all__ = ["FULL", "RESULTS", "Done", "Folders", "Job", "jobs", "run"]
 
+# The form that is published, and how the figures of a form are called.
+FULL: Final = "full"
+RESULTS: Final = "results-{form}.json"
 # How a worker ends that was interrupted: at once and silently; what it wrote is whole.
 _INTERRUPTED: Final = 130
 
@@ -39,8 +42,8 @@ class Folders(NamedTuple):
 
     Attributes:
         recordings, replays: files named by hashes.
-        pages: pictures.
-        results: the figures.
+        pages: pictures of one form.
+        results: its figures.
     """
 
     recordings: Path
@@ -49,13 +52,21 @@ class Folders(NamedTuple):
     results: Path
 
     @classmethod
-    def of(cls, out: Path) -> Folders:
+    def of(cls, out: Path, form: str = FULL) -> Folders:
         """The places below a folder, made if need be.
+
+        Recordings and replays are named by what is in them, and shared; figures and pictures are
+        those of one form, so that a quick look never stands in for the whole.
+
+        Args:
+            out: the folder.
+            form: of the run, such as ``full`` or ``brief``.
 
         Raises:
             ConfigurationError: they cannot be made.
         """
-        folders = cls(out / "recordings", out / "replays", out / "pages", out / "results.json")
+        pages = out / f"pages-{form}"
+        folders = cls(out / "recordings", out / "replays", pages, out / RESULTS.format(form=form))
         try:
             for folder in folders[:3]:
                 folder.mkdir(parents=True, exist_ok=True)

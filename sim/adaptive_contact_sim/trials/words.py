@@ -6,7 +6,15 @@ from typing import Any, Final
 
 from rich.table import Table
 
-__all__ = ["percent", "phases_around", "plain_number", "rate", "results_table", "swings"]
+__all__ = [
+    "leg_runs",
+    "percent",
+    "phases_around",
+    "plain_number",
+    "rate",
+    "results_table",
+    "swings",
+]
 
 Tree = dict[str, Any]
 
@@ -14,6 +22,12 @@ _HEADS: Final = (
     *("leg-runs", "recall before", "after", "false alarms before", "after"),
     *("recovery", "on the way", "lock-out", "contact learned %", "goals"),
 )
+
+
+def leg_runs(tree: Tree) -> str:
+    """Such as ``20``, or ``19 of 20; 1 diverged``: what is behind the figures of a scenario."""
+    there, asked = tree["leg_runs"], tree["leg_runs_asked"]
+    return str(there) if there == asked else f"{there} of {asked}; {asked - there} diverged"
 
 
 def percent(value: float | None, digits: int = 1) -> str:
@@ -55,6 +69,8 @@ def results_table(results: Tree) -> Table:
         title="The full learner, and the frozen one in grey; recall in %, false alarms per "
         "robot-hour",
         title_justify="left",
+        caption="\n".join(_together(pool) for pool in results["pooled"].values()) or None,
+        caption_justify="left",
         pad_edge=False,
     )
     table.add_column("scenario", no_wrap=True)
@@ -69,7 +85,7 @@ def results_table(results: Tree) -> Table:
         verdict = f"{sum(met)}/{len(met)}"
         table.add_row(
             name,
-            str(tree["leg_runs"]),
+            leg_runs(tree),
             percent(before["recall"]),
             f"{percent(after['recall'])} [dim]{percent(grey['recall'])}[/]",
             rate(before),
@@ -81,3 +97,13 @@ def results_table(results: Tree) -> Table:
             f"[green]{verdict}[/]" if all(met) else f"[red]{verdict}[/]",
         )
     return table
+
+
+def _together(pool: Tree) -> str:
+    """What several scenarios are held to together, in a line."""
+    met = all(goal["met"] for goal in pool["goals"])
+    return (
+        f"{' + '.join(pool['scenarios'])}: {pool['false_alarms']} false alarms in "
+        f"{pool['robot_hours']:.1f} robot-hours, {rate(pool)} per hour: "
+        f"{'met' if met else 'not met'}"
+    )
