@@ -106,6 +106,10 @@ class ColdStart:
         leg: its description.
         library: the terms to choose from.
         quantum_rad: position step.
+
+    Attributes:
+        swings: seen so far.
+        samples: held.
     """
 
     def __init__(self, leg: Leg, library: Library, quantum_rad: float) -> None:
@@ -113,15 +117,11 @@ class ColdStart:
         self._leg = leg
         self._library = library
         self._quantum = quantum_rad
+        self.samples = 0
         self._runs: list[list[tuple[list[float], list[float], bool, bool]]] = [[]]
         self._next_try = FIRST_TRY_SWINGS
         self._jobs = 0
         self._pending: int | None = None
-
-    @property
-    def samples(self) -> int:
-        """Held."""
-        return sum(map(len, self._runs))
 
     def interrupt(self) -> None:
         """The stream broke off here."""
@@ -134,10 +134,12 @@ class ColdStart:
         if run and run[-1][2] and not swing:
             self.swings += 1
         run.append((measured, desired, swing, sound))
+        self.samples += 1
         while self.samples > MAX_SAMPLES:
             if len(self._runs) > 1 and not self._runs[0]:
                 self._runs.pop(0)
             else:
+                self.samples -= len(self._runs[0][: MAX_SAMPLES // 10])
                 del self._runs[0][: MAX_SAMPLES // 10]
 
     def poll(self, refitter: Refitter) -> ColdResult | None:

@@ -9,6 +9,7 @@ recursion along these, and little elsewhere, lets two swings say what happened.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.identify import LegModel
 
-__all__ = ["core_support", "drift_directions"]
+__all__ = ["core_support", "drift_directions", "speaks_of"]
 
 Array = NDArray[np.float64]
 
@@ -66,9 +67,8 @@ def drift_directions(model: LegModel, scale: Array, noise: Array) -> Array:
         own = model.coefficients[:, joint]
         rows = []
         families = [
-            [i for i, t in enumerate(library.names) if t.startswith("sat(") and f"_{name}" in t],
-            [i for i, t in enumerate(library.names) if t.startswith("v_") and f"v_{name}" in t],
-            [i for i, t in enumerate(library.names) if t.startswith("Δu_") and f"_{name}" in t],
+            [i for i, t in enumerate(library.names) if t.startswith(kind) and speaks_of(t, name)]
+            for kind in ("sat(", "v_", "Δu_")
         ]
         for family in families:
             move = np.zeros(p)
@@ -89,6 +89,11 @@ def drift_directions(model: LegModel, scale: Array, noise: Array) -> Array:
     for joint, rows in enumerate(every):
         out[joint, : len(rows)] = rows
     return out
+
+
+def speaks_of(term: str, joint: str) -> bool:
+    """Whether a term is of a joint; one whose name begins alike is another."""
+    return re.search(rf"_{re.escape(joint)}(?!\w)", term) is not None
 
 
 def _softer(model: LegModel, joint: int, law: Sequence[int]) -> Array:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.directions import speaks_of
 from adaptive_contact.identify import LegModel
 
 __all__ = ["kind_of_change"]
@@ -50,7 +51,7 @@ def _directions(kind: str, model: LegModel) -> list[Array]:
             # Gravity enters through the angles of the links; one amplitude along the joint's own.
             columns = [_unit(p, i) for i, t in enumerate(names) if t == f"cos φ_{name}"]
         else:
-            own = [i for i, t in enumerate(names) if t.startswith("sat(") and f"_{name}" in t]
+            own = [i for i, t in enumerate(names) if t.startswith("sat(") and speaks_of(t, name)]
             move = np.zeros(p)
             move[own] = model.coefficients[own, joint]
             columns = [move]
