@@ -91,6 +91,7 @@ class Cycle:
         self._servos = {joint.servo: _Servo(joint) for joint in plan.joints}
         self.health = {joint.servo: ServoHealth() for joint in plan.joints}
         self._drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
+        self._lacking: dict[str, list[int]] = {}
         self._look_every = round(_LOOK_S / plan.period_s)
         self._until_s = self._end_s = 0.0
         self._count = 0
@@ -100,6 +101,18 @@ class Cycle:
     def holding(self) -> list[str]:
         """Legs whose commands have stopped."""
         return [leg for leg, driver in self._drivers.items() if driver.mode is Mode.HOLDING]
+
+    @property
+    def lacking(self) -> dict[str, str]:
+        """What is to be told of legs that have commands but not all their servos, by leg."""
+        told = {}
+        for leg, servos in self._lacking.items():
+            if servos:
+                names = ", ".join(f"{servo} ({self._trouble(servo)})" for servo in servos)
+                begun = self._drivers[leg].goal is not None
+                does = "goes on without" if begun else "commands wait for"
+                told[leg] = f"leg {leg}: {does} servo {names}"
+        return told
 
     @property
     def limited(self) -> int:
@@ -126,6 +139,7 @@ class Cycle:
             record.misses = 0
         for driver in self._drivers.values():
             driver.forget()
+        self._lacking.clear()
 
     def tick(self, t_ns: int, seq: int, now_ns: int, due_ns: int) -> dict[str, ServoSample]:
         """Make one control tick.
@@ -261,7 +275,12 @@ class Cycle:
                     start.append(servo.joint.angle(servo.goal))
                 else:
                     start.append(None)
-            goal = driver.step(start, now_ns)
+            absent = [j for j, servo in enumerate(servos) if self._is_absent(servo)]
+            goal = driver.step(start, now_ns, absent)
+            lacks = [s.joint.servo for s in servos if not s.awake and s.joint.servo not in found]
+            if goal is None:  # none of them is driven
+                lacks = [s.joint.servo for s, at in zip(servos, start, strict=True) if at is None]
+            self._lacking[leg.id] = lacks if driver.is_asked(now_ns) else []
             if goal is None:
                 continue
             # Torque comes on with the goal where the servo is, so that nothing jumps.
@@ -298,6 +317,16 @@ class Cycle:
             if not stands.shut:
                 found[number] = stands
         return found
+
+    def _is_absent(self, servo: _Servo) -> bool:
+        record = self.health[servo.joint.servo]
+        return record.silent or record.shut
+
+    def _trouble(self, number: int) -> str:
+        record = self.health[number]
+        if record.silent:
+            return "no answer"
+        return "shut down" if record.shut else "not read yet"
 
     def _judge(self, servo: _Servo, stands: Standing) -> None:
         """Note whether a servo has shut itself down; it gets no goals then."""
