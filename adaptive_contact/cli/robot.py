@@ -17,6 +17,7 @@ from adaptive_contact.cli.bridge import (
     RealtimeOption,
     devices_of,
     needs_sdk,
+    plans_of,
     robot_of,
 )
 from adaptive_contact.errors import ConfigurationError, TooLittleDataError
@@ -347,10 +348,8 @@ def learn_(
 
 
 def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:
-    from adaptive_contact.bridge.plan import plan_ports
-
     robot = robot_of(config)
-    return robot, plan_ports(robot, devices_of(device))
+    return robot, plans_of(robot, config, device)
 
 
 def _shake_hands(plans: tuple[PortPlan, ...]) -> None:

@@ -200,12 +200,15 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("robot", "init", "--device", "p0", "--device", "q=p0"), "to port 'main' and to port 'q'"),
         (("robot", "init", "--device", "p0", "--device", "q=link"), "to port 'main' and to port"),
         (("bridge", "dynamixel"), "has no port; add"),
+        (("bridge", "dynamixel", "--config", "model.toml"), "^model.toml: .*unknown servo model"),
+        (("bridge", "dynamixel", "--config", "baud.toml"), r"^baud.toml: .*baud 12 is not"),
+        (("robot", "check", "--config", "model.toml"), "^model.toml: .*unknown servo model 'QQ'"),
         (("bridge", "dynamixel", "--device", "/nowhere"), "does not exist"),
         (("bridge", "dynamixel", "--device", "/x", "--baud", "12"), "is not supported"),
         (("bridge", "virtual", "--fault", "broken"), "expected one of silent"),
         (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
         (("bridge", "virtual", "--ports", "9"), "9 ports for 6 legs"),
-        (("bridge", "virtual", "--robot", "spider"), "no robot 'spider'"),
+        (("bridge", "virtual", "--robot", "spider"), "expected --robot hexapod or quad"),
         (("bridge", "virtual", "--robot", "quadruped", "--ports", "2"), "has ports of its own"),
         (("bridge", "virtual", "--write-config", "/nonexist/x.toml"), "another --write-config"),
         (("bridge", "virtual", "--fault", "silent@1.2.3"), "times in seconds, such as"),
@@ -218,6 +221,12 @@ def test_what_cannot_be_is_told_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link").symlink_to("p0")
+    for name, baud, model in (("model", 1_000_000, "QQ"), ("baud", 12, "AX-12A")):
+        (tmp_path / f"{name}.toml").write_text(
+            '[robot]\nname = "r"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
+            f'[port.a]\ndevice = "/x"\nbaud = {baud}\n[[leg]]\nid = "l"\njoints = ["a"]\n'
+            f'servos = {{ ids = [1], model = "{model}" }}\n'
+        )
     with pytest.raises(AdaptiveContactError, match=message) as caught:
         invoke(*words)
     assert "\n" not in str(caught.value)

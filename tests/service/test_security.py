@@ -230,6 +230,13 @@ def test_one_user_in_the_dictionary_is_a_lock(tmp_path: Path) -> None:
     config.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
     with pytest.raises(ConfigurationError, match=r"users .* cannot be read: no such file"):
         Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config))
+    # Neither does Zenoh's own word for it come through on loopback, nor to a client.
+    for settings in (
+        router_settings(["127.0.0.1:0"], zenoh_config=config),
+        client_settings(["127.0.0.1:1"], wait=False, zenoh_config=config),
+    ):
+        with pytest.raises(ConfigurationError, match=r"no such file.*; correct dictionary_file in"):
+            Link.open(settings)
     users.write_text("robot:secret\n")
     with Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config)) as router:
         endpoint = router.endpoints[0].replace("0.0.0.0", "127.0.0.1")
