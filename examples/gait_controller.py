@@ -21,6 +21,7 @@ import queue
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -163,6 +164,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--leg", default="rf")
     parser.add_argument("--steps", type=int, default=5)
     parser.add_argument("--connect", action="append", help="router, such as tcp/127.0.0.1:7447")
+    parser.add_argument("--namespace", help="prefix of all keys, such as hexapod1")
+    parser.add_argument("--zenoh-config", type=Path, help="JSON5 file with a user or TLS")
     parser.add_argument("--top", type=float, help="foot height of a lift, m")
     parser.add_argument("--bottom", type=float, help="where descents aim, m")
     parser.add_argument("--reach", type=float, help="foot from the first axis, m")
@@ -182,7 +185,10 @@ def run(options: argparse.Namespace) -> None:
     )  # fmt: skip
     # All that may be wrong with the leg shows before anything moves.
     top, _ = angles(leg, [reach, 0.0, up]), angles(leg, [reach, 0.0, down])
-    with Link.open(client_settings(options.connect or ()), on_wait=say) as link:
+    settings = client_settings(
+        options.connect or (), namespace=options.namespace, zenoh_config=options.zenoh_config
+    )
+    with Link.open(settings, on_wait=say) as link:
         work = Legwork(link, leg)
         # The bridge comes to the first goal at an easy pace of its own.
         began = time.monotonic()

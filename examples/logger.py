@@ -16,6 +16,7 @@ import queue
 import signal
 import sys
 import threading
+from pathlib import Path
 
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.errors import AdaptiveContactError
@@ -64,6 +65,8 @@ def main() -> int:
     """Log until Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--connect", action="append", help="router, such as tcp/127.0.0.1:7447")
+    parser.add_argument("--namespace", help="prefix of all keys, such as hexapod1")
+    parser.add_argument("--zenoh-config", type=Path, help="JSON5 file with a user or TLS")
     options = parser.parse_args()
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -87,7 +90,10 @@ def log(options: argparse.Namespace, stop: threading.Event) -> None:
     """Print what is news until stopped."""
     inbox: queue.Queue = queue.Queue()  # callbacks only put; the loop below does the work
     last: dict[str, str] = {}
-    with Link.open(client_settings(options.connect or ()), on_wait=say, stop=stop) as link:
+    settings = client_settings(
+        options.connect or (), namespace=options.namespace, zenoh_config=options.zenoh_config
+    )
+    with Link.open(settings, on_wait=say, stop=stop) as link:
         for key in (ALL_CONTACT, ALL_LEARNER, BRIDGES):
             link.subscribe(key, inbox.put)
         print("listening", flush=True)

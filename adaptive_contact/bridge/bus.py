@@ -2,8 +2,8 @@
 
 What the SDK's packet handlers get wrong (4.1.0) is worked around here:
 
-- ``read2ByteTxRx`` raises IndexError on an error status without data: ``readTxRx`` is used, and
-  the length of what came is checked.
+- ``read2ByteTxRx`` raises IndexError on an error status without data, and ``readTxRx`` takes the
+  check bytes for data, or cuts off what is too long: the length in the packet is checked here.
 - ``GroupSyncRead`` gives up at the first servo that does not answer and returns none of the
   others; ``GroupBulkRead`` raises TypeError: the packets are taken one by one here.
 - AX servos know neither: each is read by itself, and all are written with one sync write.
@@ -41,8 +41,10 @@ _TRIES: Final = 4
 _LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
 _ASK_S: Final = 0.0005
-# Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err.
-_ID2, _ERROR2, _DATA2 = 4, 8, 9
+# Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err;
+# of 1.0: FF FF id len err.
+_ID2, _LENGTH2, _ERROR2, _DATA2 = 4, 5, 8, 9
+_LENGTH1, _DATA1 = 3, 5
 
 
 class Fault(enum.StrEnum):
@@ -296,14 +298,31 @@ class Bus:
 
     def _read_one(self, servo: int, block: Block) -> Reading:
         at_s = time.monotonic()
-        data, result, error = self._packets.readTxRx(self._port, servo, block.address, block.size)
+        place = block.address, block.size
+        if self.protocol == 1:
+            packet = [0, 0, servo, 4, Instruction.READ, *place, 0]
+        else:
+            wide = [byte for value in place for byte in (value & 0xFF, value >> 8)]
+            packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *wide, 0, 0]
+        answer, result, error = self._packets.txRxPacket(self._port, packet)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
-        return self._reading(data, error, block, at_s)
+        return self._reading(self._data(answer), error, block, at_s)
+
+    def _data(self, packet: Sequence[int]) -> Sequence[int]:
+        """A status packet's data.  Unstuffing leaves its spare bytes at the end: cut to size."""
+        if self.protocol == 1:
+            return packet[_DATA1 : _DATA1 + packet[_LENGTH1] - 2]
+        size = packet[_LENGTH2] + (packet[_LENGTH2 + 1] << 8) - 4
+        return packet[_DATA2 : _DATA2 + size]
 
     def _reading(self, data: Sequence[int], error: int, block: Block, at_s: float) -> Reading:
         alarms = self.alarms(error)
         if len(data) != block.size:
+            if data or not error:
+                # No answer to this: another master's packet, in which protocol 1.0's instruction
+                # stands where an answer has its error bits, or what it was answered.
+                return Reading(None, (), Fault.CORRUPT)
             return Reading(None, alarms, Fault.REFUSED)
         return Reading(bytes(data), alarms, None, at_s, time.monotonic())
 
@@ -340,8 +359,5 @@ class Bus:
             understood += len(packet)
             servo = packet[_ID2]
             if servo in servos and servo <= MAX_ID and packet[7] == Instruction.STATUS:
-                # Unstuffing leaves its spare bytes at the end: cut to size by the length field.
-                size = packet[5] + (packet[6] << 8) - 4
-                data = packet[_DATA2 : _DATA2 + size]
-                found[servo] = self._reading(data, packet[_ERROR2], block, at_s)
+                found[servo] = self._reading(self._data(packet), packet[_ERROR2], block, at_s)
         return found, self._port.received - before > understood

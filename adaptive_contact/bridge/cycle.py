@@ -8,11 +8,11 @@ write; a sample pairs the two, as the wire's contract wants it.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
-from adaptive_contact.bridge.drive import Driver, Mode, complaint
+from adaptive_contact.bridge.drive import EASY_SHARE, Driver, Mode, complaint
 from adaptive_contact.bridge.health import Punctuality, ServoHealth, due, is_stale
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
@@ -29,6 +29,8 @@ _RETRY_SHARE: Final = 0.4
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
 # A servo that has shut itself down is looked at again after so long.
 _LOOK_S: Final = 1.0
+# A goal this close to where a servo is, or within one step of the easy pace, is where it is.
+_NEAR_STEPS: Final = 2
 # What alarms are about is asked for this share of the period at most, after the tick's own work.
 _ASK_SHARE: Final = 0.3
 
@@ -91,6 +93,7 @@ class Cycle:
         self._servos = {joint.servo: _Servo(joint) for joint in plan.joints}
         self.health = {joint.servo: ServoHealth() for joint in plan.joints}
         self._drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
+        self._lacking: dict[str, list[int]] = {}
         self._look_every = round(_LOOK_S / plan.period_s)
         self._until_s = self._end_s = 0.0
         self._count = 0
@@ -100,6 +103,18 @@ class Cycle:
     def holding(self) -> list[str]:
         """Legs whose commands have stopped."""
         return [leg for leg, driver in self._drivers.items() if driver.mode is Mode.HOLDING]
+
+    @property
+    def lacking(self) -> dict[str, str]:
+        """What is to be told of legs that have commands but not all their servos, by leg."""
+        told = {}
+        for leg, servos in self._lacking.items():
+            if servos:
+                names = ", ".join(f"{servo} ({self._trouble(servo)})" for servo in servos)
+                begun = self._drivers[leg].goal is not None
+                does = "goes on without" if begun else "commands wait for"
+                told[leg] = f"leg {leg}: {does} servo {names}"
+        return told
 
     @property
     def limited(self) -> int:
@@ -126,6 +141,7 @@ class Cycle:
             record.misses = 0
         for driver in self._drivers.values():
             driver.forget()
+        self._lacking.clear()
 
     def tick(self, t_ns: int, seq: int, now_ns: int, due_ns: int) -> dict[str, ServoSample]:
         """Make one control tick.
@@ -261,22 +277,42 @@ class Cycle:
                     start.append(servo.joint.angle(servo.goal))
                 else:
                     start.append(None)
-            goal = driver.step(start, now_ns)
+            absent = [j for j, servo in enumerate(servos) if self._is_absent(servo)]
+            goal = driver.step(start, now_ns, absent)
+            lacks = [s.joint.servo for s in servos if not s.awake and s.joint.servo not in found]
+            if goal is None:  # none of them is driven
+                lacks = [s.joint.servo for s, at in zip(servos, start, strict=True) if at is None]
+            self._lacking[leg.id] = lacks if driver.is_asked(now_ns) else []
             if goal is None:
                 continue
-            # Torque comes on with the goal where the servo is, so that nothing jumps.
-            here = {
-                number: steps
-                for number, stands in found.items()
-                if not stands.torque and (steps := self._servos[number].steps) is not None
-            }
-            self.bus.put_all(registers["goal_position"], here)
-            self.bus.put_all(registers["torque_enable"], dict.fromkeys(here, 1))
+            self._wake(leg, found)
             for servo, angle in zip(servos, goal, strict=True):
-                servo.awake |= servo.joint.servo in found
+                stands = found.get(servo.joint.servo)
+                servo.awake |= stands is not None and stands.torque
                 if servo.awake:
                     servo.goal = goals[servo.joint.servo] = servo.joint.steps(angle)
         self.bus.put_all(registers["goal_position"], goals)
+
+    def _wake(self, leg: LegPlan, found: Mapping[int, Standing]) -> None:
+        """Let servos without torque hold where they are, so that nothing jumps.
+
+        Sync writes are not answered.  So torque comes on a tick after the goal, where this tick's
+        look has seen that goal in the register, and goals follow once it has seen the torque: of
+        a write that was lost there is nothing but another tick to wait.
+        """
+        near = max(_NEAR_STEPS, int(EASY_SHARE * leg.max_step_rad / self._model.step_rad))
+        here: dict[int, int] = {}
+        ready: dict[int, int] = {}
+        for number, stands in found.items():
+            servo = self._servos[number]
+            if stands.torque or servo.steps is None:
+                continue
+            if abs(stands.goal - servo.steps) <= near:
+                ready[number] = 1
+            else:
+                servo.goal = here[number] = servo.steps
+        self.bus.put_all(self._model.registers["goal_position"], here)
+        self.bus.put_all(self._model.registers["torque_enable"], ready)
 
     def _look(self, servos: Sequence[_Servo]) -> dict[int, Standing]:
         """How those stand that are to be woken; one that cannot be is left out."""
@@ -298,6 +334,16 @@ class Cycle:
             if not stands.shut:
                 found[number] = stands
         return found
+
+    def _is_absent(self, servo: _Servo) -> bool:
+        record = self.health[servo.joint.servo]
+        return record.silent or record.shut
+
+    def _trouble(self, number: int) -> str:
+        record = self.health[number]
+        if record.silent:
+            return "no answer"
+        return "shut down" if record.shut else "not read yet"
 
     def _judge(self, servo: _Servo, stands: Standing) -> None:
         """Note whether a servo has shut itself down; it gets no goals then."""

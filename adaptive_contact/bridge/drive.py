@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from adaptive_contact.bridge.plan import LegPlan
@@ -84,13 +84,17 @@ class Driver:
         """Whether there is a command to be followed."""
         return self._command is not None and now_ns - self._heard_ns <= HOLD_AFTER_NS
 
-    def step(self, start: Sequence[float | None], now_ns: int) -> list[float] | None:
+    def step(
+        self, start: Sequence[float | None], now_ns: int, absent: Collection[int] = ()
+    ) -> list[float] | None:
         """The goals to write in this tick.
 
         Args:
             start: (J,) rad, where a first command leads on from: the goal in force, or the
                 position of a servo without torque; None where that is not known.
             now_ns: monotonic.
+            absent: joints whose servo is silent or shut down.  The leg begins without them; the
+                goals returned for them mean nothing until :meth:`found` says where they are.
 
         Returns:
             (J,) rad, or None when nothing is to be written.
@@ -104,9 +108,13 @@ class Driver:
             return None
         if self.mode in (Mode.IDLE, Mode.HOLDING):
             if self.goal is None:
-                if any(angle is None for angle in start):
+                unknown = {j for j, angle in enumerate(start) if angle is None}
+                if len(unknown) == len(start) or not unknown.issubset(absent):
                     return None  # from where to go is not known
-                self.goal = [angle for angle in start if angle is not None]
+                self.goal = [
+                    want if angle is None else angle
+                    for angle, want in zip(start, self._command, strict=True)
+                ]
             self.mode = Mode.APPROACHING
         easy = self.mode is Mode.APPROACHING
         largest = self.leg.max_step_rad * (EASY_SHARE if easy else 1.0)

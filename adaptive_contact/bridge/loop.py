@@ -87,6 +87,7 @@ class PortLoop:
         self._lost = False
         self._returning = False
         self._held: list[str] = []
+        self._lacking: dict[str, str] = {}
         self._status_ns = 0
         self._watched: JointPlan | None = None
 
@@ -203,6 +204,14 @@ class PortLoop:
             self._outlet.say(f"leg {', '.join(back)}: commands are back")
         self._held = held
 
+    def _tell_lacking(self) -> None:
+        """Say which legs have commands that some of their servos do not follow."""
+        lacking = self.cycle.lacking
+        for leg, line in lacking.items():
+            if self._lacking.get(leg) != line:
+                self._outlet.say(f"port {self.plan.name}: {line}")
+        self._lacking = lacking
+
     def _tell(self, now_ns: int) -> None:
         """Publish the status where a second has passed."""
         if now_ns < self._status_ns:
@@ -212,12 +221,13 @@ class PortLoop:
             self.cycle.ask_alarms(time.monotonic_ns())
             for line in self._news.lines(self.cycle.health):
                 self._outlet.say(line)
+            self._tell_lacking()
         self._outlet.status(self.status(now_ns))
 
     def status(self, now_ns: int) -> BridgeStatus:
         """How the port is."""
         holding = self.cycle.holding
-        note = self._mailbox.last_reject
+        note = "; ".join(self.cycle.lacking.values()) or self._mailbox.last_reject
         if self._lock is not None and self.cycle.moving_goal() and not self._lock.locked:
             note = "looking for the moment at which the other controller writes its goals"
         return BridgeStatus(

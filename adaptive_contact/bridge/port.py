@@ -210,7 +210,9 @@ def latency_advice(device: str, root: Path = _ADAPTERS) -> str | None:
 def _in_use(name: str, device: str) -> str:
     who = ", ".join(f"{process} (process {pid})" for pid, process in holders(device).items())
     return f"port {name}: {device} is in use by {who or 'another program'}; end that one" + (
-        "" if who else f" (`sudo fuser {device}` names it)"
+        ("" if who else f" (`sudo fuser {device}` names it)")
+        # Two programs on one port would take each other's answers away.
+        + ", or to look on beside it, see 'Two masters on one bus' in docs/bridge.md"
     )
 
 

@@ -161,7 +161,8 @@ def write_robot(robot: Robot, *, comments: bool = True) -> str:
     )
     for name, port in robot.ports.items():
         say.line("")
-        say.line(f"[port.{name}]")
+        # A bare name with a dot would be a table in a table.
+        say.line(f"[port.{_text(name) if '.' in name else name}]")
         say.line(f"device = {_text(port.device)}")
         say.line(f"baud = {port.baud}")
         say.line(f"protocol = {port.protocol}", "1: AX and MX, 2: X-series")

@@ -33,7 +33,15 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
 
-__all__ = ["DeviceOption", "RealtimeOption", "app", "devices_of", "needs_sdk", "robot_of"]
+__all__ = [
+    "DeviceOption",
+    "RealtimeOption",
+    "app",
+    "devices_of",
+    "needs_sdk",
+    "plans_of",
+    "robot_of",
+]
 
 app = typer.Typer(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
 
@@ -74,6 +82,28 @@ def robot_of(config: Path | None) -> Robot:
     from adaptive_contact.robot import load_robot, shipped_robot
 
     return shipped_robot() if config is None else load_robot(config)
+
+
+def plans_of(
+    robot: Robot, config: Path | None, device: list[str] | None, baud: int | None = None
+) -> tuple[PortPlan, ...]:
+    """What each port has to do; an error names the robot's file.
+
+    Raises:
+        ConfigurationError: there is no port, no servo, or something is unknown.
+    """
+    from adaptive_contact.bridge.plan import plan_ports
+    from adaptive_contact.bridge.tables import BAUDS
+
+    if baud is not None and baud not in BAUDS:
+        raise ConfigurationError(
+            f"--baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
+        )
+    devices = devices_of(device)
+    try:
+        return plan_ports(robot, devices, baud=baud)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{config or 'shipped robot'}: {error}") from error
 
 
 def devices_of(given: list[str] | None) -> dict[str, str]:
@@ -124,9 +154,8 @@ def dynamixel(
     stop = stoppable()
     with needs_sdk():
         from adaptive_contact.bridge.handshake import check_ports
-        from adaptive_contact.bridge.plan import plan_ports
 
-    plans = plan_ports(robot_of(config), devices_of(device), baud=baud)
+    plans = plans_of(robot_of(config), config, device, baud)
     settings = client(connect, namespace, zenoh_config, json=json)
     findings = check_ports(plans, configure=configure)
     for line in findings.done + findings.advice:
@@ -293,6 +322,7 @@ def virtual(
 
     from adaptive_contact.robot import load_robot, shipped_robot
 
+    _check_shipped(robot)
     for path, option in ((write_config, "--write-config"), (record, "--record")):
         if path is not None:
             check_output(path, option)
@@ -323,6 +353,17 @@ def virtual(
         if refused is not None:
             typer.echo(f"adaptive-contact bridge virtual: {refused}", err=True)
     run(plan, stop, on_start=_say)
+
+
+def _check_shipped(name: str) -> None:
+    from importlib import resources
+
+    folders = resources.files("adaptive_contact_models").iterdir()
+    known = sorted(folder.name for folder in folders if folder.joinpath("robot.toml").is_file())
+    if name not in known:
+        raise ConfigurationError(
+            f"no robot '{name}' ships with adaptive-contact; expected --robot {' or '.join(known)}"
+        )
 
 
 def _say(line: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from adaptive_contact.cli.bridge import (
     RealtimeOption,
     devices_of,
     needs_sdk,
+    plans_of,
     robot_of,
 )
 from adaptive_contact.errors import ConfigurationError, TooLittleDataError
@@ -82,6 +84,7 @@ def init(
             write_robot,
         )
         from adaptive_contact.bridge.tables import BAUDS
+    from adaptive_contact.robot import parse_robot
 
     # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
     devices = {port: str(Path(path).absolute()) for port, path in devices_of(device).items()}
@@ -92,6 +95,7 @@ def init(
     if out.exists() and not force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
     check_output(out, "--out")
+    ids = _names(legs, name, devices)
     if baud is not None and baud not in BAUDS:
         raise ConfigurationError(
             f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
@@ -102,7 +106,7 @@ def init(
     ]
     for line in describe(found):
         typer.echo(line)
-    robot = group(found, joints, tuple(legs.split(",")) if legs else ())
+    robot = group(found, joints, ids)
     robot = msgspec.structs.replace(robot, name=name)
     if lengths is not None:
         measured = _lengths(lengths, joints)
@@ -112,12 +116,46 @@ def init(
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
         told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
         typer.echo(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
-    out.write_text(write_robot(robot), encoding="utf-8")
+    text = write_robot(robot)
+    parse_robot(text, source=f"{out} would not be read back, so it is not written")
+    out.write_text(text, encoding="utf-8")
     todo = "" if lengths is not None else "fill in lengths_m, then "
     typer.echo(
         f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
         f"`adaptive-contact robot check --config {out}`"
     )
+
+
+def _names(legs: str | None, name: str, devices: Mapping[str, str]) -> tuple[str, ...]:
+    """The legs' ids of ``--legs``, once all that would make a bad description is ruled out.
+
+    Before the bus is asked: a search of all rates takes its time.
+    """
+    from adaptive_contact.wire import is_leg_id
+
+    expected = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
+    ids = () if legs is None else tuple(part.strip() for part in legs.split(","))
+    for leg in ids:
+        if not is_leg_id(leg):
+            raise ConfigurationError(
+                f"--legs {legs}: '{leg}' cannot name a leg; expected {expected}, such as lf,lm,lr"
+            )
+        if ids.count(leg) > 1:
+            raise ConfigurationError(f"--legs {legs}: '{leg}' is there twice; names must differ")
+    if not name.isprintable() or not name.strip():
+        raise ConfigurationError(f"--name {name!r} is no name; give one such as my-robot")
+    owners: dict[str, str] = {}
+    for port, path in devices.items():
+        if not is_leg_id(port):
+            raise ConfigurationError(
+                f"--device {port}={path}: '{port}' cannot name a port; expected {expected}"
+            )
+        before = owners.setdefault(os.path.realpath(path), port)
+        if before != port:
+            raise ConfigurationError(
+                f"--device gives {path} to port '{before}' and to port '{port}'; give each its own"
+            )
+    return ids
 
 
 def _lengths(text: str, joints: int) -> tuple[float, ...]:
@@ -310,10 +348,8 @@ def learn_(
 
 
 def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:
-    from adaptive_contact.bridge.plan import plan_ports
-
     robot = robot_of(config)
-    return robot, plan_ports(robot, devices_of(device))
+    return robot, plans_of(robot, config, device)
 
 
 def _shake_hands(plans: tuple[PortPlan, ...]) -> None:

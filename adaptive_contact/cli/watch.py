@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -20,7 +21,9 @@ from adaptive_contact.cli._options import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from adaptive_contact.service.link import Link
     from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.service.watch import View
 
     Look = Callable[[], View]
@@ -46,14 +49,20 @@ def watch(
             help="How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
         ),
     ] = 2.0,
+    wait: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=3600.0, help="How long --once waits for a router before it gives up."
+        ),
+    ] = 10.0,
     json: JsonOption = False,
 ) -> None:
     """Show every leg of a running service: contact, model, latency, losses, and what is wrong."""
     from adaptive_contact.service.feed import Feed
-    from adaptive_contact.service.link import Link
 
     settings = client(connect, namespace, zenoh_config)
-    with contextlib.suppress(KeyboardInterrupt), Link.open(settings, on_wait=_say) as link:
+    patience_s = wait if once else None
+    with contextlib.suppress(KeyboardInterrupt), _join(settings, patience_s) as link:
         feed = Feed(link)
 
         def look() -> View:
@@ -66,6 +75,23 @@ def watch(
             _print(look(), json)
             if once:
                 break
+
+
+def _join(settings: LinkSettings, patience_s: float | None) -> Link:
+    """Join a router; a script that looks once is not to stand still where there is none."""
+    from adaptive_contact.service.link import Link, NoRouterError
+
+    if patience_s is None:
+        return Link.open(settings, on_wait=_say)
+    stop = threading.Event()
+    timer = threading.Timer(patience_s, stop.set)
+    timer.start()
+    try:
+        return Link.open(settings, on_wait=_say, stop=stop)
+    except NoRouterError as error:
+        raise NoRouterError(error.finding, f"no router within {patience_s:g} s: ") from error
+    finally:
+        timer.cancel()
 
 
 def _live(look: Look) -> None:

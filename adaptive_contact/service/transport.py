@@ -96,6 +96,7 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     """
     path = settings.zenoh_config
     config = zenoh.Config() if path is None else _from_file(path)
+    users = _users(config, path)
     said = frozenset() if path is None else _said(path, config)
     for key, value in DEFAULTS.items():
         if key not in said:
@@ -115,7 +116,7 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     )
     for text in facts.listen:
         if not (is_loopback(text) or settings.insecure):
-            _check_door(config, text)
+            _check_door(config, text, users)
     return config, facts
 
 
@@ -139,10 +140,19 @@ def first_line(error: zenoh.ZError) -> str:
 
 def _from_file(path: Path) -> zenoh.Config:
     try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read: {(error.strerror or str(error)).lower()}; give a Zenoh "
+            "configuration with --zenoh-config (docs/security.md has some)"
+        ) from error
+    try:
         return zenoh.Config.from_file(path)
     except zenoh.ZError as error:
         raise ConfigurationError(
-            f"{path}: not a usable Zenoh configuration: {first_line(error)}"
+            f"{path}: not a usable Zenoh configuration: {first_line(error)}; correct it "
+            "(docs/security.md has some that are)"
         ) from error
 
 
@@ -172,7 +182,7 @@ def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
     return frozenset(key for key in keys if config.get_json(key) != blank.get_json(key))
 
 
-def _check_door(config: zenoh.Config, text: str) -> None:
+def _check_door(config: zenoh.Config, text: str, users: bool) -> None:
     """Refuse an endpoint whose clients need not show who they are.
 
     A user and password are asked for on any of them; mutual TLS only where TLS is spoken.  (Zenoh
@@ -183,7 +193,7 @@ def _check_door(config: zenoh.Config, text: str) -> None:
             f"{shown(text)} says enable_mtls after '#', which would hold over the configuration "
             "file; say it in the file"
         )
-    if _asks_for_users(config):
+    if users:
         return
     mutual = json.loads(config.get_json("transport/link/tls/enable_mtls"))
     if mutual and text.startswith(("tls/", "quic/")):
@@ -194,23 +204,28 @@ def _check_door(config: zenoh.Config, text: str) -> None:
     )
 
 
-def _asks_for_users(config: zenoh.Config) -> bool:
+def _users(config: zenoh.Config, path: Path | None) -> bool:
     """Whether Zenoh will ask for a user and password.
 
     With neither a user of its own nor anybody in the dictionary, it asks nobody.
+
+    Raises:
+        ConfigurationError: the dictionary cannot be read; Zenoh would only say so in words of its
+            own, and to a client as if there were no router.
     """
     usrpwd = json.loads(config.get_json("transport/auth/usrpwd"))
     if not usrpwd["dictionary_file"]:
         return False
-    if usrpwd["user"] and usrpwd["password"]:
-        return True
     try:
         lines = Path(usrpwd["dictionary_file"]).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(
             f"the file of users that the Zenoh configuration names cannot be read: "
-            f"{(error.strerror or '').lower() if isinstance(error, OSError) else 'no UTF-8'}"
+            f"{(error.strerror or '').lower() if isinstance(error, OSError) else 'no UTF-8'}; "
+            f"correct dictionary_file in {path}, or make that file"
         ) from error
+    if usrpwd["user"] and usrpwd["password"]:
+        return True
     return any(all(part.strip() for part in line.split(":", 1)) and ":" in line for line in lines)
 
 

@@ -22,8 +22,10 @@ from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
+    ALL_CONTACT,
     ALL_LEARNER,
     Command,
+    ContactEvent,
     LearnerStatus,
     ServoSample,
     command_key,
@@ -31,8 +33,9 @@ from adaptive_contact.wire import (
     servo_key,
 )
 
+pytestmark = pytest.mark.e2e
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
-pytestmark = [pytest.mark.e2e, pytest.mark.slow]
+slow = pytest.mark.slow
 
 READY = "stop with Ctrl-C"
 
@@ -125,20 +128,61 @@ def wait_for(items: queue.Queue, enough: Callable[[Any], bool], timeout_s: float
             return received
 
 
-@pytest.mark.timeout(180)
+def touched(received: Any) -> bool:
+    event = decode(received.payload, ContactEvent, received.encoding)
+    return isinstance(event, ContactEvent) and event.contact
+
+
+@pytest.mark.timeout(120)
+def test_a_contact_comes_through_the_whole_chain(start: Callable[..., Process]) -> None:
+    """The one of these that is not slow: one event is enough, however late and whichever."""
+    endpoint = router(start)
+    with Link.open(client_settings([endpoint])) as link:
+        contacts: queue.Queue = queue.Queue()
+        link.subscribe(ALL_CONTACT, contacts.put)
+        start(
+            "bridge", "virtual", "--dir", "bus", "--ports", "2", "--write-config", "rig.toml",
+            "--scenario", "pose-collisions", "--return-delay", "0", "--no-wire-time",
+        ).ready()  # fmt: skip
+        bridge = start("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
+        bridge.ready()
+        wait_for(contacts, touched, 40.0)
+    assert bridge.stop() == 0
+
+
+@slow
+@pytest.mark.timeout(240)
 def test_contacts_of_a_virtual_robot_arrive_and_a_fault_is_told(
     start: Callable[..., Process],
 ) -> None:
     endpoint = router(start)
     start(
         "bridge", "virtual", "--dir", "bus", "--ports", "3", "--write-config", "rig.toml",
-        "--scenario", "pose-collisions", "--fault", "silent:id=1",
+        "--scenario", "pose-collisions", "--fault", "silent:id=1@60",
     ).ready()  # fmt: skip
-    refused = start("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
+    words = ("bridge", "dynamixel", "--config", "rig.toml", "--connect", endpoint)
+    contacts: queue.Queue = queue.Queue()
+    statuses: queue.Queue = queue.Queue()
+
+    def silent(received: Any) -> bool:
+        status = decode(received.payload, BridgeStatus, received.encoding)
+        return "1" in status.servos and status.servos["1"].silent
+
+    with Link.open(client_settings([endpoint])) as link:
+        link.subscribe(ALL_CONTACT, contacts.put)
+        link.subscribe("robot/bridge/*/status", statuses.put)
+        bridge = start(*words)
+        bridge.ready()
+        wait_for(contacts, touched, 40.0)
+        wait_for(statuses, silent, 80.0)
+    bridge.stop()
+    assert any("servo 1 (lf coxa): no answer" in line for line in bridge.said)
+    refused = start(*words)
     assert refused.wait(60) == 2
     assert "missing servo 1 (lf coxa)" in "".join(refused.said)
 
 
+@slow
 @pytest.mark.timeout(180)
 def test_samples_commands_and_status_pass(start: Callable[..., Process], tmp_path: Path) -> None:
     endpoint = router(start)
@@ -174,6 +218,7 @@ def test_samples_commands_and_status_pass(start: Callable[..., Process], tmp_pat
     assert "step 1: no contact, foot at -" in stepped.stdout
 
 
+@slow
 @pytest.mark.timeout(240)
 def test_a_robot_that_its_own_controller_swings_is_learned_by_looking_on(
     start: Callable[..., Process], tmp_path: Path
@@ -198,6 +243,7 @@ def test_a_robot_that_its_own_controller_swings_is_learned_by_looking_on(
     assert sum("x the noise of its readings" in line for line in learn.said) == 6
 
 
+@slow
 @pytest.mark.timeout(180)
 def test_a_ports_process_that_is_killed_is_followed_by_one_that_is_heard(
     start: Callable[..., Process],
@@ -238,7 +284,7 @@ def test_a_ports_process_that_is_killed_is_followed_by_one_that_is_heard(
     assert all(not counts.get("duplicate_seq") for counts in rejects.values()), rejects
 
 
-@pytest.mark.slow
+@slow
 @pytest.mark.timeout(600)
 def test_the_chain_loses_at_most_a_point_of_recall(
     start: Callable[..., Process], tmp_path: Path

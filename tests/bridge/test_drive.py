@@ -93,6 +93,16 @@ def test_nothing_is_written_while_it_is_not_known_where_the_leg_is() -> None:
     assert driver.step([0.1, 0.2], 1) is not None
 
 
+def test_a_leg_begins_without_a_servo_that_is_silent_and_takes_it_in_when_it_is_back() -> None:
+    driver = Driver(leg())
+    driver.hear(Command(desired=[0.3, 0.3]), 0)
+    assert driver.step([0.1, None], 0) is None  # it may answer in the next tick
+    assert driver.step([None, None], 1, absent=(0, 1)) is None
+    assert driver.step([0.1, None], 2, absent=(1,))[0] == pytest.approx(0.1 + 0.1 * EASY_SHARE)
+    driver.found(1, -0.2)
+    assert driver.step([0.12, -0.2], 3)[1] == pytest.approx(-0.2 + 0.1 * EASY_SHARE)
+
+
 def test_the_first_command_is_approached_at_an_easy_pace() -> None:
     driver = Driver(leg())
     for k in range(40):

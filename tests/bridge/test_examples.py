@@ -55,6 +55,8 @@ def begin(example: str, *words: str) -> subprocess.Popen[str]:
         (("--leg", "zz"), "has no leg 'zz'"),
         (("--config", "/nonexist.toml"), "cannot be read"),
         (("--reach", "0.3"), "cannot reach 0.300 m out"),
+        (("--zenoh-config", "/nonexist.json5"), "/nonexist.json5"),
+        (("--namespace", "a b"), "namespace 'a b' cannot be part of a key"),
     ],
 )
 def test_the_gait_controller_says_in_one_line_what_is_wrong(

@@ -145,6 +145,52 @@ def test_a_leg_with_a_dead_servo_is_still_there_after_a_pulled_cable(run: Callab
     assert r.catcher.ticks[-1]["l0"].valid == [True, False, True]
 
 
+@pytest.mark.parametrize("kind", [AX, XL])
+def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says_so(
+    run: Callable, kind: dict
+) -> None:
+    r = run("drive", **kind)
+
+    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def check(c: Any) -> Any:
+            r.command("l0", 0.4, 0.4, 0.4)
+            return true(c)
+
+        return check
+
+    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r.rig.fault("silent:id=2")
+    r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid == [True, False, True])
+    r.rig.fault("silent:id=2", "hangup:@0+1000000")
+    r.catcher.wait(lambda c: any("is gone" in line for line in c.lines))
+    r.rig.fault("silent:id=2")
+    r.catcher.wait(lambda c: any("is back" in line for line in c.lines))
+    at = pytest.approx([0.4, 0.0, 0.4], abs=0.02)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == at))
+    told = "leg l0: goes on without servo 2 (no answer)"
+    r.catcher.wait(feed(lambda c: f"port p0: {told}" in c.lines))
+    r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].note == told))
+    assert r.rig.servo(2).writes == 0
+    r.rig.fault()
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    r.catcher.wait(feed(lambda c: c.statuses[-1].note is None))
+
+
+def test_a_leg_none_of_whose_servos_can_be_read_says_that_its_commands_wait(run: Callable) -> None:
+    r = run("drive", **AX)
+    r.catcher.wait(lambda c: len(c.ticks) >= 5)
+    r.rig.fault(*(f"silent:id={i}" for i in (1, 2, 3)))
+
+    def feed(c: Any) -> bool:
+        r.command("l0", 0.4, 0.4, 0.4)
+        return bool(c.statuses) and c.statuses[-1].note == (
+            "leg l0: commands wait for servo 1 (no answer), 2 (no answer), 3 (no answer)"
+        )
+
+    r.catcher.wait(feed)
+    assert all(r.rig.servo(i).writes == 0 for i in (1, 2, 3))
+
+
 def test_a_preview_is_in_the_sample_of_its_command(run: Callable) -> None:
     r = run("drive", **XL)
     r.catcher.wait(lambda c: len(c.ticks) >= 3)

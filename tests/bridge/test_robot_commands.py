@@ -16,7 +16,7 @@ from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
-from adaptive_contact.robot import Leg, Limits, foot, parse_robot, shipped_robot
+from adaptive_contact.robot import Leg, Limits, Port, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
@@ -112,6 +112,15 @@ def test_a_written_description_reads_back_the_same(name: str) -> None:
         assert one.mount.xyz_m == pytest.approx(other.mount.xyz_m)
         assert one.limits.lower_rad == pytest.approx(other.limits.lower_rad)
     assert again.ports == robot.ports
+    dotted = msgspec.structs.replace(
+        robot,
+        ports={"a.b": Port(device="/dev/x")},
+        legs=tuple(
+            msgspec.structs.replace(leg, servos=msgspec.structs.replace(leg.servos, port="a.b"))
+            for leg in robot.legs
+        ),
+    )
+    assert parse_robot(write_robot(dotted), source="written").ports == dotted.ports
     assert (again.name, again.period_s) == (robot.name, robot.period_s)
 
 
@@ -181,13 +190,25 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("robot", "init"), "which port"),
         (("robot", "init", "--device", "/nowhere"), "does not exist"),
         (("robot", "init", "--device", "/x", "--baud", "250000"), "is not supported"),
+        (("robot", "init", "--device", "/x", "--legs", "a,a"), "'a' is there twice; names must"),
+        (("robot", "init", "--device", "/x", "--legs", "a/b,c"), "'a/b' cannot name a leg; expec"),
+        (("robot", "init", "--device", "/x", "--legs", ","), "'' cannot name a leg; expected 1 to"),
+        (("robot", "init", "--device", "/x", "--legs", ""), "'' cannot name a leg; expected 1 to"),
+        (("robot", "init", "--device", "/x", "--name", ""), "--name '' is no name; give one such"),
+        (("robot", "init", "--device", "/x", "--name", "a\x7f"), r"--name 'a\\x7f' is no name"),
+        (("robot", "init", "--device", "a b=/x"), "'a b' cannot name a port; expected 1 to 32"),
+        (("robot", "init", "--device", "p0", "--device", "q=p0"), "to port 'main' and to port 'q'"),
+        (("robot", "init", "--device", "p0", "--device", "q=link"), "to port 'main' and to port"),
         (("bridge", "dynamixel"), "has no port; add"),
+        (("bridge", "dynamixel", "--config", "model.toml"), "^model.toml: .*unknown servo model"),
+        (("bridge", "dynamixel", "--config", "baud.toml"), r"^baud.toml: .*baud 12 is not"),
+        (("robot", "check", "--config", "model.toml"), "^model.toml: .*unknown servo model 'QQ'"),
         (("bridge", "dynamixel", "--device", "/nowhere"), "does not exist"),
         (("bridge", "dynamixel", "--device", "/x", "--baud", "12"), "is not supported"),
         (("bridge", "virtual", "--fault", "broken"), "expected one of silent"),
         (("bridge", "virtual", "--record", "x.mcap"), "needs --scenario"),
         (("bridge", "virtual", "--ports", "9"), "9 ports for 6 legs"),
-        (("bridge", "virtual", "--robot", "spider"), "no robot 'spider'"),
+        (("bridge", "virtual", "--robot", "spider"), "expected --robot hexapod or quad"),
         (("bridge", "virtual", "--robot", "quadruped", "--ports", "2"), "has ports of its own"),
         (("bridge", "virtual", "--write-config", "/nonexist/x.toml"), "another --write-config"),
         (("bridge", "virtual", "--fault", "silent@1.2.3"), "times in seconds, such as"),
@@ -199,6 +220,13 @@ def test_what_cannot_be_is_told_in_one_line(
     words: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "link").symlink_to("p0")
+    for name, baud, model in (("model", 1_000_000, "QQ"), ("baud", 12, "AX-12A")):
+        (tmp_path / f"{name}.toml").write_text(
+            '[robot]\nname = "r"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
+            f'[port.a]\ndevice = "/x"\nbaud = {baud}\n[[leg]]\nid = "l"\njoints = ["a"]\n'
+            f'servos = {{ ids = [1], model = "{model}" }}\n'
+        )
     with pytest.raises(AdaptiveContactError, match=message) as caught:
         invoke(*words)
     assert "\n" not in str(caught.value)

@@ -21,9 +21,11 @@ from adaptive_contact.service.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    Command,
     ContactEvent,
     LearnerStatus,
     ServoSample,
+    command_key,
     contact_key,
     learner_key,
     model_key,
@@ -168,6 +170,30 @@ def test_only_the_service_publishes_contacts_and_statuses(
 
 
 @pytest.mark.e2e
+def test_only_the_robot_moves_its_legs(
+    serve: Any, join: Callable[..., Link], files: Folder, inbox: Any
+) -> None:
+    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
+    endpoint = served.endpoint.replace("0.0.0.0", "127.0.0.1")
+    bridge, gait = (join(endpoint, zenoh_config=files.robot) for _ in range(2))
+    viewer = join(endpoint, zenoh_config=files.viewer)
+    goals, seen = inbox(Command), inbox(Command)
+    bridge.subscribe(command_key("rf"), goals)
+    viewer.subscribe(command_key("rf"), seen)
+    commands = matched(gait, command_key("rf"))
+    commands.put(Command(desired=[0.1, 0.2, 0.3]))
+    assert goals.wait(1)[0].desired == [0.1, 0.2, 0.3]
+
+    viewer.publisher(command_key("rf"), reliable=True).put(Command(desired=[0.9, 0.9, 0.9]))
+    assert len(viewer.query(model_key("rf"))) == 1  # a round trip: it has been dealt with
+    commands.put(Command(desired=[0.4, 0.5, 0.6]))
+    assert [c.desired[0] for c in goals.wait(2)] == [0.1, 0.4]
+    # What a viewer hears of himself never went through the router.
+    assert [c.desired[0] for c in seen.items] == [0.9]
+    assert served.stop() == 0
+
+
+@pytest.mark.e2e
 @pytest.mark.parametrize(
     "text",
     [
@@ -204,6 +230,13 @@ def test_one_user_in_the_dictionary_is_a_lock(tmp_path: Path) -> None:
     config.write_text(f'{{transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}}}')
     with pytest.raises(ConfigurationError, match=r"users .* cannot be read: no such file"):
         Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config))
+    # Neither does Zenoh's own word for it come through on loopback, nor to a client.
+    for settings in (
+        router_settings(["127.0.0.1:0"], zenoh_config=config),
+        client_settings(["127.0.0.1:1"], wait=False, zenoh_config=config),
+    ):
+        with pytest.raises(ConfigurationError, match=r"no such file.*; correct dictionary_file in"):
+            Link.open(settings)
     users.write_text("robot:secret\n")
     with Link.open(router_settings(["0.0.0.0:0"], zenoh_config=config)) as router:
         endpoint = router.endpoints[0].replace("0.0.0.0", "127.0.0.1")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import time
 from collections.abc import Callable
 from typing import Any
@@ -255,6 +256,16 @@ def test_the_command_over_zenoh(
     out, _ = table_process.communicate(timeout=60)
     assert "mini" in out
     assert "CONTACT" in out
+
+
+@pytest.mark.e2e
+def test_looking_once_ends_where_there_is_no_router(command: Any) -> None:
+    words = ("watch", "--connect", "tcp/127.0.0.1:1", "--once", "--wait", "0.3")
+    process = command("-m", "adaptive_contact", *words, stderr=subprocess.PIPE)
+    _, said = process.communicate(timeout=60)
+    process.stderr.close()
+    assert process.returncode == 2
+    assert "no router within 0.3 s: unreachable: nobody listens on tcp/127.0.0.1:1; start" in said
 
 
 def test_what_the_service_says_of_itself_is_over_the_table() -> None:
