@@ -5,7 +5,7 @@ a reading that has become rougher, a model that fits one direction less well sho
 free ticks, and only there: a contact is never among them.  Two things follow, so that the
 false-alarm rate stays put and not the threshold:
 
-- the *shape* of the covariance.  With z the whitened residuals of the buffer under the model in
+- the *shape* of the covariance.  With Z the whitened residuals of the buffer under the model in
   force, :math:`S = (Z^\top Z + n_0 s I) / (n + n_0)`, shrunk towards the baseline's and normed to
   a mean variance of one: how large it is on the whole, the drift monitor's level says;
 - the *tail* of the statistic.  How often it passes the level at which the baseline's tail begins,
@@ -33,8 +33,8 @@ __all__ = ["RecentNoise"]
 
 Array = NDArray[np.float64]
 
-# The baseline's covariance weighs like so many ticks; the buffer holds some 700.
-SHRINK_TICKS: Final = 200.0
+# The baseline's covariance weighs like so many ticks; the buffer holds some 700 (decision 9).
+SHRINK_TICKS: Final = 1000.0
 # A residual further out than so many of its deviations counts as if it were there.
 CLIP: Final = 3.0
 # The baseline's tail weighs like so many exceedances.

@@ -58,21 +58,21 @@ def test_at_first_they_are_the_baseline_s(noise: NoiseModel) -> None:
 
 def test_a_leg_that_is_as_it_was_keeps_them(noise: NoiseModel) -> None:
     of = recent(noise)
-    of.refresh(segments(SIGMA**2 * np.eye(J), 4000), COEFFICIENTS)
+    of.refresh(segments(SIGMA**2 * np.eye(J), 40_000), COEFFICIENTS)
     np.testing.assert_allclose(shape(of, noise), np.eye(J), atol=0.06)
 
 
 def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseModel) -> None:
     of = recent(noise)
     grown = SIGMA**2 * np.diag([1.0, 9.0, 1.0])
-    of.refresh(segments(grown, 4000), COEFFICIENTS)
+    of.refresh(segments(grown, 40_000), COEFFICIENTS)
     found = shape(of, noise)
     assert np.trace(found) == pytest.approx(J), "how large on the whole, the level says"
     wanted = np.diag([1.0, 9.0, 1.0]) * J / 11.0
     np.testing.assert_allclose(found, wanted, atol=0.25)
     # And what belongs together is known to.
     tied = SIGMA**2 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    of.refresh(segments(tied, 4000), COEFFICIENTS)
+    of.refresh(segments(tied, 40_000), COEFFICIENTS)
     assert shape(of, noise)[0, 1] == pytest.approx(0.8, abs=0.1)
 
 
