@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
 from adaptive_contact.bridge.drive import EASY_SHARE, Driver, Mode, complaint
-from adaptive_contact.bridge.health import Punctuality, ServoHealth, due, is_stale
+from adaptive_contact.bridge.health import SILENT_AFTER, Punctuality, ServoHealth, due, is_stale
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
 from adaptive_contact.bridge.status import ServoCounts
@@ -138,7 +138,8 @@ class Cycle:
             servo.speed_rad_s = 0.0
             servo.awake = servo.valid = False
         for record in self.health.values():
-            record.misses = 0
+            # Who was silent is asked, and told of, as one who is until it answers.
+            record.misses = SILENT_AFTER - 1 if record.silent else 0
         for driver in self._drivers.values():
             driver.forget()
         self._lacking.clear()

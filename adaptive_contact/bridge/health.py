@@ -15,7 +15,7 @@ from typing import Final
 from adaptive_contact.bridge.bus import Fault, Reading
 from adaptive_contact.bridge.status import ServoCounts
 
-__all__ = ["Punctuality", "ServoHealth", "due", "is_stale"]
+__all__ = ["SILENT_AFTER", "Punctuality", "ServoHealth", "due", "is_stale"]
 
 # Cycles without an answer in a row before a servo is called silent.
 SILENT_AFTER: Final = 3

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Final, Literal
 
@@ -214,11 +216,19 @@ def shipped_robot(name: str = "hexapod") -> Robot:
     Raises:
         ConfigurationError: no robot of that name ships.
     """
-    folder = resources.files("adaptive_contact_models").joinpath(name)
-    file = folder.joinpath("robot.toml")
+    models = resources.files("adaptive_contact_models")
+    file = models.joinpath(name, "robot.toml")
     if not file.is_file():
-        raise ConfigurationError(f"no robot '{name}' ships with adaptive-contact")
+        ships = [entry.name for entry in models.iterdir() if _ships(entry)]
+        raise ConfigurationError(
+            f"no robot '{name}' ships with adaptive-contact; there are {', '.join(sorted(ships))}, "
+            "others are described in a robot.toml"
+        )
     return parse_robot(file.read_text(encoding="utf-8"), source=f"{name}/robot.toml")
+
+
+def _ships(folder: Traversable) -> bool:
+    return folder.joinpath("robot.toml").is_file()
 
 
 def parse_robot(text: str, *, source: str) -> Robot:
@@ -267,7 +277,22 @@ def _explain(text: str) -> str:
         near = difflib.get_close_matches(wrong, _FIELDS, n=1)
         hint = f"did you mean `{near[0]}`?" if near else "remove it"
         return f"{text}; {hint}"
+    wrong_type = re.fullmatch(r"Expected `(\S+)`, got `(\S+)` - at `(.+)`", text)
+    if wrong_type:
+        expected, got, where = wrong_type.groups()
+        return f"{where} is {_KINDS.get(got, got)}; expected {_KINDS.get(expected, expected)}"
     return text
+
+
+# What TOML calls msgspec's types.
+_KINDS: Final = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": 'a text ("...")',
+    "bool": "true or false",
+    "array": "a list ([...])",
+    "object": "a table",
+}
 
 
 def _check(robot: Robot, source: str) -> None:

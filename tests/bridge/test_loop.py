@@ -171,6 +171,7 @@ def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says
     r.catcher.wait(feed(lambda c: f"port p0: {told}" in c.lines))
     r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].note == told))
     assert r.rig.servo(2).writes == 0
+    assert not any("answers again" in line for line in r.catcher.lines), "it never did"
     r.rig.fault()
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     r.catcher.wait(feed(lambda c: c.statuses[-1].note is None))

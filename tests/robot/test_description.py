@@ -59,6 +59,8 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         ("[[leg]]", "[[leg", "not valid TOML"),
         ("[[leg]]", "[detector]\nfalse_alarms_per_hour = 0\n[[leg]]", "false_alarms_per_hour is 0"),
         ("[[leg]]", "[servo]\nslope_rad = 0\n[[leg]]", "slope_rad is 0"),
+        ('id = "rf"', "id = 3", 'leg[0].id is a whole number; expected a text ("...")'),
+        ("period_s = 0.02", 'period_s = "fast"', "robot.period_s is a text"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(old: str, new: str, says: str) -> None:
@@ -84,5 +86,6 @@ def test_a_missing_file_and_a_missing_leg(tmp_path: Path) -> None:
         load_robot(tmp_path / "r.toml")
     with pytest.raises(ConfigurationError, match="has no leg 'xx'; its legs are rf"):
         parse_robot(GOOD, source="x").leg("xx")
-    with pytest.raises(ConfigurationError, match="no robot 'octopus' ships"):
+    names = "no robot 'octopus' ships with adaptive-contact; there are hexapod, quadruped, others"
+    with pytest.raises(ConfigurationError, match=names):
         shipped_robot("octopus")
