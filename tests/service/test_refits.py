@@ -209,7 +209,9 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
     rng = np.random.default_rng(0)
     buffer = SlidingBuffer()
     for k in range(40):
-        buffer.add([Row(rng.normal(size=p), np.zeros(2), 1.0, k, True, True, True)] * 12, 0, 0)
+        buffer.add(
+            [Row(rng.normal(size=p), np.zeros(2), 1.0, 1.0, 0, k, True, True, True)] * 12, 0, 0
+        )
     for status, words in (
         (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
