@@ -315,8 +315,8 @@ class Follower:
     def _confirm(self, rows: list[Row], region: int) -> None:
         rows = [row for row in rows if row.cleared]
         self._learned_swing |= bool(rows)
-        if self.monitor.status == "valid":
-            self._recent.count([row.value for row in rows])
+        if self.monitor.status == "valid" and rows and rows[0].lift:
+            self._recent.count(rows)  # of a descent, soft ground may be among the last of them
         self.confirmed_ns.extend(row.t_ns for row in rows)
         self.buffer.add(rows, region, self._era)
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):

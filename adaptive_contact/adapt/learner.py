@@ -421,7 +421,8 @@ class ContactLearner:
         model = dataclasses.replace(known.model, version=version)
         known = dataclasses.replace(known, model=model)
         self._known, self._note = known, None
-        recent = RecentNoise(known.noise, tails, self.robot.detector.false_alarms_per_hour)
+        aim = self.robot.detector.false_alarms_per_hour
+        recent = RecentNoise(known.noise, tails, aim, known.domain)
         self.detector = LegDetector(known, recent, self._quantum, self._period_ns)
         self._quarantine.follower = Follower(self.leg.id, known, recent, self._mode, self._refitter)
 

@@ -9,7 +9,7 @@ false-alarm rate stays put and not the threshold:
   force, :math:`S = (Z^\top Z + n_0 s I) / (n + n_0)`, shrunk towards the baseline's and normed to
   a mean variance of one: how large it is on the whole, the drift monitor's level says;
 - the *tail* of the statistic.  How often it passes the level at which the baseline's tail begins,
-  and by how much, against what the baseline promised.
+  and by how much, against what the baseline promised; on lifts only, which no ground can press on.
 
 Neither makes the detector more eager than the baseline did.
 """
@@ -28,6 +28,8 @@ from adaptive_contact.detect import NoiseModel, Tail
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.buffer import Segment
+    from adaptive_contact.adapt.segments import Row
+    from adaptive_contact.identify import Domain
 
 __all__ = ["RecentNoise"]
 
@@ -53,6 +55,7 @@ class RecentNoise:
         noise: of the baseline.
         tails: (windows,) of the baseline's statistic.
         false_alarms_per_hour: aimed at.
+        domain: where the baseline's model has been; None if that is not known.
 
     Attributes:
         whiten: (contexts, windows, J, J).
@@ -62,9 +65,14 @@ class RecentNoise:
     """
 
     def __init__(
-        self, noise: NoiseModel, tails: tuple[Tail, ...], false_alarms_per_hour: float
+        self,
+        noise: NoiseModel,
+        tails: tuple[Tail, ...],
+        false_alarms_per_hour: float,
+        domain: Domain | None = None,
     ) -> None:
         self._noise = noise
+        self._domain = domain
         self._tails = tails
         self._aim = false_alarms_per_hour
         self._least = thresholds_of(tails, false_alarms_per_hour)
@@ -75,14 +83,19 @@ class RecentNoise:
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
-    def count(self, values: Sequence[float]) -> None:
-        """Take in the statistic of one tick at confirmed free ticks of a leg that is known."""
-        tail = self._tails[0]
-        self._ticks += len(values)
-        for value in values:
-            if value > tail.level:  # NaN is not
+    def count(self, rows: Sequence[Row]) -> None:
+        """Take in the free ticks of a lift of a leg that is known."""
+        level = self._tails[0].level
+        self._ticks += len(rows)
+        for row in rows:
+            if not row.value > level:  # NaN is not
+                continue
+            # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.
+            spread = 0.0 if self._domain is None else float(self._domain.leverage(row.theta))
+            value = row.value / (1.0 + spread)
+            if value > level:
                 self._above += 1.0
-                self._excess += value - tail.level
+                self._excess += value - level
         if self._ticks > MEMORY_TICKS:
             fade = MEMORY_TICKS / self._ticks
             self._ticks *= fade

@@ -8,8 +8,10 @@ import pytest
 from adaptive_contact.adapt.buffer import Segment
 from adaptive_contact.adapt.coldstart import prior_tails
 from adaptive_contact.adapt.recent import MOST, RecentNoise
+from adaptive_contact.adapt.segments import Row
 from adaptive_contact.detect import WINDOWS, NoiseModel, Tail
 from adaptive_contact.detect.noise import CONTEXTS
+from adaptive_contact.identify import Domain
 
 J = 3
 SIGMA = 0.003
@@ -38,6 +40,14 @@ def segments(covariance: np.ndarray, n: int, seed: int = 0) -> list[Segment]:
     return [
         Segment(theta[k : k + 8], target[k : k + 8], context[k : k + 8], (0, 0), 0, k)
         for k in range(0, n, 8)
+    ]
+
+
+def rows(values: list[float], theta: float = 0.0) -> list[Row]:
+    """Free ticks with a statistic."""
+    return [
+        Row(np.full(2, theta), np.zeros(J), v / J, v, 0, 0, lift=False, calm=True, cleared=True)
+        for v in values
     ]
 
 
@@ -93,8 +103,9 @@ def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: Noise
     tails = prior_tails(J)
     calm, heavy = recent(noise, tails), recent(noise, tails)
     for _ in range(200):
-        calm.count(rng.chisquare(J, 100).tolist())
-        heavy.count((rng.chisquare(J, 100) * np.where(rng.random(100) < 0.03, 4, 1)).tolist())
+        calm.count(rows(rng.chisquare(J, 100).tolist()))
+        spread = np.where(rng.random(100) < 0.03, 4, 1)
+        heavy.count(rows((rng.chisquare(J, 100) * spread).tolist()))
     for of in (calm, heavy):
         of.refresh([], COEFFICIENTS)
     least = recent(noise, tails).thresholds
@@ -110,25 +121,25 @@ def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: Noise
 def test_thresholds_never_fall_below_the_baseline_s_and_have_a_top(noise: NoiseModel) -> None:
     tails = prior_tails(J)
     of, least = recent(noise, tails), recent(noise, tails).thresholds
-    of.count([0.0] * 20_000)
+    of.count(rows([0.0] * 20_000))
     of.refresh([], COEFFICIENTS)
     np.testing.assert_array_equal(of.thresholds, least)
-    of.count([1e9] * 20_000)
+    of.count(rows([1e9] * 20_000))
     assert of.tail_factors == (MOST, MOST)
 
 
 def test_old_ticks_fade(noise: NoiseModel) -> None:
     of = recent(noise)
-    of.count([50.0] * 1000)
+    of.count(rows([50.0] * 1000))
     often, _ = of.tail_factors
     for _ in range(10):
-        of.count([1.0] * 20_000)
+        of.count(rows([1.0] * 20_000))
     assert of.tail_factors[0] < 1.2 < often
 
 
 def test_counts_survive_a_restart_and_nonsense_is_left(noise: NoiseModel) -> None:
     of, twin = recent(noise), recent(noise)
-    of.count([50.0, 1.0] * 500)
+    of.count(rows([50.0, 1.0] * 500))
     twin.restore(of.snapshot())
     assert twin.tail_factors == of.tail_factors
     for nonsense in (
@@ -143,5 +154,17 @@ def test_counts_survive_a_restart_and_nonsense_is_left(noise: NoiseModel) -> Non
 
 def test_nan_counts_as_a_tick_that_shows_nothing(noise: NoiseModel) -> None:
     of = recent(noise)
-    of.count([float("nan")] * 100)
+    of.count(rows([float("nan")] * 100))
     assert of.tail_factors == (1.0, 1.0)
+
+
+def test_what_the_model_extrapolates_is_no_noise(noise: NoiseModel) -> None:
+    """As an alarm is judged, and as the tail was fitted: over one plus the leverage."""
+    domain = Domain(10.0 * np.eye(2), np.ones(2))
+    here, there = 0.1, 100.0
+    assert domain.leverage(np.full(2, here)) < 0.01
+    known, strange = (RecentNoise(noise, prior_tails(J), 1.0, domain) for _ in range(2))
+    known.count(rows([30.0] * 500, theta=here))
+    strange.count(rows([30.0] * 500, theta=there))
+    assert known.tail_factors[0] > 1.5
+    assert strange.tail_factors == (1.0, 1.0)
