@@ -11,26 +11,17 @@ free is learned there, a few rows per tick.
 
 from __future__ import annotations
 
-import dataclasses
 from collections import deque
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.baseline import (
-    Baseline,
-    LegBaseline,
-    leg_of_tree,
-    leg_tree,
-    unlike,
-)
-from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
-from adaptive_contact.adapt.contacts import TICKS, Touch
+from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.quarantine import Quarantine
-from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
@@ -41,10 +32,8 @@ from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import (
     ContactState,
     Decision,
-    Tail,
 )
-from adaptive_contact.errors import BaselineError
-from adaptive_contact.identify import LegModel, leg_library
+from adaptive_contact.identify import LegModel
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
@@ -78,9 +67,6 @@ class ContactLearner:
         mode: how it follows changes of the leg.
         refitter: does the sparse refits; in line where absent.
 
-    Attributes:
-        detector: judges its ticks; None while there is no model.
-
     Raises:
         ConfigurationError: the robot has no such leg.
         BaselineError: the baseline belongs to another robot.
@@ -99,17 +85,12 @@ class ContactLearner:
             baseline.check_fits(robot)
         self.robot = robot
         self.leg: Leg = robot.leg(leg)
-        self._note: str | None = None
-        self._mode = mode
-        self._refitter = refitter or InlineRefitter()
-        self._known = self._choose(baseline)
-        self._origin = None if baseline is None else baseline.origin
+        self._knowledge = Knowledge(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self._guard = StreamGuard(len(self.leg.joints))
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
         # Whoever listens may hold the leg to touch, and no tick will decide that it has let go.
         self._owes_release = False
-        self._quantum = robot.quantum(leg)
         self._tally = Tally()
         self._recent: deque[Array] = deque(maxlen=STATUS_TICKS)
         self._t_ns = 0
@@ -118,16 +99,7 @@ class ContactLearner:
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
-        self.detector: LegDetector | None = None
-        self._quarantine = Quarantine(self._swing)
-        self._touching: list[Touch] = []  # the first ticks of a contact in hand
-        self._cold: ColdStart | None = None
-        self._started_cold = False
-        if self._known is not None:
-            assert baseline is not None
-            self._begin(self._known, baseline.tails)
-        elif mode is not LearnerMode.FROZEN:
-            self._cold = self._cold_start()
+        self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
 
@@ -152,6 +124,11 @@ class ContactLearner:
     def contact(self) -> bool:
         """Whether the leg is held to touch."""
         return self._state.contact
+
+    @property
+    def detector(self) -> LegDetector | None:
+        """Judges its ticks; None while there is no model."""
+        return self._knowledge.detector
 
     @property
     def model(self) -> LegModel | None:
@@ -184,7 +161,7 @@ class ContactLearner:
             status=self._status,
             model_version=self._version,
             residual_rms=rms,
-            noise_floor=[0.0] * joints if self._known is None else self._known.noise.rms.tolist(),
+            noise_floor=self._knowledge.noise_floor,
             buffer=BufferCounts() if follower is None else follower.buffer.counts,
             drift=DriftLevel() if follower is None else follower.monitor.drift,
             refits=RefitCounts() if follower is None else follower.refits,
@@ -193,30 +170,24 @@ class ContactLearner:
             missed=self._guard.missed,
             contact=self._state.contact,
             contacts=self._tally.counts["contacts"],
-            note=self._note or self._ailment(),
+            note=self._knowledge.note or self._ailment(),
         )
 
     @property
     def model_report(self) -> ModelReport | None:
         """The model in terms and equations, or None while there is none."""
-        if self._follower is None or self.detector is None:
+        follower, detector = self._follower, self.detector
+        if follower is None or detector is None:
             return None
-        threshold = float(self.detector.thresholds[0])
-        return report_of(self.leg, self._follower.model, threshold, self._origin)
+        threshold = float(detector.thresholds[0])
+        return report_of(self.leg, follower.model, threshold, self._knowledge.origin)
 
     def snapshot(self) -> dict[str, Any] | None:
         """What has been learned, as a tree that msgpack can write; None without a model."""
-        if self._follower is None:
+        learned = self._knowledge.snapshot()
+        if learned is None:
             return None
-        tree = {
-            "follower": self._follower.snapshot(),
-            **self._tally.snapshot(),
-            "missed": self._guard.missed,
-        }
-        if self._started_cold:  # no file holds what it started from
-            assert self._known is not None
-            tree["start"] = {"known": leg_tree(self._known), "origin": self._origin}
-        return tree
+        return {**learned, **self._tally.snapshot(), "missed": self._guard.missed}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -224,45 +195,13 @@ class ContactLearner:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
-        inner, start = saved.get("follower"), saved.get("start")
-        if not isinstance(inner, dict):
-            return f"snapshot of leg '{self.leg.id}' not used: it holds no model"
-        if start is not None:
-            refused = self._restore_cold(inner, start)
-        elif self._follower is None:
-            return f"snapshot of leg '{self.leg.id}' not used: there is no baseline to go with it"
-        else:
-            refused = self._follower.restore(inner)
+        refused = self._knowledge.restore(saved)
         if refused is not None:
             return refused
-        assert self._follower is not None
-        assert self.tracker is not None
-        self.tracker.model = self._follower.model
         self._tally.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
         self._owes_release = True  # what was last said of the leg, another process said
-        return None
-
-    def _restore_cold(self, inner: dict[str, Any], start: object) -> str | None:
-        """Take over what a leg started cold had found, and what it learned since."""
-        if self._mode is LearnerMode.FROZEN:
-            return f"snapshot of leg '{self.leg.id}' not used: a frozen learner starts from files"
-        library = leg_library(self.robot, self.leg)
-        try:
-            known = leg_of_tree(start.get("known") if isinstance(start, dict) else None, library)
-        except BaselineError as problem:
-            return f"snapshot of leg '{self.leg.id}' not used: {problem}"
-        before = (self._known, self._note, self.detector, self._quarantine.follower)
-        self._begin(known, prior_tails(len(self.leg.joints)), version=1)
-        assert self._follower is not None
-        refused = self._follower.restore(inner)
-        if refused is not None:
-            self._known, self._note, self.detector, self._quarantine.follower = before
-            return refused
-        self._cold, self._started_cold = None, True
-        origin = start.get("origin") if isinstance(start, dict) else None
-        self._origin = origin if isinstance(origin, str) else "cold start"
         return None
 
     # -- one tick, in the order `Team` calls it -------------------------------------------------
@@ -278,10 +217,11 @@ class ContactLearner:
         connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
         self._connect(result, sample, paused=not connected)
         self._follow_phase(sample)
-        if self._cold is not None:
+        cold = self._knowledge.cold
+        if cold is not None:
             if result.restart or result.missed or self._rate.off or not connected:
-                self._cold.interrupt()
-            self._cold.add(
+                cold.interrupt()
+            cold.add(
                 sample.measured,
                 sample.desired,
                 swing=self._swing.ticks > 0,
@@ -362,14 +302,10 @@ class ContactLearner:
             free=not (loaded or self._state.contact),
         )
         if decision is None:
-            if self._touching:
-                self._touch(detector)
             return None
         if decision.contact:
             self._tally.counts["contacts"] += 1
-            self._quarantine.alarm(decision.onset_ns, self._period_ns)
-            self._touching = []
-            self._touch(detector)
+            self._quarantine.alarm(decision.onset_ns, self._period_ns, detector)
         return self._event(decision, sample)
 
     def command(self, sample: ServoSample) -> bool:
@@ -390,65 +326,18 @@ class ContactLearner:
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""
-        if self._cold is not None:
-            self._try_cold()
-        follower, tracker = self._quarantine.follower, self.tracker
+        self._knowledge.try_cold()
+        follower, tracker = self._follower, self.tracker
         if follower is None or tracker is None or not follower.learning:
             return
         follower.tick(ROWS_PER_TICK)
         if self._swing.ticks:  # in stance nothing is predicted
             tracker.model = follower.model
         if follower.monitor.unfit:
-            self._forget_baseline()
+            self._knowledge.forget()
+            self._let_go()
 
     # -- private -------------------------------------------------------------------------------
-
-    def _touch(self, detector: LegDetector) -> None:
-        """Keep the first ticks of a contact, for candidate models to be tried on."""
-        if self._follower is None or not self._follower.learning:
-            return
-        self._touching.append(detector.touch())
-        if len(self._touching) >= TICKS:
-            self._hand_touch()
-
-    def _hand_touch(self) -> None:
-        ticks, self._touching = self._touching, []
-        if ticks and self._follower is not None:
-            self._follower.touched(ticks)
-
-    def _begin(self, known: LegBaseline, tails: tuple[Tail, ...], version: int = 0) -> None:
-        """Detect and follow from here on."""
-        model = dataclasses.replace(known.model, version=version)
-        known = dataclasses.replace(known, model=model)
-        self._known, self._note = known, None
-        aim = self.robot.detector.false_alarms_per_hour
-        recent = RecentNoise(known.noise, tails, aim, known.domain)
-        self.detector = LegDetector(known, recent, self._quantum, self._period_ns)
-        self._quarantine.follower = Follower(self.leg.id, known, recent, self._mode, self._refitter)
-
-    def _cold_start(self) -> ColdStart:
-        return ColdStart(self.leg, leg_library(self.robot, self.leg), self._quantum)
-
-    def _try_cold(self) -> None:
-        """Hand in a first fit when it is time, and take its result when it is there."""
-        assert self._cold is not None
-        result = self._cold.poll(self._refitter)
-        if result is None:
-            return
-        self._note = result.reason
-        if result.known is not None:
-            self._origin = f"cold start: {result.reason}"
-            self._begin(result.known, prior_tails(len(self.leg.joints)), version=1)
-            self._cold, self._started_cold = None, True
-
-    def _forget_baseline(self) -> None:
-        """The baseline was never this leg's: start cold, and say so."""
-        self._known = self._quarantine.follower = self.detector = None
-        self._origin = None
-        self._started_cold = False
-        self._let_go()
-        self._note = "the baseline does not fit this leg: learning it anew"
-        self._cold = self._cold_start()
 
     def _connect(self, result: Accepted, sample: ServoSample, *, paused: bool) -> None:
         tracker = self.tracker
@@ -474,8 +363,6 @@ class ContactLearner:
     def _follow_phase(self, sample: ServoSample) -> None:
         self._swing.follow(sample)
         if self._swing.ticks == 0:
-            if self._touching:
-                self._hand_touch()
             self._quarantine.resolve()
         elif self._swing.ticks == 1:
             self._quarantine.begin(sample.t_ns)
@@ -499,7 +386,7 @@ class ContactLearner:
 
     @property
     def _follower(self) -> Follower | None:
-        return self._quarantine.follower
+        return self._knowledge.follower
 
     @property
     def _status(self) -> Status:
@@ -508,17 +395,6 @@ class ContactLearner:
     @property
     def _version(self) -> int:
         return 0 if self._follower is None else self._follower.model.version
-
-    def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
-        if baseline is None:
-            self._note = "no baseline: learning from the swings as they come"
-            return None
-        known = baseline.legs.get(self.leg.id)
-        if known is None:
-            self._note = f"the baseline has no leg '{self.leg.id}': fit one that has"
-            return None
-        self._note = unlike(self.leg, known)
-        return None if self._note else known
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person."""

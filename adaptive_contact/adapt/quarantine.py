@@ -12,8 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.contacts import TICKS, Touch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
+from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.swing import SwingWatch
 
@@ -27,18 +29,22 @@ class Quarantine:
 
     Args:
         swing: where the leg is in it; followed by its owner.
-
-    Attributes:
-        follower: who learns; None while there is no model.
+        knowledge: who learns, if anybody does.
     """
 
-    def __init__(self, swing: SwingWatch) -> None:
-        self.follower: Follower | None = None
+    def __init__(self, swing: SwingWatch, knowledge: Knowledge) -> None:
+        self._knowledge = knowledge
         self._swing = swing
         self._book = SwingBook()
         self._open = False
         self._region = 0
         self._regions = _Regions()
+        self._touching: list[Touch] = []  # the first ticks of a contact in hand
+
+    @property
+    def follower(self) -> Follower | None:
+        """Who learns; None while there is no model."""
+        return self._knowledge.follower
 
     @property
     def lift_first(self) -> bool:
@@ -94,6 +100,10 @@ class Quarantine:
         follower, swing = self.follower, self._swing
         if follower is None or not follower.learning:
             return
+        if self._touching:
+            self._touching.append(detector.touch())
+            if len(self._touching) >= TICKS:
+                self._hand_touch()
         # The model's own doubt is part of the unit; the followed level is not.
         monitor, book = follower.monitor, self._book
         level = verdict.distance * monitor.level_in_force / len(verdict.target)
@@ -123,17 +133,25 @@ class Quarantine:
             self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)
 
-    def alarm(self, onset_ns: int, period_ns: int) -> None:
+    def alarm(self, onset_ns: int, period_ns: int, detector: LegDetector) -> None:
         """A contact was reported: what came well before its onset is free."""
         self._confirm(self._book.alarm(onset_ns, period_ns))
+        self._touching = [detector.touch()]
 
     def resolve(self) -> None:
         """The leg stands: the swing is over, without an alarm or with one that was dealt with."""
         if not self._open or self.follower is None:
             return
         self._open = False
+        self._hand_touch()
         self._confirm(self._book.resolve())
         self.follower.swing_done()
+
+    def _hand_touch(self) -> None:
+        """The first ticks of a contact, for candidate models to be tried on."""
+        ticks, self._touching = self._touching, []
+        if ticks and self.follower is not None and self.follower.learning:
+            self.follower.touched(ticks)
 
     def _confirm(self, rows: list[Row]) -> None:
         if self.follower is not None and rows and not self._swing.held:

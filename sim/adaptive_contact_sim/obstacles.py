@@ -1,8 +1,8 @@
 """Obstacles put in a leg's way, and taken out of it.
 
-One obstacle at a time, on a mocap body.  Where a point of the foot's path is to be the place of
-the touch, the obstacle's surface passes through that point; the true touch comes near it, not on
-it, as a leg under load lags and its body tilts.
+One obstacle at a time and leg, on a mocap body.  Where a point of the foot's path is to be the
+place of the touch, the obstacle's surface passes through that point; the true touch comes near it,
+not on it, as a leg under load lags and its body tilts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Plant
-from adaptive_contact_sim.scene import OBSTACLE_TOP_M, PARKED_M, expose
+from adaptive_contact_sim.scene import OBSTACLE_TOP_M, OBSTACLES, PARKED_M, expose, obstacle_name
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
 
 __all__ = ["Approach", "ObstacleCourse", "ObstacleSettings"]
@@ -72,12 +72,21 @@ class ObstacleCourse:
 
     Args:
         settings: which, how often, where.
-        plant: the scene; built with obstacles.
+        plant: the scene; built with this set of obstacles.
         rng: what to draw from.
+        owner: the leg whose own they are; None where they are of whichever leg is assigned.
     """
 
-    def __init__(self, settings: ObstacleSettings, plant: Plant, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        settings: ObstacleSettings,
+        plant: Plant,
+        rng: np.random.Generator,
+        owner: str | None = None,
+    ) -> None:
         self.settings = settings
+        self.owner = owner
+        self.names = frozenset(obstacle_name(shape, owner) for shape in OBSTACLES)
         self._plant = plant
         self._rng = rng
         self._inverse_mass = float(plant.model.body_invweight0[plant.model.body("lf_tibia").id, 0])
@@ -85,7 +94,9 @@ class ObstacleCourse:
         self.surface: Literal["hard", "soft"] = "hard"
 
     def assign(self, leg: int | None) -> None:
-        """Let obstacles collide with this leg only."""
+        """Let obstacles collide with this leg only; a leg's own never do otherwise."""
+        if self.owner is not None:
+            return
         expose(self._plant.model, self._plant.elements, None if leg is None else LEGS[leg])
 
     def wanted(self) -> bool:
@@ -150,7 +161,7 @@ class ObstacleCourse:
 
     def _soften(self, name: str) -> None:
         model, settings = self._plant.model, self.settings
-        geom = model.geom(f"obstacle_{name}").id
+        geom = model.geom(obstacle_name(name, self.owner)).id
         if self._rng.random() < settings.soft:
             low, high = np.log(settings.stiffness_n_m)
             stiffness = float(np.exp(self._rng.uniform(low, high)))
@@ -165,7 +176,7 @@ class ObstacleCourse:
 
     def _move(self, name: str, centre: Array, quaternion: Array) -> None:
         model, data = self._plant.model, self._plant.data
-        mocap = int(model.body_mocapid[model.body(f"obstacle_{name}").id])
+        mocap = int(model.body_mocapid[model.body(obstacle_name(name, self.owner)).id])
         data.mocap_pos[mocap] = centre
         data.mocap_quat[mocap] = quaternion
 

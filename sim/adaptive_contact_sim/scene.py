@@ -1,12 +1,14 @@
 """The robot's MJCF put on a ground, with obstacles that can be moved.
 
 An obstacle sits on a mocap body: a static geom that is moved at run time keeps its old bounds in
-the broad phase.  Obstacles collide with one leg at a time (:func:`expose`), so that a wide plate
-under one leg never lifts its neighbours.
+the broad phase.  Obstacles collide with one leg at a time, so that a wide plate under one leg never
+lifts its neighbours: there is one set of them for whichever leg moves (:func:`expose`), or one for
+every leg of a group.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import resources
 from typing import Final
 
@@ -16,7 +18,15 @@ import numpy as np
 from adaptive_contact_sim.elements import LEGS, PARTS, Elements
 from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain
 
-__all__ = ["OBSTACLES", "OBSTACLE_TOP_M", "PARKED_M", "build", "expose", "robot_xml"]
+__all__ = [
+    "OBSTACLES",
+    "OBSTACLE_TOP_M",
+    "PARKED_M",
+    "build",
+    "expose",
+    "obstacle_name",
+    "robot_xml",
+]
 
 # Bits of contype and conaffinity: what collides with the ground, and with obstacles.
 _GROUND_BIT: Final = 1
@@ -45,12 +55,18 @@ def robot_xml() -> str:
     )
 
 
-def build(terrain: Terrain, *, obstacles: bool = False) -> mujoco.MjModel:
+def obstacle_name(shape: str, owner: str | None = None) -> str:
+    """Name of an obstacle's geom and body: of the common set, or of a leg's own."""
+    return f"obstacle_{shape}" if owner is None else f"obstacle_{owner}_{shape}"
+
+
+def build(terrain: Terrain, *, obstacles: Sequence[str | None] = ()) -> mujoco.MjModel:
     """Compile the robot on a ground.
 
     Args:
         terrain: the ground.
-        obstacles: add the movable obstacles of :data:`OBSTACLES`, parked.
+        obstacles: owners of a set of the movable obstacles of :data:`OBSTACLES`, parked: a leg, or
+            None for whichever leg they are exposed to.
 
     Returns:
         The compiled model.
@@ -58,20 +74,22 @@ def build(terrain: Terrain, *, obstacles: bool = False) -> mujoco.MjModel:
     spec = mujoco.MjSpec.from_string(robot_xml())
     _add_surroundings(spec)
     terrain.add_to(spec)
-    if obstacles:
+    for owner in obstacles:
+        bit = _bit_of(owner)
         # The engine's body filter is the union of the geoms' bits as compiled: legs must start
-        # with both, or `expose` could never let them through.
-        for leg in LEGS:
+        # with all of them, or `expose` could never let them through.
+        for leg in LEGS if owner is None else (owner,):
             for part in PARTS:
-                spec.geom(f"{leg}_{part}").contype = _GROUND_BIT | _OBSTACLE_BIT
-        for name, (kind, size) in OBSTACLES.items():
-            body = spec.worldbody.add_body(name=f"obstacle_{name}", mocap=True, pos=list(PARKED_M))
+                spec.geom(f"{leg}_{part}").contype |= _GROUND_BIT | bit
+        for shape, (kind, size) in OBSTACLES.items():
+            name = obstacle_name(shape, owner)
+            body = spec.worldbody.add_body(name=name, mocap=True, pos=list(PARKED_M))
             body.add_geom(
-                name=f"obstacle_{name}",
+                name=name,
                 type=kind,
                 size=list(size),
                 contype=0,
-                conaffinity=_OBSTACLE_BIT,
+                conaffinity=bit,
                 priority=2,
                 friction=[0.9, 0.005, 0.0001],
                 solref=list(HARD_SOLREF),
@@ -83,10 +101,14 @@ def build(terrain: Terrain, *, obstacles: bool = False) -> mujoco.MjModel:
 
 
 def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
-    """Let obstacles collide with one leg only, or with none."""
+    """Let the common set of obstacles collide with one leg only, or with none."""
     for i, name in enumerate(LEGS):
         bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
         model.geom_contype[elements.leg_geoms[i]] = bits
+
+
+def _bit_of(owner: str | None) -> int:
+    return _OBSTACLE_BIT if owner is None else _OBSTACLE_BIT << (1 + LEGS.index(owner))
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:

@@ -19,6 +19,7 @@ from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.live import Outcome, run_live, run_offline
 from adaptive_contact_sim.pace import Pace
 from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.walk import WalkSettings
 
@@ -173,6 +174,8 @@ def describe(settings: SimulationSettings) -> str:
         what = f"{' '.join(motion.legs)} in pose, {motion.workspace} workspace"
         if motion.obstacles.probability:
             what += f", {motion.obstacles.probability:.0%} obstacles"
+    elif isinstance(motion, PoseGroupSettings):
+        what = f"{' '.join(motion.legs)} in pose together"
     else:
         what = f"{motion.gait} walk on {settings.terrain.kind} ground, stop on {motion.stop_on}"
     drifts = f", {len(settings.drift)} drifts" if settings.drift else ""

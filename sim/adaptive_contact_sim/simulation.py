@@ -24,6 +24,7 @@ from adaptive_contact_sim.motion import Goal, Motion, World
 from adaptive_contact_sim.obstacles import ObstacleCourse
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
+from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.servo import ServoParameters, manufactured
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
@@ -33,7 +34,7 @@ from adaptive_contact_sim.walk import WalkMotion, WalkSettings
 __all__ = ["Simulation", "SimulationSettings", "Tick", "Truth"]
 
 Array = NDArray[np.float64]
-MotionSettings: TypeAlias = PoseSettings | WalkSettings
+MotionSettings: TypeAlias = PoseSettings | PoseGroupSettings | WalkSettings
 
 # Standing still before time zero, so that a run does not start with a fall.
 _SETTLE_S: Final = 1.0
@@ -48,7 +49,7 @@ class SimulationSettings:
     """Everything that decides a run.
 
     Attributes:
-        motion: pose or walk, and how.
+        motion: pose, of one leg or a group, or walk; and how.
         seed: of the run: motion, obstacles, noise, faults.
         robot_seed: which robot of its kind, see :func:`~adaptive_contact_sim.servo.manufactured`.
         servo_spread: relative half-width of the differences between servos.
@@ -116,22 +117,38 @@ class Simulation:
         seeds = np.random.SeedSequence(settings.seed).spawn(len(_STREAMS))
         rng = {name: np.random.default_rng(s) for name, s in zip(_STREAMS, seeds, strict=True)}
 
-        posing = isinstance(settings.motion, PoseSettings)
+        posing = not isinstance(settings.motion, WalkSettings)
         ground = TerrainSettings(kind="flat") if posing else settings.terrain
         if ground.seed is None:
             ground = replace(ground, seed=settings.seed)
         self.terrain = Terrain(ground)
         self.plant = Plant(
-            build(self.terrain, obstacles=posing),
+            build(self.terrain, obstacles=_obstacle_owners(settings.motion)),
             parameters or manufactured(settings.robot_seed, spread=settings.servo_spread),
             period_s=settings.period_s,
             supply_resistance_ohm=settings.supply_resistance_ohm,
         )
-        self.course: ObstacleCourse | None = None
+        self.courses: tuple[ObstacleCourse, ...] = ()
         self.motion: Motion
         if isinstance(settings.motion, PoseSettings):
-            self.course = ObstacleCourse(settings.motion.obstacles, self.plant, rng["obstacles"])
-            self.motion = PoseMotion(settings.motion, self.geometry, self.course, rng["motion"])
+            self.courses = (
+                ObstacleCourse(settings.motion.obstacles, self.plant, rng["obstacles"]),
+            )
+            self.motion = PoseMotion(settings.motion, self.geometry, self.courses[0], rng["motion"])
+        elif isinstance(settings.motion, PoseGroupSettings):
+            poses = settings.motion.poses
+            draws = rng["obstacles"].spawn(len(poses))
+            self.courses = tuple(
+                ObstacleCourse(pose.obstacles, self.plant, draw, pose.legs[0])
+                for pose, draw in zip(poses, draws, strict=True)
+            )
+            draws = rng["motion"].spawn(len(poses))
+            self.motion = PoseGroup(
+                [
+                    PoseMotion(pose, self.geometry, course, draw)
+                    for pose, course, draw in zip(poses, self.courses, draws, strict=True)
+                ]
+            )
         else:
             self.motion = WalkMotion(
                 settings.motion,
@@ -244,8 +261,9 @@ class Simulation:
     def surface_of(self, geom: int) -> Literal["hard", "soft"]:
         """What kind of surface a geom is."""
         name = self.plant.model.geom(geom).name
-        if self.course is not None and name.startswith("obstacle_"):
-            return self.course.surface
+        for course in self.courses:
+            if name in course.names:
+                return course.surface
         return self.terrain.surface
 
     def _goal(self) -> Goal:
@@ -301,6 +319,13 @@ class Simulation:
                 grazing=touch is not None and touch.grazing,
             ),
         )
+
+
+def _obstacle_owners(motion: MotionSettings) -> tuple[str | None, ...]:
+    """Whose sets of obstacles a motion needs in its scene."""
+    if isinstance(motion, PoseGroupSettings):
+        return motion.legs
+    return (None,) if isinstance(motion, PoseSettings) else ()
 
 
 # Drift kinds that are a condition of the servos, and what each is called there.

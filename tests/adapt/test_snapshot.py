@@ -96,8 +96,9 @@ def test_a_leg_started_cold_goes_on_where_it_was(robot: Any) -> None:
     assert baseline is not None
     found = ContactLearner(robot, "rf", None)
     # As after its first fit: what a cold start found is a leg's baseline without a file.
-    found._begin(baseline.legs["rf"], prior_tails(3), version=1)
-    found._cold, found._started_cold, found._origin = None, True, "cold start: test"
+    knowledge = found._knowledge
+    knowledge._begin(baseline.legs["rf"], prior_tails(3), version=1)
+    knowledge.cold, knowledge._started_cold, knowledge.origin = None, True, "cold start: test"
     tree = msgpack.unpackb(msgpack.packb(found.snapshot()))
 
     fresh = ContactLearner(robot, "rf", None)

@@ -80,7 +80,7 @@ def test_model_file_agrees_with_the_robot_description() -> None:
 
 
 def test_every_element_has_a_name() -> None:
-    model = build(Terrain(TerrainSettings(kind="steps", seed=0)), obstacles=True)
+    model = build(Terrain(TerrainSettings(kind="steps", seed=0)), obstacles=(None,))
     counts = {
         mujoco.mjtObj.mjOBJ_BODY: model.nbody,
         mujoco.mjtObj.mjOBJ_JOINT: model.njnt,

@@ -64,9 +64,8 @@ def simulation_of(settings: SimulationSettings) -> Simulation:
     # Its own motion is made, and thrown away: over the paper's subspaces that always succeeds.
     harmless = replace(motion, workspace="paper", approach="descent")
     sim = Simulation(replace(settings, motion=harmless))
-    assert sim.course is not None
     rng = np.random.default_rng([settings.seed, _MOTION_STREAM])
-    sim.motion = PoseMotion(motion, PatientGeometry.patient(), sim.course, rng)
+    sim.motion = PoseMotion(motion, PatientGeometry.patient(), sim.courses[0], rng)
     return sim
 
 

@@ -173,8 +173,8 @@ def compound(sizes: Sizes) -> list[Scenario]:
         motion="pose",
         expect=Expect.RECOVER,
         recordings=tuple(
-            drifting(all_touch(sizes, run, end_s, staging), run, at_s, What("friction", 4.0))
-            for run in range(sizes.leg_runs)
+            drifting(spec, run, at_s, What("friction", 4.0))
+            for run, spec in enumerate(all_touch(sizes, end_s, staging))
         ),
         phases=around(at_s, end_s, POSE_SWING_S),
         judged=("after",),

@@ -13,6 +13,7 @@ from adaptive_contact_sim.trials.runs import (
     Sizes,
     all_touch,
     around,
+    lone_runs,
     of_robot_0,
     pose_runs,
     turn_runs,
@@ -54,10 +55,7 @@ def contacts(sizes: Sizes) -> list[Scenario]:
             about=about,
             motion="pose",
             expect=Expect.UNPOISONED,
-            recordings=tuple(
-                all_touch(sizes, run, end_s, Staging(schedule, level_m), soft)
-                for run in range(sizes.leg_runs)
-            ),
+            recordings=all_touch(sizes, end_s, Staging(schedule, level_m), soft),
             phases=(
                 Phase("before", 0.0, at_s),
                 Phase("contacts", at_s, until_s),
@@ -118,10 +116,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         about=f"a foot hangs in a root for {sizes.caught_s:g} s, through all its swings",
         motion="pose",
         expect=Expect.RECOVER,
-        recordings=tuple(
-            replace(spec, staging=Staging(caught_s=(at_s, free_s)))
-            for spec in pose_runs(sizes, end_s)
-        ),
+        recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s))),
         phases=(
             Phase("before", 0.0, at_s),
             Phase("caught", at_s, free_s),

@@ -1,9 +1,10 @@
 """The runs behind the scenarios: which leg, which seed, how long, what changes.
 
-Every run in pose moves one leg; runs go round the six legs and both workspaces, with the same seeds
-in every scenario, so that figures compare like with like.  Every run of a walk gives six leg-runs;
-what drifts there drifts in all legs.  Seeds from 7000 on are for reporting only: baselines are
-learned from 1000 on, tests use others.
+Every run in pose moves the legs of one tripod, each with its own trials and obstacles, while the
+robot stands on the other: three leg-runs.  Runs take turns between the tripods and between the
+workspaces, with the same seeds in every scenario, so that figures compare like with like.  Every
+run of a walk gives six leg-runs.  What drifts, drifts in all legs that are kept.  Seeds from 7000
+on are for reporting only: baselines are learned from 1000 on, tests use others.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from adaptive_contact_sim.elements import JOINTS, LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.trials.spec import Phase, RecordingSpec, Staging
@@ -34,6 +36,7 @@ __all__ = [
     "all_touch",
     "around",
     "drifting",
+    "lone_runs",
     "minutes",
     "of_robot_0",
     "pose_run",
@@ -81,8 +84,8 @@ class Sizes:
     """
 
     leg_runs: int = 20
-    before_s: float = 40.0
-    after_s: float = 100.0
+    before_s: float = 30.0
+    after_s: float = 80.0
     walk_before_s: float = 60.0
     walk_after_s: float = 180.0
     slow_s: float = 600.0
@@ -143,18 +146,39 @@ class What:
 def pose_run(
     sizes: Sizes, run: int, seconds: float, staging: Staging | None = None
 ) -> RecordingSpec:
-    """One leg in pose; half of its swings, about, end in a touch that can be judged."""
-    leg = LEGS[run % len(LEGS)]
-    whole = (run + run // len(LEGS)) % 2 == 1
-    obstacles = ObstacleSettings(probability=0.9 if whole else 0.65, where=_WHERE)
-    motion = PoseSettings(legs=(leg,), workspace="whole" if whole else "paper", obstacles=obstacles)
+    """A tripod in pose; half of its swings, about, end in a touch that can be judged."""
+    legs = TRIPODS[run % len(TRIPODS)]
+    turn = run // len(TRIPODS)
+    motion = PoseGroupSettings(tuple(_pose(leg, turn + i) for i, leg in enumerate(legs)))
     settings = SimulationSettings(motion=motion, seed=sizes.first_seed + run)
-    return RecordingSpec(settings, seconds, (leg,), staging or Staging())
+    return RecordingSpec(settings, seconds, legs, staging or Staging())
 
 
-def pose_runs(sizes: Sizes, seconds: float) -> tuple[RecordingSpec, ...]:
-    """As many of them as there are leg-runs."""
-    return tuple(pose_run(sizes, run, seconds) for run in range(sizes.leg_runs))
+def pose_runs(
+    sizes: Sizes, seconds: float, staging: Staging | None = None
+) -> tuple[RecordingSpec, ...]:
+    """As many of them as give the leg-runs."""
+    count = math.ceil(sizes.leg_runs / len(TRIPODS[0]))
+    return tuple(pose_run(sizes, run, seconds, staging) for run in range(count))
+
+
+def lone_runs(sizes: Sizes, seconds: float, staging: Staging) -> tuple[RecordingSpec, ...]:
+    """One leg in pose per run, for what is done to one leg at a time."""
+    runs = []
+    for run in range(sizes.leg_runs):
+        leg = LEGS[run % len(LEGS)]
+        settings = SimulationSettings(
+            motion=_pose(leg, run + run // len(LEGS)), seed=sizes.first_seed + run
+        )
+        runs.append(RecordingSpec(settings, seconds, (leg,), staging))
+    return tuple(runs)
+
+
+def _pose(leg: str, turn: int) -> PoseSettings:
+    """In the paper's workspace and the whole one by turns."""
+    whole = turn % 2 == 1
+    obstacles = ObstacleSettings(probability=0.9 if whole else 0.65, where=_WHERE)
+    return PoseSettings(legs=(leg,), workspace="whole" if whole else "paper", obstacles=obstacles)
 
 
 def walk_run(
@@ -220,18 +244,21 @@ def drifting(
 
 
 def all_touch(
-    sizes: Sizes, run: int, seconds: float, staging: Staging, soft: float = 0.0
-) -> RecordingSpec:
-    """One leg in the paper's workspace, where an obstacle can always be put in time."""
-    spec = pose_run(sizes, run, seconds, staging)
-    motion = spec.settings.motion
-    assert isinstance(motion, PoseSettings)
+    sizes: Sizes, seconds: float, staging: Staging, soft: float = 0.0
+) -> tuple[RecordingSpec, ...]:
+    """Tripods in the paper's workspace, where an obstacle can always be put in time."""
     # Lower than 0.2 of the descent the foot is still rising; below 0.4 some touch too late.
     obstacles = ObstacleSettings(
         probability=0.55, soft=soft, where=(0.2, 0.4), shapes=("plate", "sphere")
     )
-    motion = replace(motion, workspace="paper", obstacles=obstacles)
-    return replace(spec, settings=replace(spec.settings, motion=motion))
+
+    def within_reach(spec: RecordingSpec) -> RecordingSpec:
+        motion = spec.settings.motion
+        assert isinstance(motion, PoseGroupSettings)
+        poses = tuple(replace(p, workspace="paper", obstacles=obstacles) for p in motion.poses)
+        return replace(spec, settings=replace(spec.settings, motion=PoseGroupSettings(poses)))
+
+    return tuple(within_reach(spec) for spec in pose_runs(sizes, seconds, staging))
 
 
 def without_drift(spec: RecordingSpec) -> RecordingSpec:

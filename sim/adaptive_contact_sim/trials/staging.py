@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.motion import Motion
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
+from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation
 from adaptive_contact_sim.trials.spec import Staging
 
@@ -54,6 +56,20 @@ class _LevelPose(PoseMotion):
         return plan
 
 
+def _level_motion(sim: Simulation, level_m: float) -> Motion:
+    """The simulation's motion in pose, with its obstacles at one height."""
+    motion = sim.settings.motion
+    poses = motion.poses if isinstance(motion, PoseGroupSettings) else (motion,)
+    rng = np.random.default_rng([sim.settings.seed, _STREAM])
+    members = []
+    for pose, course in zip(poses, sim.courses, strict=True):
+        assert isinstance(pose, PoseSettings)
+        member = _LevelPose(pose, sim.geometry, course, rng)
+        member.level_m = level_m
+        members.append(member)
+    return PoseGroup(members) if isinstance(motion, PoseGroupSettings) else members[0]
+
+
 class Stagehand:
     """Does what a staging asks, tick by tick.
 
@@ -75,24 +91,18 @@ class Stagehand:
         self._anchor: Array | None = None
         self._jacobian = np.zeros((3, sim.plant.model.nv))
         self.caught_ns: tuple[int, int] | None = None
-        settings = sim.settings.motion
-        if (staging.contacts or staging.level_m is not None) and sim.course is None:
+        if (staging.contacts or staging.level_m is not None) and not sim.courses:
             raise ConfigurationError("obstacles can be staged in pose only; this is a walk")
         if staging.level_m is not None:
-            assert isinstance(settings, PoseSettings)
-            assert sim.course is not None
-            rng = np.random.default_rng([sim.settings.seed, _STREAM])
-            motion = _LevelPose(settings, sim.geometry, sim.course, rng)
-            motion.level_m = staging.level_m
-            sim.motion = motion
+            sim.motion = _level_motion(sim, staging.level_m)
 
     def before_tick(self) -> None:
         """Prepare the tick to come."""
         sim, now = self._sim, self._sim.time_s
         while self._contacts and self._contacts[0][0] <= now:
-            course = sim.course
-            assert course is not None
-            course.settings = replace(course.settings, probability=self._contacts.pop(0)[1])
+            _, probability = self._contacts.pop(0)
+            for course in sim.courses:
+                course.settings = replace(course.settings, probability=probability)
         if self._staging.caught_s is None:
             return
         begin, end = self._staging.caught_s

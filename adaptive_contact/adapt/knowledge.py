@@ -1,0 +1,184 @@
+"""What is known of one leg, and where that came from.
+
+A leg's model begins with a baseline, with the leg's own first swings where there is none or an
+unfit one, or with what was saved of it.  From then on a detector judges with it and a follower
+keeps it up to date; both are made here, together, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from adaptive_contact.adapt.baseline import Baseline, LegBaseline, leg_of_tree, leg_tree, unlike
+from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
+from adaptive_contact.adapt.detector import LegDetector
+from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.recent import RecentNoise
+from adaptive_contact.adapt.refit import Refitter
+from adaptive_contact.detect import Tail
+from adaptive_contact.errors import BaselineError
+from adaptive_contact.identify import leg_library
+from adaptive_contact.robot import Leg, Robot
+
+__all__ = ["Knowledge"]
+
+
+class Knowledge:
+    """Of one leg.
+
+    Args:
+        robot: the robot's description.
+        leg: of it.
+        baseline: what is known of its free motion, None for nothing.
+        mode: how changes of the leg are followed.
+        refitter: does the sparse refits, and first fits.
+
+    Attributes:
+        detector, follower: None while there is no model.
+        cold: collects samples for a first model, None where there is one or none is wanted.
+        origin: how the model began, for people.
+        note: what is wrong with what is known, None when nothing is.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        leg: Leg,
+        baseline: Baseline | None,
+        mode: LearnerMode,
+        refitter: Refitter,
+    ) -> None:
+        self.detector: LegDetector | None = None
+        self.follower: Follower | None = None
+        self.cold: ColdStart | None = None
+        self.origin = None if baseline is None else baseline.origin
+        self.note: str | None = None
+        self._robot = robot
+        self._leg = leg
+        self._mode = mode
+        self._refitter = refitter
+        self._started_cold = False
+        self._known = self._choose(baseline)
+        if self._known is not None:
+            assert baseline is not None
+            self._begin(self._known, baseline.tails)
+        elif mode is not LearnerMode.FROZEN:
+            self._start_cold()
+
+    @property
+    def noise_floor(self) -> list[float]:
+        """(J,) rad, root mean square residual of the model at its start; zeros without one."""
+        if self._known is None:
+            return [0.0] * len(self._leg.joints)
+        floor: list[float] = self._known.noise.rms.tolist()
+        return floor
+
+    def try_cold(self) -> None:
+        """Hand in a first fit when it is time, and take its result when it is there."""
+        if self.cold is None:
+            return
+        result = self.cold.poll(self._refitter)
+        if result is None:
+            return
+        self.note = result.reason
+        if result.known is not None:
+            self.origin = f"cold start: {result.reason}"
+            self._begin(result.known, self._prior_tails(), version=1)
+            self.cold, self._started_cold = None, True
+
+    def forget(self) -> None:
+        """The baseline was never this leg's: start cold, and say so."""
+        self._known = self.follower = self.detector = None
+        self.origin = None
+        self._started_cold = False
+        self.note = "the baseline does not fit this leg: learning it anew"
+        self._start_cold()
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """What has been learned, as a tree that msgpack can write; None without a model."""
+        if self.follower is None:
+            return None
+        tree: dict[str, Any] = {"follower": self.follower.snapshot()}
+        if self._started_cold:  # no file holds what it started from
+            assert self._known is not None
+            tree["start"] = {"known": leg_tree(self._known), "origin": self.origin}
+        return tree
+
+    def restore(self, saved: dict[str, Any]) -> str | None:
+        """Take over a snapshot, whole or not at all.
+
+        Returns:
+            None when it is in force, else one line that says why it is not.
+        """
+        inner, start = saved.get("follower"), saved.get("start")
+        if not isinstance(inner, dict):
+            return self._refused("it holds no model")
+        if start is not None:
+            refused = self._restore_cold(inner, start)
+        elif self.follower is None:
+            return self._refused("there is no baseline to go with it")
+        else:
+            refused = self.follower.restore(inner)
+        if refused is not None:
+            return refused
+        assert self.follower is not None
+        assert self.detector is not None
+        self.detector.tracker.model = self.follower.model
+        return None
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
+        if baseline is None:
+            self.note = "no baseline: learning from the swings as they come"
+            return None
+        known = baseline.legs.get(self._leg.id)
+        if known is None:
+            self.note = f"the baseline has no leg '{self._leg.id}': fit one that has"
+            return None
+        self.note = unlike(self._leg, known)
+        return None if self.note else known
+
+    def _begin(self, known: LegBaseline, tails: tuple[Tail, ...], version: int = 0) -> None:
+        """Detect and follow from here on."""
+        robot, leg = self._robot, self._leg
+        model = dataclasses.replace(known.model, version=version)
+        known = dataclasses.replace(known, model=model)
+        self._known, self.note = known, None
+        aim = robot.detector.false_alarms_per_hour
+        recent = RecentNoise(known.noise, tails, aim, known.domain)
+        period_ns = round(robot.period_s * 1e9)
+        self.detector = LegDetector(known, recent, robot.quantum(leg.id), period_ns)
+        self.follower = Follower(leg.id, known, recent, self._mode, self._refitter)
+
+    def _start_cold(self) -> None:
+        library = leg_library(self._robot, self._leg)
+        self.cold = ColdStart(self._leg, library, self._robot.quantum(self._leg.id))
+
+    def _prior_tails(self) -> tuple[Tail, ...]:
+        return prior_tails(len(self._leg.joints))
+
+    def _restore_cold(self, inner: dict[str, Any], start: object) -> str | None:
+        """Take over what a leg started cold had found, and what it learned since."""
+        if self._mode is LearnerMode.FROZEN:
+            return self._refused("a frozen learner starts from files")
+        of_start = start if isinstance(start, dict) else {}
+        try:
+            known = leg_of_tree(of_start.get("known"), leg_library(self._robot, self._leg))
+        except BaselineError as problem:
+            return self._refused(str(problem))
+        before = (self._known, self.note, self.detector, self.follower)
+        self._begin(known, self._prior_tails(), version=1)
+        assert self.follower is not None
+        refused = self.follower.restore(inner)
+        if refused is not None:
+            self._known, self.note, self.detector, self.follower = before
+            return refused
+        self.cold, self._started_cold = None, True
+        origin = of_start.get("origin")
+        self.origin = origin if isinstance(origin, str) else "cold start"
+        return None
+
+    def _refused(self, why: str) -> str:
+        return f"snapshot of leg '{self._leg.id}' not used: {why}"
