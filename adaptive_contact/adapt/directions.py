@@ -26,10 +26,15 @@ Array = NDArray[np.float64]
 FAMILY_SHARE: Final = 0.3
 # Of the slope of the control law: what goes over to a law half as stiff.
 SLOPE_SHARE: Final = 0.5
-# Of a single term, in noise units: friction × 4 moves a prediction by 2 to 4.
+# Of a single term of a joint's own drive, in noise units.
 TERM_UNITS: Final = 1.0
-# Of everything else, in noise units.
+# Of its friction: four times as much moves a prediction by 2 to 4 units, six times by up to 7.
+FRICTION_UNITS: Final = 3.0
+# Of everything else.
 OTHER_UNITS: Final = 0.2
+# Of what says where the leg is: along a lift it can look like friction, and then it goes astray at
+# the end of descents, which is never learned.
+PLACE_UNITS: Final = 0.1
 
 
 def core_support(model: LegModel) -> NDArray[np.bool_]:
@@ -77,11 +82,9 @@ def drift_directions(model: LegModel, scale: Array, noise: Array) -> Array:
         rows.append(FAMILY_SHARE * own)
         rows.append(_softer(model, joint, families[0]))
         support = core_support(model)[:, joint]
-        single = {_row(model, term) for term in _own_terms(name)}
         for row in np.flatnonzero(support):
-            units = TERM_UNITS if row in single else OTHER_UNITS
             move = np.zeros(p)
-            move[row] = units * noise[joint] / scale[row]
+            move[row] = _units(library.names[row], name) * noise[joint] / scale[row]
             rows.append(move)
         every.append(rows)
     most = max(map(len, every))
@@ -105,6 +108,15 @@ def _softer(model: LegModel, joint: int, law: Sequence[int]) -> Array:
         move[law] = -SLOPE_SHARE * own
         move[gentle] += SLOPE_SHARE * own.sum()
     return move
+
+
+def _units(term: str, joint: str) -> float:
+    """How far a single term may move, in noise units."""
+    if term in (f"tanh(v_{joint}/v₀)", f"v_{joint}"):
+        return FRICTION_UNITS
+    if term.startswith(("θ_", "cos φ", "sin φ")):
+        return PLACE_UNITS
+    return TERM_UNITS if term != "1" and term in _own_terms(joint) else OTHER_UNITS
 
 
 def _own_terms(joint: str) -> tuple[str, ...]:

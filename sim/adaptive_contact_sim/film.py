@@ -122,7 +122,7 @@ class Film:
 
 def _need_pillow() -> None:
     try:
-        import PIL  # noqa: F401 - only to know whether it is there
+        importlib.import_module("PIL")
     except ImportError as error:
         raise MissingExtraError("--render", "plot") from error
 

@@ -19,7 +19,7 @@ from adaptive_contact_sim.arrays import record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.evaluate import play, score_run
 from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose import PoseSettings, Workspace
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
@@ -42,10 +42,12 @@ class _Outcome(NamedTuple):
     leg_ticks: int
 
 
-def _pose(row: str, seed: int, seconds: float, workspace: str, probability: float) -> HeadlineRun:
+def _pose(
+    row: str, seed: int, seconds: float, workspace: Workspace, probability: float
+) -> HeadlineRun:
     motion = PoseSettings(
         legs=LEGS,
-        workspace=workspace,  # type: ignore[arg-type]
+        workspace=workspace,
         obstacles=ObstacleSettings(probability=probability),
     )
     return HeadlineRun(row, SimulationSettings(motion=motion, seed=seed), seconds)

@@ -23,10 +23,11 @@ from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
 from adaptive_contact_sim.workspace import WORKSPACES
 
-__all__ = ["PoseMotion", "PoseSettings"]
+__all__ = ["PoseMotion", "PoseSettings", "Workspace"]
 
 Array = NDArray[np.float64]
 Path = Literal["cartesian", "joint"]
+Workspace = Literal["paper", "whole"]
 
 PERIOD_S: Final = 0.02
 # Standing: feet under the knees, body high enough for the lower subspace to hang free.
@@ -70,7 +71,7 @@ class PoseSettings:
     segment_ticks: int = 10
     hold_ticks: int = 3
     path: Path = "cartesian"
-    workspace: Literal["paper", "whole"] = "paper"
+    workspace: Workspace = "paper"
     approach: Approach = "descent"
     react_ms: float | None = None
     obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)

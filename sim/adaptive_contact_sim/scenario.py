@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -139,7 +139,9 @@ def _settings(table: Any, kind: type[T], where: str) -> T:
     """Make one settings object from its table, its own checks included."""
     if not isinstance(table, dict):
         raise ConfigurationError(f"{where} is not a table; write its settings below {where[-20:]}")
-    _only(table, [f.name for f in fields(kind)], where)  # type: ignore[arg-type]
+    known = msgspec.inspect.type_info(kind)
+    assert isinstance(known, msgspec.inspect.DataclassType)
+    _only(table, [entry.name for entry in known.fields], where)
     try:
         return msgspec.convert(table, kind, strict=True)
     except msgspec.ValidationError as error:

@@ -23,7 +23,7 @@ from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 
 __all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of", "truth_of"]
@@ -41,8 +41,10 @@ def _pose(name: str, seed: int, seconds: float, motion: PoseSettings) -> Trainin
     return TrainingRun(name, SimulationSettings(motion=motion, seed=seed), seconds)
 
 
-def _walk(name: str, seed: int, seconds: float, motion: WalkSettings, terrain: str) -> TrainingRun:
-    ground = TerrainSettings(kind=terrain)  # type: ignore[arg-type]
+def _walk(
+    name: str, seed: int, seconds: float, motion: WalkSettings, terrain: TerrainKind
+) -> TrainingRun:
+    ground = TerrainSettings(kind=terrain)
     return TrainingRun(name, SimulationSettings(motion=motion, seed=seed, terrain=ground), seconds)
 
 

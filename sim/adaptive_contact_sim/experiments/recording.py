@@ -8,7 +8,7 @@ without end.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Final
 
 import numpy as np
@@ -34,18 +34,19 @@ _MOTION_STREAM: Final = 0x90F3
 class PatientGeometry(LegGeometry):
     """Geometry that says yes after many noes: :meth:`joints` pulls points within reach anyway."""
 
+    # How many noes in a row; in a list, for all else about a leg's geometry is frozen.
+    _refused: list[int] = field(default_factory=lambda: [0])
+
     @classmethod
     def patient(cls) -> PatientGeometry:
         """Of the shipped robot."""
         plain = LegGeometry.of()
-        made = cls(**{f.name: getattr(plain, f.name) for f in fields(plain)})
-        object.__setattr__(made, "_refused", [0])
-        return made
+        return cls(**{f.name: getattr(plain, f.name) for f in fields(plain)})
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
         """Tell which points are in reach; after :data:`_TRIES` refusals in a row, all are."""
         inside = super().reachable(points_m)
-        refused: list[int] = self._refused  # type: ignore[attr-defined]
+        refused = self._refused
         refused[0] = 0 if inside.all() else refused[0] + 1
         if refused[0] > _TRIES:
             refused[0] = 0

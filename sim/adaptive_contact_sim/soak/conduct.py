@@ -123,7 +123,7 @@ def conduct(plan: SoakPlan, say: Callable[[str], None], stop: threading.Event) -
         walk.check()
         until_s = time.monotonic() + _SETTLE_S  # the last statuses are on their way
         while time.monotonic() < until_s:
-            time.sleep(_LOOK_S)
+            time.sleep(_LOOK_S)  # several processes and sockets: there is no one thing to wait for
             run.look()
         return Take(
             recording,
