@@ -41,6 +41,13 @@ def calm(monitor: DriftMonitor, swings: int = 30) -> None:
         assert not hear(monitor, 1.0, k).changed
 
 
+def calmed() -> DriftMonitor:
+    """Of a leg that has swung for a while as it should."""
+    monitor = DriftMonitor(3)
+    calm(monitor)
+    return monitor
+
+
 def test_a_good_model_is_hardly_ever_doubted() -> None:
     rng = np.random.default_rng(0)
     monitor = DriftMonitor(3)
@@ -51,8 +58,7 @@ def test_a_good_model_is_hardly_ever_doubted() -> None:
 
 
 def test_one_lift_that_stands_out_is_doubted_and_not_learned() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     heard = hear(monitor, 20.0, 30)
     assert heard == Heard([])
     assert monitor.level_in_force == 20.0, "this swing is judged by what its lift shows"
@@ -62,8 +68,7 @@ def test_one_lift_that_stands_out_is_doubted_and_not_learned() -> None:
 
 
 def test_a_doubt_that_the_ticks_after_it_belie_is_taken_back() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     hear(monitor, 20.0, 30)
     for _ in range(3):
         monitor.look(1.0)
@@ -73,8 +78,7 @@ def test_a_doubt_that_the_ticks_after_it_belie_is_taken_back() -> None:
 
 
 def test_two_in_a_row_are_a_change_and_calm_lifts_end_it() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     hear(monitor, 20.0, 30)
     heard = hear(monitor, 20.0, 31)
     assert heard.changed
@@ -92,8 +96,7 @@ def test_two_in_a_row_are_a_change_and_calm_lifts_end_it() -> None:
 
 
 def test_a_leg_that_will_not_fit_is_let_loose_now_and_then_and_ends_ambiguous() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     statuses, loose = [], []
     level = 10.0
     for k in range(3 * PATIENCE_SWINGS):
@@ -111,8 +114,7 @@ def test_a_leg_that_will_not_fit_is_let_loose_now_and_then_and_ends_ambiguous() 
 
 def test_a_lasting_level_is_never_called_valid() -> None:
     """A level that stays is followed and doubted no more; it is no good model's all the same."""
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     for k in range(200):
         hear(monitor, 30.0, 30 + k)
     assert monitor.status == "ambiguous"
@@ -124,8 +126,7 @@ def test_a_lasting_level_is_never_called_valid() -> None:
 
 
 def test_a_leg_that_is_a_little_noisier_is_valid_again_after_a_while() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     for k in range(2):
         hear(monitor, 30.0, 30 + k)
     for k in range(PATIENCE_SWINGS + 1):
@@ -135,8 +136,7 @@ def test_a_leg_that_is_a_little_noisier_is_valid_again_after_a_while() -> None:
 
 
 def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     level, heard = 1.0, []
     for k in range(200):
         level *= 1.02
@@ -150,8 +150,7 @@ def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
 
 
 def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     for _ in range(HELD_SWINGS):
         monitor.foot_held(held=True, came=0.4)
     assert monitor.status == "ambiguous"
@@ -165,8 +164,7 @@ def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
 
 
 def test_a_change_goes_on_when_the_foot_comes_free() -> None:
-    monitor = DriftMonitor(3)
-    calm(monitor)
+    monitor = calmed()
     for k in range(2):
         hear(monitor, 20.0, 30 + k)
     for _ in range(HELD_SWINGS):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -174,6 +174,9 @@ def catcher() -> type[Catcher]:
     return Catcher
 
 
+Check = Callable[[Any], Any]
+
+
 class Running:
     """A loop on a thread."""
 
@@ -188,6 +191,31 @@ class Running:
     def command(self, leg: str, *desired: float, preview: list[list[float]] | None = None) -> None:
         payload = encode(Command(desired=list(desired), preview=preview))
         self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
+
+    def commanding(self, desired: Sequence[float]) -> Callable[[Check], Check]:
+        """Make of what is waited for the same, with a command to the first leg before each look.
+
+        The command is read anew each time, so that it may be changed in place.
+        """
+
+        def feed(true: Check) -> Check:
+            def check(catcher: Any) -> Any:
+                self.command("l0", *desired)
+                return true(catcher)
+
+            return check
+
+        return feed
+
+    def lose_servo_and_cable(self, servo: int) -> None:
+        """A servo falls silent, then the cable is pulled and put back; the servo stays silent."""
+        known = [one != servo for one in (1, 2, 3)]
+        self.rig.fault(f"silent:id={servo}")
+        self.catcher.wait(lambda c: c.ticks[-1]["l0"].valid == known)
+        self.rig.fault(f"silent:id={servo}", "hangup:@0+1000000")
+        self.catcher.wait(lambda c: any("is gone" in line for line in c.lines))
+        self.rig.fault(f"silent:id={servo}")
+        self.catcher.wait(lambda c: any("is back" in line for line in c.lines))
 
     def end(self) -> None:
         self._stop.set()

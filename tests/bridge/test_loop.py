@@ -134,12 +134,7 @@ def test_a_silent_servo_harms_no_other_and_comes_back(run: Callable, kind: dict)
 def test_a_leg_with_a_dead_servo_is_still_there_after_a_pulled_cable(run: Callable) -> None:
     r = run("observe", **AX)
     r.catcher.wait(lambda c: len(c.ticks) >= 5)
-    r.rig.fault("silent:id=2")
-    r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid == [True, False, True])
-    r.rig.fault("silent:id=2", "hangup:@0+1000000")
-    r.catcher.wait(lambda c: any("is gone" in line for line in c.lines))
-    r.rig.fault("silent:id=2")
-    r.catcher.wait(lambda c: any("is back" in line for line in c.lines))
+    r.lose_servo_and_cable(2)
     ticks = len(r.catcher.ticks)
     r.catcher.wait(lambda c: len(c.ticks) >= ticks + 20)  # the catcher keeps whole ticks only
     assert r.catcher.ticks[-1]["l0"].valid == [True, False, True]
@@ -151,20 +146,9 @@ def test_a_driven_leg_goes_on_without_a_dead_servo_after_a_pulled_cable_and_says
 ) -> None:
     r = run("drive", **kind)
 
-    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        def check(c: Any) -> Any:
-            r.command("l0", 0.4, 0.4, 0.4)
-            return true(c)
-
-        return check
-
+    feed = r.commanding([0.4] * 3)
     r.catcher.wait(lambda c: len(c.ticks) >= 5)
-    r.rig.fault("silent:id=2")
-    r.catcher.wait(lambda c: c.ticks[-1]["l0"].valid == [True, False, True])
-    r.rig.fault("silent:id=2", "hangup:@0+1000000")
-    r.catcher.wait(lambda c: any("is gone" in line for line in c.lines))
-    r.rig.fault("silent:id=2")
-    r.catcher.wait(lambda c: any("is back" in line for line in c.lines))
+    r.lose_servo_and_cable(2)
     at = pytest.approx([0.4, 0.0, 0.4], abs=0.02)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == at))
     told = "leg l0: goes on without servo 2 (no answer)"

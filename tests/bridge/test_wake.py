@@ -104,13 +104,7 @@ def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
 ) -> None:
     r = run("drive", **kind)
 
-    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        def check(c: Any) -> Any:
-            r.command("l0", 0.4, 0.4, 0.4)
-            return true(c)
-
-        return check
-
+    feed = r.commanding([0.4] * 3)
     r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     servo = r.rig.servo(2)
@@ -133,13 +127,7 @@ def test_a_servo_that_was_silent_is_not_driven_blindly_and_wakes_gently(
 ) -> None:
     r = run("drive", **kind)
 
-    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        def check(c: Any) -> Any:
-            r.command("l0", 0.4, 0.4, 0.4)
-            return true(c)
-
-        return check
-
+    feed = r.commanding([0.4] * 3)
     r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     r.rig.fault("silent:id=2")
@@ -172,15 +160,9 @@ def test_a_servo_that_shuts_itself_down_is_told_of_and_woken_gently(
     run: Callable, kind: dict
 ) -> None:
     r = run("drive", **kind)
-    goal = [0.4]
+    goal = [0.4] * 3
 
-    def feed(true: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        def check(c: Any) -> Any:
-            r.command("l0", goal[0], goal[0], goal[0])
-            return true(c)
-
-        return check
-
+    feed = r.commanding(goal)
     r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     servo = r.rig.servo(2)
@@ -191,7 +173,8 @@ def test_a_servo_that_shuts_itself_down_is_told_of_and_woken_gently(
         feed(lambda c: c.statuses and "shutdown" in c.statuses[-1].servos.get("2", SPEAKS).alarms)
     )
     r.rig.fault()
-    writes, ticks, goal[0] = servo.writes, len(r.catcher.ticks), 0.0
+    writes, ticks = servo.writes, len(r.catcher.ticks)
+    goal[:] = [0.0] * 3
     r.catcher.wait(feed(lambda c: len(c.ticks) >= ticks + 60))
     assert servo.writes == writes
     assert not servo.drives
