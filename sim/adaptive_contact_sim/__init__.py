@@ -15,6 +15,7 @@ from adaptive_contact_sim.elements import JOINTS, LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.scenario import (
     Scenario,
@@ -38,6 +39,7 @@ __all__ = [
     "LegArrays",
     "ObstacleSettings",
     "Onset",
+    "PoseGroupSettings",
     "PoseSettings",
     "Report",
     "Run",

@@ -83,9 +83,10 @@ Every recording is simulated once and replayed through five learners side by sid
 - *Contact learned* is the share of the ticks a learner took for free on which the leg touched
   anything between the sample before and this one, by the simulator's truth. A foot that is caught
   counts as touching for as long as it is held.
-- In pose one leg moves per run, in turn through the six legs and both workspaces; about half of
-  its swings meet an obstacle. In a walk all six legs count, all change together, and every swing
-  ends on the ground.
+- In pose the three legs of a tripod move in a run, each with its own trials and obstacles, while
+  the robot stands on the other three; runs take turns between the tripods and the workspaces, and
+  about half of the swings meet an obstacle. A foot is caught of a leg that moves alone. In a walk
+  all six legs count, all change together, and every swing ends on the ground.
 """
 
 
