@@ -27,13 +27,19 @@ class LearnerBank:
         robot: its description.
         baseline: what is known of its legs' free motion.
         refitter: does the sparse refits and cold starts; in line where absent.
+        shielded: a fault in one leg's learning makes that leg begin anew; else it is raised.
 
     Raises:
         BaselineError: the baseline belongs to another robot.
     """
 
     def __init__(
-        self, robot: Robot, baseline: Baseline | None = None, *, refitter: Refitter | None = None
+        self,
+        robot: Robot,
+        baseline: Baseline | None = None,
+        *,
+        refitter: Refitter | None = None,
+        shielded: bool = False,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -41,6 +47,7 @@ class LearnerBank:
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
         self._learners: dict[str, ContactLearner] = {}
+        self._shielded = shielded
         self._team = Team(())
 
     @property
@@ -71,7 +78,7 @@ class LearnerBank:
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
         self._learners[leg] = ContactLearner(robot, leg, self.baseline, refitter=self._refitter)
-        self._team = Team(tuple(self._learners.values()))
+        self._team = Team(tuple(self._learners.values()), shielded=self._shielded)
         return self._learners[leg]
 
     def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:

@@ -106,6 +106,11 @@ class SlidingBuffer:
         self._held -= len(self._segments[index].target)
         del self._segments[index]
 
+    def drop_since(self, t_ns: int) -> None:
+        """Drop the newest segments that reach to or beyond a time."""
+        while self._segments and self._segments[-1].t_ns >= t_ns:
+            self._held -= len(self._segments.pop().target)
+
     def factors(
         self, terms: int, joints: int, *, era: int, every: int = 5
     ) -> tuple[Factor, Factor]:

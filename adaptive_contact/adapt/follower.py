@@ -33,7 +33,7 @@ from adaptive_contact.adapt.snapshot import (
     library_key,
     pack,
     segment_of,
-    unpack_segment,
+    unpack_segments,
 )
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
@@ -188,6 +188,17 @@ class Follower:
         """The confirmed part of a descent."""
         self._confirm(rows, region)
 
+    def distrust(self, since_ns: int) -> None:
+        """The ticks from a time on were of another length: what was confirmed of them is dropped.
+
+        A row or two of them may have been learned, which the next swings outweigh; the buffer
+        would have kept them.
+        """
+        self._queue = deque(row for row in self._queue if row.t_ns < since_ns)
+        self.buffer.drop_since(since_ns)
+        while self.confirmed_ns and self.confirmed_ns[-1] >= since_ns:
+            self.confirmed_ns.pop()
+
     def touched(self, ticks: Sequence[Touch]) -> None:
         """A contact was reported; while the leg is known, it is one to try candidates on."""
         if self.monitor.status == "valid":
@@ -238,6 +249,7 @@ class Follower:
             "support": pack(self._rls.support.astype(np.float64)),
             "level": self.monitor.level,
             "status": self.monitor.status,
+            "held": self.monitor.held,
             "era": self._era,
             "loosened": self._loosened,
             "refits": self._challenger.snapshot(),
@@ -274,7 +286,7 @@ class Follower:
             q = len(rls.terms)
             factor = array_of(saved.get("factor"), (joints, q, q), "its covariance")
             contexts = len(self._recent.whiten)
-            segments = [unpack_segment(s, p, joints, contexts) for s in saved.get("segments", [])]
+            segments = unpack_segments(saved.get("segments"), p, joints, contexts)
             version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
             if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
                 raise ImplausibleError("its version or era is no number")
@@ -288,7 +300,7 @@ class Follower:
         self._model, self._moved = self._model.moved(coefficients, version), False
         self._rls = rls
         self._rls.restore(coefficients, factor)
-        self.monitor.resume(level, status)
+        self.monitor.resume(level, status, held=saved.get("held") is True)
         self._era = era
         self._loosened = bool(saved.get("loosened", False))
         self._challenger.restore(saved.get("refits"))
@@ -337,6 +349,7 @@ class Follower:
         self._better_baseline = 0
         self._rls, self._loosened = self._recursion(self._baseline), False
         self._queue.clear()
+        self._challenger.withdraw()
         self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
         self._moved = True
         self.monitor.level = 1.0
@@ -395,3 +408,4 @@ class Follower:
         self._challenger.withdraw()
         whose = "the baseline" if self._good is None else "the last good model"
         self._challenger.rolled_back(f"a coefficient was not finite, or implausible: {whose} again")
+        self._refresh()

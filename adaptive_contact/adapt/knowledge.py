@@ -49,21 +49,27 @@ class Knowledge:
         mode: LearnerMode,
         refitter: Refitter,
     ) -> None:
+        self._robot = robot
+        self._leg = leg
+        self._baseline = baseline
+        self._mode = mode
+        self._refitter = refitter
+        self.start()
+
+    def start(self) -> None:
+        """Begin as if nothing had been learned: from the baseline, or cold."""
+        baseline = self._baseline
         self.detector: LegDetector | None = None
         self.follower: Follower | None = None
         self.cold: ColdStart | None = None
         self.origin = None if baseline is None else baseline.origin
         self.note: str | None = None
-        self._robot = robot
-        self._leg = leg
-        self._mode = mode
-        self._refitter = refitter
         self._started_cold = False
         self._known = self._choose(baseline)
         if self._known is not None:
             assert baseline is not None
             self._begin(self._known, baseline.tails)
-        elif mode is not LearnerMode.FROZEN:
+        elif self._mode is not LearnerMode.FROZEN:
             self._start_cold()
 
     @property
@@ -111,6 +117,15 @@ class Knowledge:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
+        try:
+            return self._restore(saved)
+        except Exception as fault:  # whatever a file holds, the leg must go on without it
+            self.start()
+            return self._refused(f"{type(fault).__name__}: {fault}")
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _restore(self, saved: dict[str, Any]) -> str | None:
         inner, start = saved.get("follower"), saved.get("start")
         if not isinstance(inner, dict):
             return self._refused("it holds no model")
@@ -126,8 +141,6 @@ class Knowledge:
         assert self.detector is not None
         self.detector.tracker.model = self.follower.model
         return None
-
-    # -- private -------------------------------------------------------------------------------
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
         if baseline is None:

@@ -99,6 +99,7 @@ class ContactLearner:
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
+        self._faults, self._fault = 0, ""
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -115,6 +116,15 @@ class ContactLearner:
         if self._alone is None:
             self._alone = Team([self])
         return self._alone.advance([sample])[0]
+
+    def begin_anew(self, fault: Exception) -> None:
+        """After a fault in its learning: go on as if nothing had been learned, and say so."""
+        self._faults += 1
+        self._fault = f"{type(fault).__name__}: {fault}"
+        self._knowledge.start()
+        self._let_go()
+        self._swing.restart()
+        self._quarantine.restart()
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
@@ -170,7 +180,7 @@ class ContactLearner:
             missed=self._guard.missed,
             contact=self._state.contact,
             contacts=self._tally.counts["contacts"],
-            note=self._knowledge.note or self._ailment(),
+            note=self._ailment(),
         )
 
     @property
@@ -187,7 +197,8 @@ class ContactLearner:
         learned = self._knowledge.snapshot()
         if learned is None:
             return None
-        return {**learned, **self._tally.snapshot(), "missed": self._guard.missed}
+        stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
+        return {**learned, **self._tally.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -201,6 +212,7 @@ class ContactLearner:
         self._tally.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
+        self._guard.restore(saved.get("stream"))
         self._owes_release = True  # what was last said of the leg, another process said
         return None
 
@@ -257,10 +269,12 @@ class ContactLearner:
         assert detector is not None
         tracker = detector.tracker
         judged = tracker.judge()
-        self._swing.observe(sample)
+        self._swing.observe(tracker.measured[0].tolist())  # as repaired: -π is no place of a foot
         if self._rate.off:  # the model speaks of ticks of another length
             tracker.restart()
             self._quarantine.break_off()
+            if self._follower is not None:
+                self._follower.distrust(self._rate.since_ns)
             return False
         if not judged or self._swing.ticks < 2:
             return False
@@ -398,6 +412,10 @@ class ContactLearner:
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person."""
+        if self._faults:
+            return f"{self._faults} faults in learning, begun anew each time; last {self._fault}"
+        if self._knowledge.note is not None:
+            return self._knowledge.note
         if self._follower is not None and self._follower.monitor.note is not None:
             return self._follower.monitor.note
         if self._swing.untold and self._swing.blind:

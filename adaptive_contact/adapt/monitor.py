@@ -177,10 +177,25 @@ class DriftMonitor:
         elif released:
             self.status = "adapting" if self._swings_adapting else "valid"
 
-    def resume(self, level: float, status: Status) -> None:
-        """Go on from a saved state; since when is of another clock, perhaps."""
+    @property
+    def held(self) -> bool:
+        """Whether it is because of a foot that does not rise that the leg is ambiguous."""
+        return self._held_swings >= HELD_SWINGS
+
+    def resume(self, level: float, status: Status, *, held: bool = False) -> None:
+        """Go on from a saved state; since when is of another clock, perhaps.
+
+        Args:
+            level: followed.
+            status: what was thought of the leg.
+            held: whether that was because of a foot that did not rise.
+        """
         self.level, self.status, self._since_ns = level, status, None
-        self._swings_adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}.get(status, 0)
+        self._held_swings = HELD_SWINGS if held else 0
+        adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
+        self._swings_adapting = 0 if held else adapting.get(status, 0)
+        self._swings_loose = LOOSEN_EVERY  # a doubt that comes now is of something new
+        self._lifts = 1  # the model is this leg's: it has been learned
 
     def _doubt(self, rows: list[Row], level: float, t_ns: int) -> Heard:
         self._swing_level = float(np.clip(level, *LEVEL_RANGE))

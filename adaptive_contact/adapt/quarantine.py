@@ -40,6 +40,7 @@ class Quarantine:
         self._region = 0
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
+        self._lift_judged = False
 
     @property
     def follower(self) -> Follower | None:
@@ -70,18 +71,21 @@ class Quarantine:
     def begin(self, t_ns: int) -> None:
         """A swing begins."""
         self._open = True
+        self._lift_judged = False
+        self._touching.clear()
         self._book.begin(t_ns)
         if self.follower is not None:
             self.follower.monitor.begin_swing()
 
     def break_off(self) -> None:
         """What comes does not connect: the swing cannot be resolved, and is not learned."""
+        self._touching.clear()
         self._book.discard()
 
     def restart(self) -> None:
         """The source started anew: there is no swing."""
         self._open = False
-        self._book.discard()
+        self.break_off()
 
     def enter(
         self, theta: Array, verdict: Verdict, detector: LegDetector, *, t_ns: int,
@@ -104,6 +108,8 @@ class Quarantine:
             self._touching.append(detector.touch())
             if len(self._touching) >= TICKS:
                 self._hand_touch()
+        if detector.tracker.substituted:
+            return  # what the model put in where a reading did not come is no measurement
         # The model's own doubt is part of the unit; the followed level is not.
         monitor, book = follower.monitor, self._book
         level = verdict.distance * monitor.level_in_force / len(verdict.target)
@@ -123,13 +129,14 @@ class Quarantine:
             return
         book.add(row, swing.ticks, descending=swing.descending)
         monitor.look(level)
-        lift = book.take_lift() if book.topped else None
-        if lift is None:
-            return
-        held = swing.judge_lift()
-        if held is not None:
-            follower.monitor.foot_held(held=held, came=swing.came)
-        if swing.lifted and not swing.held:
+        if book.past_top and not self._lift_judged:
+            # Whether or not a tick of the lift can be learned: a foot held fast leaves none.
+            self._lift_judged = True
+            held = swing.judge_lift()
+            if held is not None:
+                monitor.foot_held(held=held, came=swing.came)
+        lift = book.take_lift()
+        if lift is not None and swing.lifted and not swing.held:
             self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)
 
@@ -154,7 +161,8 @@ class Quarantine:
             self.follower.touched(ticks)
 
     def _confirm(self, rows: list[Row]) -> None:
-        if self.follower is not None and rows and not self._swing.held:
+        swing = self._swing
+        if self.follower is not None and rows and swing.lifted and not swing.held:
             self.follower.descent(rows, self._region)
 
 

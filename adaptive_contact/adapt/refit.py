@@ -107,22 +107,26 @@ class InlineRefitter:
 def refit(job: RefitJob) -> RefitResult:
     """Fit a sparse model, λ and support chosen on the held-out segments."""
     unit = tuple(job.noise.tolist())
-    tried: list[tuple[float, float, Array]] = []
+    tried: list[tuple[float, Array, Array]] = []
     status = FitStatus.OK
     for threshold in SWEEP:
         fit = fit_sparse(job.fit, FitSettings(threshold=threshold, ridge=1e-6, unit=unit))
         if fit.status is not FitStatus.OK:
             status = fit.status
             break
-        error = float(np.mean(job.held_out.rms(fit.coefficients) / job.noise))
-        if np.isfinite(error):
-            tried.append((threshold, error, fit.coefficients))
+        errors = job.held_out.rms(fit.coefficients) / job.noise
+        if np.isfinite(errors).all():
+            tried.append((threshold, errors, fit.coefficients))
     if not tried:
         empty = np.zeros((job.fit.terms, job.fit.outputs))
         worst = FitStatus.TOO_FEW_ROWS if status is FitStatus.OK else status
         return RefitResult(job.number, worst, empty, 0.0, float("nan"))
-    best = min(error for _, error, _ in tried)
-    threshold, error, coefficients = max(
-        (entry for entry in tried if entry[1] <= TOLERANCE * best), key=lambda entry: entry[0]
+    # In every joint: a mean would let one pay for the others' sparsity.
+    best = np.min([errors for _, errors, _ in tried], axis=0)
+    worst_of = [float((errors / best).max()) for _, errors, _ in tried]
+    limit = max(TOLERANCE, min(worst_of))
+    threshold, errors, coefficients = max(
+        (entry for entry, worst in zip(tried, worst_of, strict=True) if worst <= limit),
+        key=lambda entry: entry[0],
     )
-    return RefitResult(job.number, FitStatus.OK, coefficients, threshold, error)
+    return RefitResult(job.number, FitStatus.OK, coefficients, threshold, float(errors.mean()))

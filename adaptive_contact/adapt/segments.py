@@ -73,6 +73,11 @@ class SwingBook:
     _broken: bool = False  # to everything
 
     @property
+    def past_top(self) -> bool:
+        """Whether the foot is known to be past the top of this swing."""
+        return self._topped and not self._broken
+
+    @property
     def topped(self) -> bool:
         """Whether the foot has been past the top of this swing; who cannot know says yes."""
         return self._topped or self._broken

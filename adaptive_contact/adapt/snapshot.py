@@ -21,7 +21,7 @@ __all__ = [
     "library_key",
     "pack",
     "segment_of",
-    "unpack_segment",
+    "unpack_segments",
 ]
 
 Array = NDArray[np.float64]
@@ -87,16 +87,24 @@ def segment_of(segment: Segment) -> dict[str, Any]:
     }
 
 
-def unpack_segment(value: object, terms: int, joints: int, contexts: int) -> Segment:
-    """A segment from a snapshot.
+def unpack_segments(value: object, terms: int, joints: int, contexts: int) -> list[Segment]:
+    """Segments from a snapshot.
 
     Raises:
-        ImplausibleError: it is none.
+        ImplausibleError: they are none.
     """
+    if not isinstance(value, list | tuple):
+        raise ImplausibleError("its segments are no list")
+    return [_unpack_segment(one, terms, joints, contexts) for one in value]
+
+
+def _unpack_segment(value: object, terms: int, joints: int, contexts: int) -> Segment:
     if not isinstance(value, dict):
         raise ImplausibleError("a segment is no map")
     theta = array_of(value.get("theta"), (-1, terms), "a segment's regressors")
     target = array_of(value.get("target"), (len(theta), joints), "a segment's targets")
+    if not len(theta):
+        raise ImplausibleError("a segment has no ticks")
     context = array_of(value.get("context"), (len(theta),), "a segment's contexts")
     if not ((context >= 0) & (context < contexts)).all():
         raise ImplausibleError("a segment's contexts are none")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from adaptive_contact.wire import Reject, ServoSample
 
@@ -73,6 +73,21 @@ class StreamGuard:
         self._late_count = 0
         self._old_runs: deque[int | None] = deque(maxlen=MAX_OLD_RUNS)
         self._other_count = 0
+        self._begun = False  # a publisher is in force, if only by a snapshot's word
+
+    def snapshot(self) -> dict[str, Any]:
+        """Who publishes, and who did before, for :meth:`restore`."""
+        return {"begun": self._begun, "run": self.run, "old_runs": list(self._old_runs)}
+
+    def restore(self, saved: object) -> None:
+        """Take over who published, so that the newer still wins; what is none is left."""
+        if not isinstance(saved, dict) or saved.get("begun") is not True:
+            return
+        old_runs = saved.get("old_runs")
+        runs = [saved.get("run"), *(old_runs if isinstance(old_runs, list) else [])]
+        if all(run is None or _is_run(run) for run in runs):
+            self._begun, self.run = True, runs[0]
+            self._old_runs.extend(runs[1:])
 
     def admit(self, sample: ServoSample) -> Accepted | Reject:
         """Check a sample against its form and against the stream so far.
@@ -85,9 +100,7 @@ class StreamGuard:
         if fault is not None:
             return fault
         now = (sample.t_ns, sample.seq)
-        if self._last is None:
-            return self._restart(sample, now)
-        if sample.run != self.run:
+        if sample.run != self.run and self._begun:
             # The run that was seen first is the older publisher; the newer start wins.
             if sample.run in self._old_runs:
                 self._other_count += 1
@@ -95,6 +108,8 @@ class StreamGuard:
                     return Reject.OTHER_PUBLISHER
                 self._old_runs.remove(sample.run)
             self._old_runs.append(self.run)
+            return self._restart(sample, now)
+        if self._last is None:
             return self._restart(sample, now)
         self._other_count = 0
         missed = sample.seq - self._last[1] - 1
@@ -109,7 +124,7 @@ class StreamGuard:
         return Accepted(missed=missed, restart=False)
 
     def _restart(self, sample: ServoSample, now: tuple[int, int]) -> Accepted:
-        self.run, self._last = sample.run, now
+        self.run, self._last, self._begun = sample.run, now, True
         self._late, self._late_count, self._other_count = None, 0, 0
         return Accepted(missed=0, restart=True)
 
@@ -142,9 +157,13 @@ class StreamGuard:
         if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
             return Reject.OUT_OF_RANGE
         # JSON holds integers of any size; what is kept on disk holds 64 bits.
-        if sample.run is not None and not MIN_RUN <= sample.run <= MAX_RUN:
+        if sample.run is not None and not _is_run(sample.run):
             return Reject.OUT_OF_RANGE
         return None
+
+
+def _is_run(value: object) -> bool:
+    return isinstance(value, int) and MIN_RUN <= value <= MAX_RUN
 
 
 class RateWatch:
@@ -163,6 +182,11 @@ class RateWatch:
         self.found_ns: float | None = None
         self._period_ns = period_ns
         self._ticks: deque[tuple[int, int]] = deque(maxlen=RATE_STEPS + 1)  # (t_ns, seq)
+
+    @property
+    def since_ns(self) -> int:
+        """Time of the oldest tick by which the rate is told."""
+        return self._ticks[0][0] if self._ticks else 0
 
     @property
     def note(self) -> str | None:

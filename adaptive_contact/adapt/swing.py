@@ -148,9 +148,9 @@ class SwingWatch:
             self._commanded = now
         self._last_desired = sample.desired
 
-    def observe(self, sample: ServoSample) -> None:
-        """Take in the measured place of the foot."""
-        self._last_measured = sample.measured
+    def observe(self, measured: Sequence[float]) -> None:
+        """Take in where the leg is, (J,) rad, with substitutes for bad readings."""
+        self._last_measured = measured
         if not self.ticks:
             return
         if self._leg.lengths_m is None:
@@ -158,7 +158,7 @@ class SwingWatch:
             self.rising = self._half >= LIFT_TICKS and LIFT_OFF_TICKS < self.ticks <= self._half
             return
         self.cleared = self._rise > CLEARANCE_M or self.ticks >= CLEAR_TICKS
-        now = self._place(sample.measured)
+        now = self._place(measured)
         self.rising = now[2] > self._measured[2]
         self._measured = now
         self._rise = max(self._rise, now[2] - self._start[2])

@@ -23,10 +23,13 @@ class Team:
 
     Args:
         learners: any, of one robot or of several.
+        shielded: a fault in one's learning makes that one begin anew, and is told in its status;
+            else it is raised.
     """
 
-    def __init__(self, learners: Sequence[ContactLearner]) -> None:
+    def __init__(self, learners: Sequence[ContactLearner], *, shielded: bool = False) -> None:
         self.learners = tuple(learners)
+        self._shielded = shielded
         self._blocks: list[tuple[Block, list[int]]] = []
         self._without = list(range(len(self.learners)))  # a model, and so without a block
         self._homes: list[Block | None] = [None] * len(self.learners)
@@ -40,11 +43,13 @@ class Team:
         Returns:
             The event of each, or None.
         """
-        here = {
-            i: (learner, sample)
-            for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True))
-            if sample is not None and learner.admit(sample)
-        }
+        here: dict[int, tuple[ContactLearner, ServoSample]] = {}
+        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
+            try:
+                if sample is not None and learner.admit(sample):
+                    here[i] = (learner, sample)
+            except Exception as fault:  # of one leg, which must not end the others' service
+                self._begin_anew(learner, fault)
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for i, (learner, sample) in here.items():
             events[i] = learner.released(sample)
@@ -52,12 +57,62 @@ class Team:
         for i in self._without:
             if i in here:
                 learner, sample = here[i]
-                learner.watch(sample)
+                try:
+                    learner.watch(sample)
+                except Exception as fault:  # as above
+                    self._begin_anew(learner, fault)
         for block, places in self._blocks:
             work = [(row, i, *here[i]) for row, i in enumerate(places) if i in here]
             if work:
-                _tick(block, work, events)
+                self._tick(block, work, events)
         return events
+
+    def _begin_anew(self, learner: ContactLearner, fault: Exception) -> None:
+        if not self._shielded:
+            raise fault
+        learner.begin_anew(fault)
+
+    def _tick(
+        self,
+        block: Block,
+        work: Sequence[tuple[int, int, ContactLearner, ServoSample]],
+        events: list[ContactEvent | None],
+    ) -> None:
+        """One tick of a block: some of its rows, each with its place, learner and sample."""
+        trackers = block.trackers
+        rows = [row for row, *_ in work]
+        block.take(
+            rows,
+            [trackers[row].repair(sample.measured, sample.valid) for row, _, _, sample in work],
+        )
+        judged, faulty = [], set()
+        for row, _, learner, sample in work:
+            try:
+                if learner.observe(sample):
+                    judged.append(row)
+            except Exception as fault:  # as in `advance`
+                self._begin_anew(learner, fault)
+                faulty.add(row)
+        said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
+        ready = []
+        for row, i, learner, sample in work:
+            if row in faulty:
+                continue
+            try:
+                verdict = said.get(row)
+                decided = None if verdict is None else learner.decide(verdict, sample)
+                if decided is not None:
+                    events[i] = decided
+                if learner.command(sample):
+                    ready.append(row)
+                else:
+                    trackers[row].predicted = False
+                learner.learn()
+            except Exception as fault:  # as in `advance`
+                self._begin_anew(learner, fault)
+        block.push(rows, [sample.desired for *_, sample in work])
+        if ready:
+            block.predict(ready)
 
     def _settle(self) -> None:
         """Give every learner its place anew if one has got, changed or lost its tracker."""
@@ -85,32 +140,3 @@ class Team:
             (Block([detector for _, detector in group]), [i for i, _ in group]) for group in groups
         ]
         self._homes = [None if d is None else d.tracker.home for d in detectors]
-
-
-def _tick(
-    block: Block,
-    work: Sequence[tuple[int, int, ContactLearner, ServoSample]],
-    events: list[ContactEvent | None],
-) -> None:
-    """One tick of a block: some of its rows, each with its place, learner and sample."""
-    trackers = block.trackers
-    rows = [row for row, *_ in work]
-    block.take(
-        rows, [trackers[row].repair(sample.measured, sample.valid) for row, _, _, sample in work]
-    )
-    judged = [row for row, _, learner, sample in work if learner.observe(sample)]
-    said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
-    ready = []
-    for row, i, learner, sample in work:
-        verdict = said.get(row)
-        decided = None if verdict is None else learner.decide(verdict, sample)
-        if decided is not None:
-            events[i] = decided
-        if learner.command(sample):
-            ready.append(row)
-        else:
-            trackers[row].predicted = False
-        learner.learn()
-    block.push(rows, [sample.desired for *_, sample in work])
-    if ready:
-        block.predict(ready)

@@ -112,6 +112,11 @@ class Tracker:
         self.residuals, self.increments = history
 
     @property
+    def substituted(self) -> bool:
+        """Whether a joint's reading taken last is none, but what the model foretold."""
+        return self._bad
+
+    @property
     def full(self) -> bool:
         """Whether the window holds enough samples in a row for a prediction."""
         return self.filled >= self._length

@@ -88,7 +88,7 @@ def serve(
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     robot, learned, origin = _load(config, baseline)
     refitter = ProcessRefitter()
-    bank = LearnerBank(robot, learned, refitter=refitter)
+    bank = LearnerBank(robot, learned, refitter=refitter, shielded=True)
     try:
         link = Link.open(settings, on_wait=_say, stop=stop)
     except LinkError:

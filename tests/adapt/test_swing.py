@@ -30,7 +30,7 @@ def swing(watch: SwingWatch, follow: float, lag: int = 3) -> list[tuple[float, b
             phase="swing" if k >= 5 else "stance",
         )
         watch.follow(sample)
-        watch.observe(sample)
+        watch.observe(sample.measured)
         watch.command()
         told.append((float(foot[2] - LOW[2]), watch.cleared))
     return told
