@@ -53,7 +53,7 @@ class Ears:
         self.samples: queue.Queue[ServoSample] = queue.Queue()
         self.touches = threading.Event()
         link.subscribe(servo_key(leg), self._sample)
-        link.subscribe(contact_key(leg), self._contact)
+        link.subscribe(contact_key(leg), self._contact, history=True)  # also after a cut link
 
     def _sample(self, received) -> None:
         sample = decode(received.payload, ServoSample, received.encoding)

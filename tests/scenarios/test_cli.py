@@ -72,7 +72,7 @@ def test_a_quick_run_makes_figures_pages_and_a_report(
     assert tree["size"] == "quick"
     assert read_results(out / "results-quick-1.json")["scenarios"] == tree["scenarios"]
     figures_of = tree["scenarios"]["step-friction4"]
-    assert figures_of["leg_runs"] == 1
+    assert figures_of["leg_runs"] == 3, "of one recording"
     assert set(figures_of["variants"]) == {"frozen", "ungated", "refit", "rls", "full"}
     for name in ("step-friction4", "summary"):
         assert (out / "pages-quick-1" / f"{name}.png").stat().st_size > 5_000

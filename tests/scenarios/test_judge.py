@@ -89,6 +89,8 @@ def tree(**changes: Any) -> dict[str, Any]:
         "harmful": False,
         "touching_share": 0.0002,
         "longest_lock_out": 2,
+        "caught_swings": 0,
+        "caught_told": 0,
     }
     counts = changes.pop("counts", True)
     return {"counts_as_one_to_recover_from": counts, "variants": {"full": full | changes}}
@@ -96,12 +98,18 @@ def tree(**changes: Any) -> dict[str, Any]:
 
 def test_goals_of_a_step_that_counts() -> None:
     made = goals(scenarios()["step-friction4"], tree())
-    assert [g.limit for g in made] == [10.0, 20.0, 2.0]
+    assert [g.limit for g in made] == [10.0, 20.0, 2.0, 1.0, 0.0]
     assert all(g.met for g in made)
     never = {"swings_median": None, "swings_p95": None, "alarms_median": 90.0}
-    assert not any(
-        g.met for g in goals(scenarios()["step-friction4"], tree(recovery={"step": never}))
-    )
+    worse = tree(recovery={"step": never}, recall_lost_points=1.5, harmful=True)
+    assert not any(g.met for g in goals(scenarios()["step-friction4"], worse))
+
+
+def test_a_caught_foot_is_to_be_told() -> None:
+    made = goals(scenarios()["caught-30s"], tree(caught_swings=100, caught_told=80))
+    assert (made[-1].limit, made[-1].measured, made[-1].met) == (0.1, pytest.approx(0.2), False)
+    made = goals(scenarios()["caught-30s"], tree(caught_swings=100, caught_told=95))
+    assert made[-1].met
 
 
 def test_goals_of_a_step_that_does_not() -> None:

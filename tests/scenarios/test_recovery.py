@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adaptive_contact.score import summarise
@@ -38,7 +39,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("recovery")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["step-friction4", "step-supply94", "step-compliance2", "step-joint6"]
 )
@@ -46,14 +46,17 @@ def test_a_leg_recovers_from_a_step(name: str, folder: Path) -> None:
     judgement = judged(name, folder)
     until = judgement.scenario.phases[-1].to_s
     after = judgement.scenario.phase("after").from_s
+    alarms = []
     for frozen, full in zip(*judgement.variants.values(), strict=True):
         recovery = full.recovery["step"]
+        alarms.append(recovery.alarms)
         assert recovery.swings is not None, name
         assert recovery.swings <= 20
         lost = summarise([within(frozen.outcome, after, until)])
         kept = summarise([within(full.outcome, after, until)])
         assert kept.lost_swings <= 3
         assert kept.lost_swings < 0.2 * max(lost.lost_swings, 1)
+    assert np.median(alarms) <= 2
 
 
 @pytest.mark.slow
@@ -63,7 +66,7 @@ def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
     for full in judgement.variants[Variant.FULL]:
         contacts = judgement.scenario.phase("contacts")
         figures = summarise([within(full.outcome, contacts.from_s, contacts.to_s)])
-        assert figures.counted.touches >= 140
+        assert figures.counted.touches >= 120
         assert figures.counted.found >= figures.counted.touches - 2
         assert figures.false_alarms <= 1
         assert full.confirmed > 1000

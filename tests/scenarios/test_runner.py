@@ -30,7 +30,7 @@ from adaptive_contact_sim.trials.runs import QUICK_SIZES
 from adaptive_contact_sim.trials.spec import RecordingSpec, Scenario, Variant
 from adaptive_contact_sim.trials.words import results_table
 
-SIZES = replace(QUICK_SIZES, leg_runs=2, before_s=3.0, after_s=5.0, first_seed=9300)
+SIZES = replace(QUICK_SIZES, leg_runs=6, before_s=3.0, after_s=5.0, first_seed=9300)
 
 
 @pytest.fixture(scope="module")
@@ -154,14 +154,14 @@ def test_leg_runs_that_diverged_are_counted(
     assert problems == ["the run with seed 9301 has no recording: the simulation became unstable"]
     tree = results([judge_scenario(scenario, folders)], SIZES, size="full", problems=problems)
     own = tree["scenarios"]["step-mass50"]
-    assert (own["leg_runs"], own["leg_runs_asked"]) == (1, 2)
+    assert (own["leg_runs"], own["leg_runs_asked"]) == (3, 6)
     text = report_text(tree, set())
-    assert "| [step-mass50](#step-mass50) | 1 of 2; 1 diverged |" in text
-    assert "1 of 2 leg-runs (1 diverged)" in text
+    assert "| [step-mass50](#step-mass50) | 3 of 6; 3 diverged |" in text
+    assert "3 of 6 leg-runs (3 diverged)" in text
     assert problems[0] in text
     terminal = Console(width=200, file=io.StringIO())
     terminal.print(results_table(tree))
-    assert "1 of 2; 1 diverged" in terminal.file.getvalue()  # type: ignore[attr-defined]
+    assert "3 of 6; 3 diverged" in terminal.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_the_steady_scenarios_are_told_together(

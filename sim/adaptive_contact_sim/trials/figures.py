@@ -42,6 +42,13 @@ class Judgement:
     reference: list[LegOutcome]
     variants: dict[Variant, list[Judged]]
 
+    @property
+    def recordings(self) -> NDArray[np.intp]:
+        """(leg-runs,) number of the recording that each is of, rising from 0."""
+        seeds = [run.replay.recording.settings.seed for run in self.leg_runs]
+        order = {seed: number for number, seed in enumerate(dict.fromkeys(seeds))}
+        return np.array([order[seed] for seed in seeds], dtype=np.intp)
+
 
 def judge_scenario(scenario: Scenario, folders: Folders) -> Judgement:
     """Judge all leg-runs of a scenario that have replays."""
@@ -83,6 +90,7 @@ def figures(judgement: Judgement) -> Tree:
         "expect": scenario.expect.value,
         "leg_runs": len(judgement.leg_runs),
         "leg_runs_asked": len(scenario.leg_runs),
+        "recordings": len(set(judgement.recordings.tolist())),
         "simulated_s": sum(r.seconds for r in scenario.recordings),
         "counts_as_one_to_recover_from": harmful,
         "marks": {mark.name: mark.at_s for mark in scenario.marks},
@@ -128,7 +136,7 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
             for p in scenario.phases
         },
         "judged": _summary(summarise(_judged_part(scenario, outcomes))),
-        **_lost(scenario, outcomes, judgement.reference),
+        **_lost(scenario, outcomes, judgement.reference, judgement.recordings),
         "harmful": bool(judged)
         and is_harmful(
             _judged_part(scenario, outcomes), _judged_part(scenario, judgement.reference)
@@ -141,6 +149,8 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         "touching_since_before": sum(one.touched_before for one in judged),
         "touching_share": touched / confirmed if confirmed else None,
         "ever_doubted": sum(one.doubted for one in judged),
+        "caught_swings": sum(one.caught for one in judged),
+        "caught_told": sum(one.caught_told for one in judged),
     }
     if scenario.expect is Expect.START:
         tree["start"] = _start(judgement, judged)
@@ -181,8 +191,13 @@ def _start(judgement: Judgement, judged: list[Judged]) -> Tree:
     }
 
 
-def _lost(scenario: Scenario, own: list[LegOutcome], reference: list[LegOutcome]) -> Tree:
-    """Points of recall lost against the reference, with an interval over leg-runs."""
+def _lost(
+    scenario: Scenario,
+    own: list[LegOutcome],
+    reference: list[LegOutcome],
+    recordings: NDArray[np.intp],
+) -> Tree:
+    """Points of recall lost against the reference, with an interval over recordings."""
     counts = np.array(
         [
             [*_found(_judged_part(scenario, [a])), *_found(_judged_part(scenario, [b]))]
@@ -192,9 +207,12 @@ def _lost(scenario: Scenario, own: list[LegOutcome], reference: list[LegOutcome]
     ).reshape(-1, 4)
     if not counts[:, 1].sum() or not counts[:, 3].sum():
         return {"recall_lost_points": None, "recall_lost_interval": None}
-    # Leg-runs are what is independent: one bad leg must not pass for many bad swings.
-    drawn = np.random.default_rng(0).integers(0, len(counts), (_BOOTSTRAPS, len(counts)))
-    samples = _points(counts[drawn].sum(axis=1))
+    # Recordings are what is independent: legs of one share a body, its sway and its battery, and
+    # one bad leg must not pass for many bad swings.
+    whole = np.zeros((recordings[-1] + 1, counts.shape[1]))
+    np.add.at(whole, recordings, counts)
+    drawn = np.random.default_rng(0).integers(0, len(whole), (_BOOTSTRAPS, len(whole)))
+    samples = _points(whole[drawn].sum(axis=1))
     low, high = np.nanpercentile(samples, (2.5, 97.5))
     return {
         "recall_lost_points": float(_points(counts.sum(axis=0))),

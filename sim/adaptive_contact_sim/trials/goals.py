@@ -23,6 +23,7 @@ RECALL_POINTS: Final = 1.0
 TOUCHING_SHARE: Final = 0.001
 VALID_SWINGS: Final = 60.0
 ALARMS_PER_HOUR: Final = 5.0
+CAUGHT_UNTOLD: Final = 0.1
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,9 @@ def goals(scenario: Scenario, tree: Tree) -> list[Goal]:
     }[scenario.expect](tree, full)
     if scenario.poisonous:
         made.append(_touching(full))
+    if full["caught_swings"]:
+        untold = 1.0 - full["caught_told"] / full["caught_swings"]
+        made.append(Goal("caught swings not called ambiguous, share", CAUGHT_UNTOLD, untold))
     return made
 
 
@@ -112,7 +116,7 @@ def _recover(tree: Tree, full: Tree) -> list[Goal]:
                 recovery["alarms_median"],
             ),
         ]
-    return made
+    return [*made, *_unharmed(tree, full)]
 
 
 def _follow(_: Tree, full: Tree) -> list[Goal]:

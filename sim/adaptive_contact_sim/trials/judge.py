@@ -23,6 +23,11 @@ from adaptive_contact_sim.trials.spec import Mark, Scenario
 __all__ = ["Judged", "Recovery", "judge", "longest_lock_out", "swings_until_valid", "within"]
 
 _VALID: Final = STATUSES.index("valid")
+_AMBIGUOUS: Final = STATUSES.index("ambiguous")
+# The phase in which a foot is caught, and the swings after which that can be told: it is caught
+# when it next rests, and two swings in a row have to show it.
+CAUGHT: Final = "caught"
+CAUGHT_GRACE: Final = 4
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Judged:
         until_valid: swings until it called itself valid, None where it did not.
         valid_ns: when it did.
         doubted: whether it ever called itself anything else.
+        caught: swings that ended while the foot was held by the stage, but for the first few.
+        caught_told: those of them after which it called itself ambiguous.
     """
 
     outcome: LegOutcome
@@ -65,6 +72,8 @@ class Judged:
     until_valid: int | None
     valid_ns: int | None
     doubted: bool
+    caught: int
+    caught_told: int
 
 
 def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
@@ -79,6 +88,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
     }
     first_s = marks[0].at_s if marks else 0.0
     until, valid_ns = swings_until_valid(replayed.log)
+    caught, told = _caught(scenario, replayed.log)
     return Judged(
         outcome=outcome,
         recovery=recovery,
@@ -89,6 +99,8 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
         until_valid=until,
         valid_ns=valid_ns,
         doubted=bool(np.any(replayed.log.status != _VALID)),
+        caught=caught,
+        caught_told=told,
     )
 
 
@@ -139,6 +151,16 @@ def _recovery(outcome: LegOutcome, mark: Mark, end_s: float, *, mixed: bool) -> 
     until_s = end_s if count is None else swings.start_ns[count] / 1e9
     alarms = (outcome.alarms_ns >= mark_ns) & (outcome.alarms_ns < until_s * 1e9)
     return Recovery(count, int(np.sum(alarms)), len(swings.start_ns))
+
+
+def _caught(scenario: Scenario, log: SwingLog) -> tuple[int, int]:
+    """Swings that ended while the foot was caught, and those of them after which that was told."""
+    phases = [phase for phase in scenario.phases if phase.name == CAUGHT]
+    if not phases:
+        return 0, 0
+    inside = (log.t_ns >= phases[0].from_s * 1e9) & (log.t_ns < phases[0].to_s * 1e9)
+    status = log.status[inside][CAUGHT_GRACE:]
+    return len(status), int(np.sum(status == _AMBIGUOUS))
 
 
 def _touched_before(stream: LegStream, replayed: LegReplay) -> int:

@@ -72,7 +72,7 @@ Every recording is simulated once and replayed through five learners side by sid
   the 21st swing after it on. For scenarios without a change it is all of the recording.
 - *Recall lost* is against the frozen learner, with the shipped baseline, on the same recording
   without what the scenario does (same seeds, same motion, same noise); its interval is a bootstrap
-  over leg-runs.
+  over recordings, as legs of one share a body.
 - A change *counts* if it makes the frozen learner lose 5 points of recall, or raise ten times the
   false alarms; the others must do no harm. *Harm* is the same rule, applied to the full learner.
 - *Recovery* is the number of swings of that leg after which 20 swings hold at most one error;
@@ -248,7 +248,7 @@ def _scenario(name: str, tree: Tree, picture: bool) -> str:
     about = tree["about"]
     lines = [
         f"### {name}\n",
-        f"{about[0].upper()}{about[1:]}. {_leg_runs(tree)}, "
+        f"{about[0].upper()}{about[1:]}. {_leg_runs(tree)} of {tree['recordings']} recordings, "
         f"{tree['simulated_s'] / 60:.0f} simulated minutes.",
     ]
     for goal in tree["goals"]:
@@ -270,6 +270,11 @@ def _scenario(name: str, tree: Tree, picture: bool) -> str:
         lines.append(
             f"- contact learned: {full['touching_ticks_confirmed']} of {full['confirmed_ticks']} "
             f"ticks, {full['touching_since_before']} of them already in touch at the sample before"
+        )
+    if full["caught_swings"]:
+        lines.append(
+            f"- called ambiguous: {full['caught_told']} of {full['caught_swings']} swings while "
+            "the foot was held, from the fifth on"
         )
     start = full.get("start")
     if start is not None:
