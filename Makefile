@@ -45,9 +45,9 @@ check: env  ## ruff, types, import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-bench: env  ## the design's figures and speeds, in out/bench (about ten minutes)
+bench: env  ## the design's figures and speeds, in out/bench (half an hour or so)
 	$(BIN)/python -m adaptive_contact bench --out out/bench
-	$(BIN)/python tests/service/bench_echo.py
+	$(BIN)/python tests/service/bench_echo.py --assert
 
 bench-bridge: env  ## the bridge on three virtual ports: cycle, jitter, a silent servo, reconnects
 	$(BIN)/python tests/bridge/bench_bridge.py --minutes $(BRIDGE_MINUTES) $(BRIDGE_OPTIONS)
@@ -59,7 +59,7 @@ scenarios: env  ## every drift through every learner; docs/adaptation.md (two ho
 baseline: env  ## learn the shipped baseline anew
 	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json
 
-soak: env  ## MINUTES of walking with drifts, refits, two router restarts, one service restart
+soak: env  ## MINUTES of walking with drifts, refits, two router kills, one service kill
 	$(BIN)/python -m adaptive_contact_sim.soak --minutes $(MINUTES) --seed $(SEED) --out out/soak
 
 fuzz: env  ## ten million broken payloads through the codec and the sample checks

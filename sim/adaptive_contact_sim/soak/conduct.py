@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -19,9 +20,10 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.traffic import Received
@@ -30,12 +32,15 @@ from adaptive_contact.wire import (
     ALL_LEARNER,
     ContactEvent,
     LearnerStatus,
+    ServoSample,
     decode,
+    servo_key,
 )
 from adaptive_contact_sim.demo.child import Child
+from adaptive_contact_sim.soak.memory import Resident
 from adaptive_contact_sim.soak.plan import Fault, FaultKind, SoakPlan
 
-__all__ = ["Broken", "Heard", "Resident", "Take", "conduct"]
+__all__ = ["Broken", "Heard", "Take", "conduct"]
 
 _CONNECTED: Final = re.compile(r"connected to ")
 _START_S: Final = 60.0
@@ -43,6 +48,11 @@ _LOOK_S: Final = 0.05
 _MEMORY_EVERY_S: Final = 2.0
 _OUTAGE_S: Final = 1.0
 _SETTLE_S: Final = 2.5
+# A killed process is gone in some ms; its memory is given back first.
+_DEAD_S: Final = 10.0
+# A refit under way ends before its process sees that nobody waits for it; the longest is a minute.
+_ORPHAN_S: Final = 90.0
+_NS: Final = 1_000_000_000
 _PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -55,38 +65,44 @@ class Broken:
     to_ns: int
 
 
-@dataclass(frozen=True)
-class Resident:
-    """Resident memory of a service, MB, so many seconds after its start; ``life`` counts them.
+class _Orphan(NamedTuple):
+    """A child process of a service that was killed, told from a later one of its id."""
 
-    ``workers_mb`` is that of its child processes, 0 while there are none.
-    """
-
-    life: int
-    after_s: float
-    mb: float
-    workers_mb: float = 0.0
+    pid: int
+    born: str
+    killed_s: float
 
 
 @dataclass
 class Heard:
-    """What came over the wire, with the wall clock of its arrival, ns."""
+    """What came over the wire, with the wall clock of its arrival, ns.
+
+    Attributes:
+        events, statuses, services: with their arrival.
+        lags_ns: by second of the samples' clock, least arrival of a sample minus its time.
+        unreadable: payloads that are not what their key says.
+    """
 
     events: list[tuple[int, ContactEvent]] = field(default_factory=list)
     statuses: list[tuple[int, LearnerStatus]] = field(default_factory=list)
     services: list[tuple[int, ServiceStatus]] = field(default_factory=list)
+    lags_ns: dict[int, int] = field(default_factory=dict)
     unreadable: int = 0
 
 
 @dataclass(frozen=True)
 class Take:
-    """What a run left."""
+    """What a run left.
+
+    ``left_behind`` are child processes of a killed service that did not end by themselves.
+    """
 
     recording: Path
     heard: Heard
     broken: tuple[Broken, ...]
     resident: tuple[Resident, ...]
     simulator: str
+    left_behind: int = 0
 
 
 def conduct(plan: SoakPlan, say: Callable[[str], None], stop: threading.Event) -> Take:
@@ -131,6 +147,7 @@ def conduct(plan: SoakPlan, say: Callable[[str], None], stop: threading.Event) -
             tuple(run.broken),
             tuple(run.resident),
             walk.lines[-1] if walk.lines else "",
+            run.left_behind,
         )
 
 
@@ -141,7 +158,10 @@ class _Run:
         self.heard = Heard()
         self.broken: list[Broken] = []
         self.resident: list[Resident] = []
+        self.left_behind = 0
         self._plan = plan
+        self._stack = stack
+        self._orphans: list[_Orphan] = []
         self._waiting: deque[Received] = deque()
         self._life = 0
         self._memory_s = 0.0
@@ -151,10 +171,13 @@ class _Run:
         self.endpoint = self._router.stdout.readline().strip()
         self.service = self._start_service()
         stack.callback(lambda: self.service.end())
+        stack.callback(self._bury)
         link = stack.enter_context(Link.open(client_settings([self.endpoint], wait=False)))
         link.subscribe(ALL_CONTACT, self._waiting.append, history=True)
         link.subscribe(ALL_LEARNER, self._waiting.append)
         link.subscribe(SERVICE_STATUS, self._waiting.append, history=True)
+        # All legs of a tick are sent together: one tells when the source sent them.
+        link.subscribe(servo_key(shipped_robot().leg_ids[0]), self._waiting.append)
 
     def look(self) -> None:
         """Take in what has come, and see that all is alive."""
@@ -171,6 +194,7 @@ class _Run:
             pid = self.service.pid
             workers_mb = sum(_resident_mb(child) for child in _children(pid))
             self.resident.append(Resident(self._life, after_s, _resident_mb(pid), workers_mb))
+            self._watch_orphans(now_s)
 
     def do(self, fault: Fault) -> None:
         """Break something, and start it again."""
@@ -182,7 +206,13 @@ class _Run:
             assert self._router.stdout is not None
             self._router.stdout.readline()
         else:
-            self.service.end()
+            dead = self.service
+            children = [(pid, _born(pid)) for pid in _children(dead.pid)]
+            _crash(dead)
+            # Its output stays open as long as its children do: it is read to the end at ours.
+            self._stack.callback(dead.end)
+            now_s = time.monotonic()
+            self._orphans += [_Orphan(pid, born, now_s) for pid, born in children if born]
             self._life += 1
             self.service = self._start_service()
         self.broken.append(Broken(fault.kind, from_ns, time.time_ns()))
@@ -199,6 +229,20 @@ class _Run:
             f"promoted {refused} refused, service {memory:.1f} MB"
         )
 
+    def _watch_orphans(self, now_s: float) -> None:
+        """See that the children of a killed service end, and end those that do not."""
+        self._orphans = [one for one in self._orphans if _born(one.pid) == one.born]
+        late = [one for one in self._orphans if now_s - one.killed_s > _ORPHAN_S]
+        self.left_behind += len(late)
+        self._orphans = [one for one in self._orphans if one not in late]
+        for one in late:
+            _kill(one)
+
+    def _bury(self) -> None:
+        """Nothing stays behind, however early the run ends."""
+        for one in self._orphans:
+            _kill(one)
+
     def _start_service(self) -> Child:
         self._service_began_s = time.monotonic()
         state = self._plan.out / "state"
@@ -210,7 +254,14 @@ class _Run:
     def _take(self, received: Received) -> None:
         now_ns = time.time_ns() - (time.monotonic_ns() - received.arrival_ns)
         kind = received.key.rsplit("/", 1)[-1]
-        if received.key == SERVICE_STATUS:
+        if kind == "servo":
+            sample = decode(received.payload, ServoSample, received.encoding)
+            if isinstance(sample, ServoSample):
+                second, lag_ns = sample.t_ns // _NS, now_ns - sample.t_ns
+                lags_ns = self.heard.lags_ns
+                lags_ns[second] = min(lag_ns, lags_ns.get(second, lag_ns))
+                return
+        elif received.key == SERVICE_STATUS:
             service = decode(received.payload, ServiceStatus, received.encoding)
             if isinstance(service, ServiceStatus):
                 self.heard.services.append((now_ns, service))
@@ -242,11 +293,40 @@ def _start_router(endpoint: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
+def _crash(service: Child) -> None:
+    """Kill a service as a crash would: nothing is saved, nobody is told.
+
+    Raises:
+        AdaptiveContactError: it is not gone in time.
+    """
+    os.kill(service.pid, signal.SIGKILL)
+    until_s = time.monotonic() + _DEAD_S
+    while service.running:
+        if time.monotonic() > until_s:
+            raise AdaptiveContactError(f"the service lives {_DEAD_S:g} s after it was killed")
+        time.sleep(0.005)  # its end is asked for; there is nothing else to wait on
+
+
+def _kill(orphan: _Orphan) -> None:
+    if _born(orphan.pid) == orphan.born:
+        with contextlib.suppress(OSError):  # it has just ended
+            os.kill(orphan.pid, signal.SIGKILL)
+
+
 def _end(process: subprocess.Popen[str]) -> None:
     process.kill()
     process.wait()
     if process.stdout is not None:
         process.stdout.close()
+
+
+def _born(pid: int) -> str:
+    """When a process started, as the kernel tells it; empty where there is none that runs."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "" if fields[0] == "Z" else fields[19]
 
 
 def _resident_mb(pid: int) -> float:

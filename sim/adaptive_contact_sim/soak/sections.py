@@ -16,6 +16,7 @@ import numpy as np
 
 from adaptive_contact.score import LegOutcome
 from adaptive_contact_sim.soak.plan import RECOVERY_S, Drifting
+from adaptive_contact_sim.soak.releases import Releases
 
 __all__ = ["Section", "Span", "Window", "judge_sections", "spans_between", "windows_of"]
 
@@ -53,6 +54,7 @@ class Section:
         ramp: a drift is under way in it.
         ticks: swing leg-ticks judged.
         touches, missed, false_alarms: of all legs.
+        releases, wrong_releases: told, and told of a leg that stood loaded.
     """
 
     after: str
@@ -61,6 +63,8 @@ class Section:
     touches: int
     missed: int
     false_alarms: int
+    releases: int
+    wrong_releases: int
 
 
 def windows_of(
@@ -102,7 +106,9 @@ def spans_between(windows: Sequence[Window], epoch_ns: int, end_ns: int) -> list
     return found
 
 
-def judge_sections(outcomes: Sequence[LegOutcome], spans: Sequence[Span]) -> list[Section]:
+def judge_sections(
+    outcomes: Sequence[LegOutcome], releases: Sequence[Releases], spans: Sequence[Span]
+) -> list[Section]:
     """Count what happened in each span."""
     found = []
     for span in spans:
@@ -120,6 +126,8 @@ def judge_sections(outcomes: Sequence[LegOutcome], spans: Sequence[Span]) -> lis
                     int((inside(o.touches.onset_ns) & ~o.touches.found).sum()) for o in outcomes
                 ),
                 false_alarms=sum(int(np.sum(inside(o.alarms_ns))) for o in outcomes),
+                releases=sum(int(np.sum(inside(one.t_ns))) for one in releases),
+                wrong_releases=sum(int(np.sum(inside(one.t_ns[one.wrong]))) for one in releases),
             )
         )
     return found

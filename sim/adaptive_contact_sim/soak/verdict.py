@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -18,8 +18,19 @@ from adaptive_contact.score import Gatherer, LegOutcome, match
 from adaptive_contact.score.contacts import TruthChanges
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ContactEvent, ServoSample, decode, leg_of_key
-from adaptive_contact_sim.soak.conduct import Broken, Resident, Take
+from adaptive_contact_sim.soak.accounts import (
+    cut_off,
+    forgotten_s,
+    inconsistent,
+    last_words,
+    state_of,
+    uncounted,
+)
+from adaptive_contact_sim.soak.arrival import Arrivals, SourceClock, judge_arrivals
+from adaptive_contact_sim.soak.conduct import Broken, Take
+from adaptive_contact_sim.soak.memory import Grown, Point, curves_of, grown
 from adaptive_contact_sim.soak.plan import RECOVERY_S, SoakPlan
+from adaptive_contact_sim.soak.releases import judge_releases
 from adaptive_contact_sim.soak.sections import (
     Section,
     judge_sections,
@@ -30,6 +41,15 @@ from adaptive_contact_sim.soak.sections import (
 __all__ = ["Verdict", "judge"]
 
 MEMORY_MB: Final = 5.0
+# The same over half an hour, as a slope: what goes on like that is a leak.
+SLOPE_MB_MIN: Final = MEMORY_MB / 30.0
+# So long a walk with its drifts teaches something: at least one refit is promoted.
+TEACHES_MINUTES: Final = 10.0
+# A machine with other work lets a process wait for longer than an event may take, now and then.
+LATE_SHARE: Final = 0.001
+# A service saves each leg every 10 s, a little later where samples or the disk are in the way; what
+# it learned since then a crash may cost.
+FORGETS_S: Final = 12.0
 # The design's recall, over the whole walk and after each thing that happened to it.
 MISSED_SHARE: Final = 0.01
 # One touch in a hundred says nothing about a section of fifty: so many are forgiven in any.
@@ -39,7 +59,6 @@ RAMP_SHARE: Final = 0.05
 # What an event takes to get here, on top of what the detector may take.
 _TRAVEL_NS: Final = 250_000_000
 _NS: Final = 1_000_000_000
-_EDGE: Final = 0.2  # of a life, at its begin and at its end, whose medians are compared
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +72,11 @@ class Verdict:
         alarms: leg and time of each false alarm outside the windows, s of the walk.
         touches, missed_touches: outside of both.
         misses: leg and time of each touch missed outside the windows, s of the walk.
+        releases, wrong_releases: outside of both; a wrong one is ``contact: false`` of a leg that
+            touched all along, and for more than 0.25 s after it.
+        wrong_released: leg and time of each wrong one outside the windows, s of the walk.
+        arrivals: how long events took to get here, those near a fault left out.
+        source_behind_s: how far the simulator fell behind the wall clock.
         sections: the same from each window to the next, those of ramps told apart.
         samples: that the source sent, all legs.
         missed_samples: counted as lost.
@@ -62,11 +86,15 @@ class Verdict:
         recovery_s: from there until every leg's first right event was heard here; infinite where
             one never was.
         late_legs: those for whom that was later than 2 s and than their first whole swing.
-        memory_mb: growth of each life of the service after its warm-up, and its last value.
+        memory_mb: of each life of the service.
         worker_mb: the same of its child processes.
+        memory_curve: of each life: s after its start, MB of the service and of its children.
+        left_behind: child processes that a killed service left for good.
+        forgotten_s: per kill of the service, what it had learned and not saved, of the worst leg.
         refits: promoted, refused, rolled back.
         events, events_lost: heard here; lost by the service because a subscriber hung.
-        state: saves and failures, legs restored at the restart.
+        cut_off: links of subscribers that the service dropped, not counting those near a fault.
+        state: saves and failures of all lives, legs restored and states refused at the restart.
         p99_ms: arrival of the deciding sample to its event being sent, at the end.
         failures: lines on what is not as it should be.
     """
@@ -79,6 +107,11 @@ class Verdict:
     touches: int
     missed_touches: int
     misses: list[tuple[str, float]]
+    releases: int
+    wrong_releases: int
+    wrong_released: list[tuple[str, float]]
+    arrivals: Arrivals
+    source_behind_s: float
     sections: list[Section]
     samples: int
     missed_samples: int
@@ -87,11 +120,15 @@ class Verdict:
     outage_s: list[float]
     recovery_s: list[float]
     late_legs: list[list[str]]
-    memory_mb: list[tuple[float, float]]
-    worker_mb: list[tuple[float, float]]
+    memory_mb: list[Grown]
+    worker_mb: list[Grown]
+    memory_curve: list[list[Point]]
+    left_behind: int
+    forgotten_s: list[float]
     refits: dict[str, int]
     events: int
     events_lost: int
+    cut_off: int
     state: dict[str, Any]
     p99_ms: float | None
     failures: list[str]
@@ -111,18 +148,23 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     gathered.replace_events(event for _, event in take.heard.events)
     epoch_ns = min(min(times) for times in seq_of.values())
     end_ns = max(max(times) for times in seq_of.values()) + 1
-    windows = windows_of([dataclasses.astuple(one) for one in take.broken], plan.drifts, epoch_ns)
+    clock = SourceClock(take.heard.lags_ns)
+    faults = [
+        (one.kind, clock.of_wall(one.from_ns), clock.of_wall(one.to_ns)) for one in take.broken
+    ]
+    windows = windows_of(faults, plan.drifts, epoch_ns)
     streams = {leg: gathered.stream(leg) for leg in gathered.legs}
     outcomes = [match(stream, gathered.events(leg)) for leg, stream in streams.items()]
-    sections = judge_sections(outcomes, spans_between(windows, epoch_ns, end_ns))
+    releases = [judge_releases(stream, gathered.events(leg)) for leg, stream in streams.items()]
+    sections = judge_sections(outcomes, releases, spans_between(windows, epoch_ns, end_ns))
     settled = [one for one in sections if not one.ramp]
     edges = [(window.begin_ns, window.end_ns) for window in windows]
     right = _right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
-    back = [_recovery(fault, robot.leg_ids, right, outcomes) for fault in take.broken]
+    back = [_recovery(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
+    shaken = [(one.begin_ns, one.end_ns) for one in windows_of(faults, (), epoch_ns)]
 
     newest = {status.leg: status for _, status in take.heard.statuses}
-    services = [status for _, status in take.heard.services]
-    uncounted = max((_uncounted(leg, seq_of[leg], take) for leg in robot.leg_ids), default=0)
+    services = last_words([status for _, status in take.heard.services])
     rejects: Counter[str] = Counter()
     refits: Counter[str] = Counter()
     for status in newest.values():
@@ -131,43 +173,59 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         refits.update(
             promoted=counts.promoted, refused=counts.refused, rolled_back=counts.rolled_back
         )
-    state = services[-1].state if services else None
     latency = services[-1].event_latency if services else None
     judged = Verdict(
         minutes=plan.minutes,
         judged_ticks=sum(one.ticks for one in settled),
-        inconsistent=_inconsistent(take, seq_of) + take.heard.unreadable,
+        inconsistent=inconsistent(take, seq_of) + take.heard.unreadable,
         false_alarms=sum(one.false_alarms for one in settled),
         alarms=[
-            (one.leg, round((int(at_ns) - epoch_ns) / _NS, 2))
+            (one.leg, _walked_s(at_ns, epoch_ns))
             for one in outcomes
             for at_ns in one.alarms_ns[_outside(one.alarms_ns, edges)]
         ],
         touches=sum(one.touches for one in settled),
         missed_touches=sum(one.missed for one in settled),
         misses=[
-            (one.leg, round((int(at_ns) - epoch_ns) / _NS, 2))
+            (one.leg, _walked_s(at_ns, epoch_ns))
             for one in outcomes
             for at_ns in one.touches.onset_ns[
                 _outside(one.touches.onset_ns, edges) & ~one.touches.found
             ]
         ],
+        releases=sum(one.releases for one in settled),
+        wrong_releases=sum(one.wrong_releases for one in settled),
+        wrong_released=[
+            (one.leg, _walked_s(at_ns, epoch_ns))
+            for one in releases
+            for at_ns in one.t_ns[_outside(one.t_ns, edges) & one.wrong]
+        ],
+        arrivals=judge_arrivals(
+            ((at_ns, event.t_ns) for at_ns, event in take.heard.events), clock, shaken
+        ),
+        source_behind_s=clock.behind_s,
         sections=sections,
         samples=sum(map(len, seq_of.values())),
         missed_samples=sum(status.missed for status in newest.values()),
-        uncounted=uncounted,
+        uncounted=max(uncounted(leg, seq_of[leg], take) for leg in robot.leg_ids),
         rejects=dict(rejects),
         outage_s=[(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
         recovery_s=[recovery_s for recovery_s, _ in back],
         late_legs=[late for _, late in back],
-        memory_mb=_memory(take.resident, plan.warm_up_s, lambda one: one.mb),
-        worker_mb=_memory(take.resident, plan.warm_up_s, lambda one: one.workers_mb),
+        memory_mb=grown(take.resident, plan.warm_up_s, lambda one: one.mb),
+        worker_mb=grown(take.resident, plan.warm_up_s, lambda one: one.workers_mb),
+        memory_curve=curves_of(take.resident),
+        left_behind=take.left_behind,
+        forgotten_s=[
+            max(forgotten_s(leg, seq_of[leg], take, fault, robot) for leg in robot.leg_ids)
+            for fault in take.broken
+            if fault.kind == "service"
+        ],
         refits=dict(refits),
         events=len(take.heard.events),
-        events_lost=sum({s.instance: s.events_lost for s in services}.values()),
-        state={}
-        if state is None
-        else {"saved": state.saved, "failed": state.failed, "restored": state.restored},
+        events_lost=sum(one.events_lost for one in services),
+        cut_off=cut_off(take),
+        state=state_of(services),
         p99_ms=None if latency is None else latency.p99,
         failures=[],
     )
@@ -186,13 +244,24 @@ def _failures(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
         lines.append(f"{found.uncounted} samples lost without being counted")
     if found.events_lost:
         lines.append(f"{found.events_lost} events lost")
+    if found.cut_off:
+        lines.append(f"{found.cut_off} times a subscriber was cut off without a fault")
+    if not found.arrivals.events:
+        lines.append("not one event was timed")
+    if found.arrivals.late > max(FORGIVEN, LATE_SHARE * found.arrivals.events):
+        lines.append(
+            f"{found.arrivals.late} of {found.arrivals.events} events came more than 0.25 s late"
+        )
     if len(found.recovery_s) != len(plan.faults):
         lines.append(f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned")
     for recovery_s, late in zip(found.recovery_s, found.late_legs, strict=True):
         if late:
             lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(late)}")
-    if not found.refits.get("promoted", 0) + found.refits.get("refused", 0):
+    promoted = found.refits.get("promoted", 0)
+    if not promoted + found.refits.get("refused", 0):
         lines.append("no refit came to an end, be it promoted or refused")
+    elif not promoted and plan.minutes >= TEACHES_MINUTES:
+        lines.append(f"no refit was promoted in {plan.minutes:g} minutes")
     return lines
 
 
@@ -202,6 +271,8 @@ def _detection_failures(found: Verdict) -> list[str]:
         lines.append("not one touch was judged")
     if found.false_alarms:
         lines.append(f"{found.false_alarms} false alarms outside the windows")
+    if found.wrong_releases:
+        lines.append(f"{found.wrong_releases} releases of loaded legs outside the windows")
     if found.missed_touches > max(FORGIVEN, MISSED_SHARE * found.touches):
         lines.append(f"{found.missed_touches} of {found.touches} touches missed")
     for one in found.sections:
@@ -214,6 +285,11 @@ def _detection_failures(found: Verdict) -> list[str]:
             lines.append(
                 f"{one.false_alarms} false alarms to {one.touches} touches during {one.after}"
             )
+        if one.ramp and one.wrong_releases > allowed:
+            lines.append(
+                f"{one.wrong_releases} releases of loaded legs to {one.touches} touches during "
+                f"{one.after}"
+            )
     return lines
 
 
@@ -225,9 +301,16 @@ def _memory_failures(found: Verdict, plan: SoakPlan) -> list[str]:
     if not found.worker_mb:
         lines.append("memory of the service's child processes is not known")
     for whose, rows in (("the service", found.memory_mb), ("its children", found.worker_mb)):
-        for life, (growth_mb, _) in enumerate(rows):
-            if not growth_mb <= MEMORY_MB:
-                lines.append(f"life {life + 1}: {whose} grew by {growth_mb:.1f} MB")
+        for life, one in enumerate(rows):
+            if not one.growth_mb <= MEMORY_MB:
+                lines.append(f"life {life + 1}: {whose} grew by {one.growth_mb:.1f} MB")
+            if one.slope_mb_min is not None and not one.slope_mb_min <= SLOPE_MB_MIN:
+                lines.append(
+                    f"life {life + 1}: {whose} still grew by {one.slope_mb_min:.2f} MB/min at the "
+                    "end"
+                )
+    if found.left_behind:
+        lines.append(f"{found.left_behind} child processes outlived the service that was killed")
     return lines
 
 
@@ -239,7 +322,17 @@ def _state_failures(found: Verdict, robot: Robot) -> list[str]:
         lines.append(f"{found.state['failed']} states could not be saved")
     if len(found.state.get("restored", [])) != len(robot.leg_ids):
         lines.append("not every leg was restored after the restart")
+    lines += [f"a state was refused: {line}" for line in found.state.get("refused", [])]
+    lines += [
+        f"a kill of the service cost {lost_s:.1f} s of what it had learned"
+        for lost_s in found.forgotten_s
+        if lost_s > FORGETS_S
+    ]
     return lines
+
+
+def _walked_s(at_ns: Any, epoch_ns: int) -> float:
+    return round((int(at_ns) - epoch_ns) / _NS, 2)
 
 
 def _outside(times_ns: Any, windows: list[tuple[int, int]]) -> Any:
@@ -247,31 +340,6 @@ def _outside(times_ns: Any, windows: list[tuple[int, int]]) -> Any:
     for begin, end in windows:
         keep &= (times_ns < begin) | (times_ns > end)
     return keep
-
-
-def _inconsistent(take: Take, seq_of: dict[str, dict[int, int]]) -> int:
-    """Events on samples that were never sent, with an onset in the future, or heard twice."""
-    seen: Counter[tuple[str, int, bool]] = Counter()
-    wrong = 0
-    for _, event in take.heard.events:
-        seen[event.leg, event.t_ns, event.contact] += 1
-        sent = seq_of.get(event.leg, {}).get(event.t_ns)
-        wrong += sent != event.seq or event.onset_ns > event.t_ns
-    return wrong + sum(count - 1 for count in seen.values())
-
-
-def _uncounted(leg: str, seq_of: dict[int, int], take: Take) -> int:
-    """The worst difference between ticks gone through and samples accounted for."""
-    first: tuple[int, int] | None = None
-    worst = 0
-    for _, status in take.heard.statuses:
-        if status.leg != leg or status.t_ns not in seq_of:
-            continue  # nothing heard yet, at the start of a life
-        seq, counted = seq_of[status.t_ns], status.ticks + status.missed
-        if first is None:
-            first = (seq, counted)
-        worst = max(worst, abs((seq - first[0]) - (counted - first[1])))
-    return worst
 
 
 def _right_events(
@@ -306,6 +374,7 @@ def _recovery(
     legs: Sequence[str],
     right: Mapping[str, Sequence[tuple[int, ContactEvent]]],
     outcomes: Sequence[LegOutcome],
+    clock: SourceClock,
 ) -> tuple[float, list[str]]:
     """Seconds from the end of a fault to the last leg's first right event, and who was late.
 
@@ -313,12 +382,13 @@ def _recovery(
     """
     last_s, late = 0.0, []
     by_leg = {one.leg: one for one in outcomes}
+    to_ns = clock.of_wall(fault.to_ns)
     for leg in legs:
         first_ns = next(
             (
                 arrived_ns
                 for arrived_ns, event in right.get(leg, ())
-                if arrived_ns > fault.to_ns and event.t_ns > fault.to_ns
+                if arrived_ns > fault.to_ns and event.t_ns > to_ns
             ),
             None,
         )
@@ -327,30 +397,11 @@ def _recovery(
         limit_ns = fault.to_ns + int(RECOVERY_S * _NS)
         if leg in by_leg:
             touches, swings = by_leg[leg].touches, by_leg[leg].swings
-            whole = swings.start_ns[touches.swing] > fault.to_ns
+            whole = swings.start_ns[touches.swing] > to_ns
             latest_ns = (touches.onset_ns + touches.window_ns)[whole]
             if len(latest_ns):
-                limit_ns = max(limit_ns, int(latest_ns[0]) + _TRAVEL_NS)
+                latest = int(latest_ns[0])
+                limit_ns = max(limit_ns, latest + clock.lag_ns(latest) + _TRAVEL_NS)
         if first_ns is None or first_ns > limit_ns:
             late.append(leg)
     return last_s, late
-
-
-def _memory(
-    resident: tuple[Resident, ...], warm_up_s: float, of: Callable[[Resident], float]
-) -> list[tuple[float, float]]:
-    """Growth and last value of each life, MB, from medians, after the warm-up.
-
-    A child process warms up from its own start on, which its first memory tells.
-    """
-    found = []
-    for life in range(max((one.life for one in resident), default=-1) + 1):
-        rows = [(one.after_s, of(one)) for one in resident if one.life == life]
-        rows = [(after_s, mb) for after_s, mb in rows if mb > 0.0]  # false for NaN, too
-        begin_s = rows[0][0] if rows else 0.0
-        late = [mb for after_s, mb in rows if after_s - begin_s >= warm_up_s]
-        if len(late) >= 5:
-            edge = max(2, int(_EDGE * len(late)))
-            growth = float(np.median(late[-edge:]) - np.median(late[:edge]))
-            found.append((growth, late[-1]))
-    return found

@@ -1,0 +1,98 @@
+"""When events came, against when their samples did.
+
+An event is right by the time it carries, however late it is on the wire; a leg that waits for it
+is not helped.  The simulator's clock begins with the process and not with the first tick, and
+stands still where the machine lets it wait, so an event is timed from when the samples of its
+own second came here at the soonest, by the same wall clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+__all__ = ["LATE_NS", "Arrivals", "SourceClock", "judge_arrivals"]
+
+# An honest event takes some ms; a busy machine's scheduler some tens.
+LATE_NS: Final = 250_000_000
+_NS: Final = 1_000_000_000
+
+
+class Arrivals(NamedTuple):
+    """How events arrived, those near a fault left out.
+
+    Attributes:
+        events: judged.
+        late: later than 0.25 s.
+        p99_s, slowest_s: after their samples, None without events.
+    """
+
+    events: int
+    late: int
+    p99_s: float | None
+    slowest_s: float | None
+
+
+class SourceClock:
+    """From the wall clock of this process to the clock of the samples.
+
+    Args:
+        lags_ns: by second of the samples' clock, least arrival of a sample minus its time, ns.
+    """
+
+    def __init__(self, lags_ns: Mapping[int, int]) -> None:
+        self._seconds = np.array(sorted(lags_ns), dtype=np.int64)
+        self._lags_ns = np.array([lags_ns[second] for second in self._seconds], dtype=np.int64)
+
+    @property
+    def known(self) -> bool:
+        """Whether any sample was heard."""
+        return len(self._seconds) > 0
+
+    @property
+    def behind_s(self) -> float:
+        """How far the source fell behind, from its best second to its worst."""
+        return float(np.ptp(self._lags_ns)) / _NS if self.known else 0.0
+
+    def lag_ns(self, t_ns: int) -> int:
+        """Of a sample's time; in an outage that of the second before it, 0 where none is known."""
+        if not self.known:
+            return 0
+        at = int(np.searchsorted(self._seconds, t_ns // _NS, side="right")) - 1
+        return int(self._lags_ns[max(at, 0)])
+
+    def of_wall(self, wall_ns: int) -> int:
+        """The samples' clock at a moment of the wall clock."""
+        if not self.known:
+            return wall_ns
+        # Lags are small against the time between two changes of them: one step is enough.
+        return wall_ns - self.lag_ns(wall_ns - self.lag_ns(wall_ns))
+
+
+def judge_arrivals(
+    arrived: Iterable[tuple[int, int]],
+    clock: SourceClock,
+    windows: Sequence[tuple[int, int]],
+) -> Arrivals:
+    """Time the events.
+
+    Args:
+        arrived: of each event, wall clock of its arrival and the time of its sample, ns.
+        clock: of the source.
+        windows: begin and end, ns of the samples' clock, in which events may be late.
+    """
+    took = np.array(
+        [
+            at_ns - t_ns - clock.lag_ns(t_ns)
+            for at_ns, t_ns in arrived
+            if not any(begin <= t_ns <= end for begin, end in windows)
+        ],
+        dtype=np.int64,
+    )
+    if not len(took):
+        return Arrivals(0, 0, None, None)
+    p99_ns, slowest_ns = np.quantile(took, 0.99), took.max()
+    late = int(np.sum(took > LATE_NS))
+    return Arrivals(len(took), late, float(p99_ns) / _NS, float(slowest_ns) / _NS)
