@@ -40,7 +40,8 @@ def _stream() -> types.ModuleType:
     return module
 
 
-StreamGuard = _stream().StreamGuard
+STREAM = _stream()
+StreamGuard = STREAM.StreamGuard
 
 
 class FakeLearner:
@@ -147,6 +148,7 @@ def main() -> None:
     module = types.ModuleType("adaptive_contact.adapt")
     module.LearnerBank = FakeBank  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.adapt"] = module
+    sys.modules["adaptive_contact.adapt.stream"] = STREAM
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refits"] = refits

@@ -1,0 +1,173 @@
+"""What the service makes of refused samples, of two publishers, and of both over a restart.
+
+The service in this process with a fake learner behind the real checks of a stream; a restart is a
+second service on the folder of the first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.intake import Raw, Round
+from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.server import Service
+from adaptive_contact.service.state import StateKeeper, StateStore
+from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.wire import (
+    MSGPACK,
+    LearnerStatus,
+    ServoSample,
+    encode,
+    learner_key,
+)
+
+S = 1_000_000_000
+TICK = 20_000_000
+Sample = Callable[..., ServoSample]
+
+
+class Life:
+    """A service from its start to its end, and what it says of leg rf."""
+
+    def __init__(self, link: Link, fake: ModuleType, robot: Robot, folder: Path) -> None:
+        bank = fake.FakeBank(robot)
+        keeper = StateKeeper(StateStore.open(folder, robot.name), robot.name, lambda _: "s")
+        self.service = Service(link, bank, robot, baseline=None, now_ns=0, keeper=keeper)
+        self.learner = bank.learner("rf")
+        self.now_ns = 0
+        self.endpoint = link.endpoints[0]
+
+    def hear(self, *samples: ServoSample) -> None:
+        """One sample per control tick."""
+        for sample in samples:
+            self.now_ns += TICK
+            raw = Raw(encode(sample), MSGPACK, self.now_ns, 1)
+            self.service.work(Round(samples={"rf": raw}), self.now_ns)
+            self.service.look(self.now_ns)
+
+    def idle(self, ticks: int) -> None:
+        """Control ticks without a sample."""
+        for _ in range(ticks):
+            self.now_ns += TICK
+            self.service.look(self.now_ns)
+
+    def end(self) -> None:
+        """As a service ends that is asked to: everything is saved."""
+        stop = threading.Event()
+        stop.set()
+        self.service.run(stop)
+
+
+Live = Callable[[], contextlib.AbstractContextManager[Life]]
+
+
+@pytest.fixture
+def live(fake: ModuleType, robot: Robot, tmp_path: Path) -> Live:
+    """Lives of one robot's service, one after the other; each has its own router."""
+
+    @contextlib.contextmanager
+    def begin() -> Iterator[Life]:
+        with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+            life = Life(link, fake, robot, tmp_path / "kept")
+            yield life
+            life.end()
+
+    return begin
+
+
+@pytest.fixture
+def statuses(join: Callable[..., Link], inbox: Any) -> Callable[[Life], Any]:
+    """What a client gets of leg rf's status from now on."""
+
+    def begin(life: Life) -> Any:
+        got = inbox(LearnerStatus)
+        client = join(life.endpoint)
+        client.subscribe(learner_key("rf"), got)
+        client.query(SERVICE_STATUS)  # a round trip: the subscription is known after it
+        return got
+
+    return begin
+
+
+@pytest.fixture
+def missed(statuses: Callable[[Life], Any]) -> Callable[[Life], int]:
+    """How many samples the service says were lost."""
+
+    def ask(life: Life) -> int:
+        got = statuses(life)
+        life.idle(60)
+        number: int = got.wait(1)[-1].missed
+        return number
+
+    return ask
+
+
+def test_losses_over_a_restart_count_from_the_last_sample_that_was_used(
+    live: Live, missed: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(*(sample(seq) for seq in range(1, 1001)), sample(3))
+        assert first.learner.rejects == {"time_backwards": 1}
+    with live() as second:
+        second.hear(*(sample(seq) for seq in range(1011, 1015)))
+        assert missed(second) == 10
+
+
+def test_losses_over_a_restart_count_though_another_publisher_spoke_last(
+    live: Live, missed: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(sample(1, run=7))
+        for seq in range(1, 51):
+            first.hear(sample(seq, run=8), sample(seq + 1, run=7))
+        assert first.learner.rejects == {"other_publisher": 50}
+    with live() as second:
+        second.hear(*(sample(seq, run=8) for seq in range(151, 155)))
+        assert missed(second) == 100
+
+
+@pytest.mark.parametrize("order", [(7, 8), (8, 7)], ids=["older first", "newer first"])
+def test_the_newer_publisher_wins_over_a_restart_too(
+    live: Live, missed: Any, sample: Sample, order: tuple[int, int]
+) -> None:
+    with live() as first:
+        first.hear(sample(1, run=7))
+        for seq in range(1, 11):
+            first.hear(sample(seq, run=8, t_ns=S + seq * TICK), sample(seq + 1, run=7))
+    with live() as second:
+        # Both went on; whose sample comes first now is chance.
+        for seq in range(21, 71):
+            for run in order:
+                second.hear(sample(seq, run=run, t_ns=S * (run - 7) + seq * TICK))
+        assert second.learner.t_ns == S + 70 * TICK
+        assert second.learner.rejects == {"other_publisher": 50}
+        assert second.learner.ticks == 50
+    with live() as third:
+        for seq in range(71, 80):
+            for run in order:
+                third.hear(sample(seq, run=run, t_ns=S * (run - 7) + seq * TICK))
+        assert third.learner.t_ns == S + 79 * TICK
+        assert missed(third) == 10
+
+
+def test_the_older_publisher_is_taken_back_after_a_restart_once_the_newer_is_gone(
+    live: Live, missed: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(sample(1, run=7), sample(1, run=8), sample(2, run=8))
+    with live() as second:
+        second.hear(*(sample(seq, run=7) for seq in range(50, 80)))
+        assert second.learner.rejects == {"other_publisher": 24}, "half a second, as ever"
+        assert second.learner.ticks == 6
+        # The other one is the superseded one now, though this service has never heard it.
+        second.hear(*(sample(seq, run=8) for seq in range(60, 84)))
+        assert second.learner.rejects == {"other_publisher": 48}
+        assert missed(second) == 0
