@@ -19,6 +19,7 @@ from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import (
     ContactEvent,
     LearnerStatus,
+    Reject,
     Rejected,
     ServoSample,
     Status,
@@ -73,7 +74,9 @@ class Desk:
         self._status = link.publisher(learner_key(leg))
         self._token: Declared | None = None
         self._since_ns = now_ns
-        self._seen_ns: int | None = None
+        self._seen_ns: int | None = None  # when a sample came that was used
+        self._unused: Reject | None = None
+        self._unused_ns = 0
         self._refused: Rejected | None = None
         self._refused_ns = 0
         self._published: Status | None = None
@@ -86,11 +89,14 @@ class Desk:
             Whether the learner will use it, and whether it may see it.  One that is withheld is
             counted already; all others the learner counts itself.
         """
-        self._seen_ns = now_ns
         self.heard_samples += 1
         verdict = self._admission.judge(sample)
-        if verdict.refused is not None and verdict.withheld:
-            self.learner.count(verdict.refused)
+        if verdict.refused is not None:
+            self._unused, self._unused_ns = verdict.refused, now_ns
+            if verdict.withheld:
+                self.learner.count(verdict.refused)
+            return verdict
+        self._seen_ns = now_ns
         self.position = self._admission.position
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
@@ -105,10 +111,10 @@ class Desk:
     @property
     def ever_heard(self) -> bool:
         """Whether any readable sample has come."""
-        return self._seen_ns is not None
+        return self.heard_samples > 0
 
     def silent(self, now_ns: int) -> bool:
-        """Tell whether the leg has not been heard for too long."""
+        """Tell whether nothing that could be used has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def publish_event(self, event: ContactEvent, arrival_ns: int, outbox: Outbox) -> None:
@@ -146,14 +152,21 @@ class Desk:
             notes.insert(0, f"payload refused: {why}")
         quiet = self.silent(now_ns)
         if quiet:
-            spoken = self._seen_ns
-            since = _seconds(now_ns - (self._since_ns if spoken is None else spoken))
-            notes.insert(0, f"no sample {'yet, after' if spoken is None else 'for'} {since}")
+            notes.insert(0, self._silence(now_ns))
         if not quiet and len(notes) == (status.note is not None):
             return status
         return msgspec.structs.replace(
             status, status="silent" if quiet else status.status, note="; ".join(notes)
         )
+
+    def _silence(self, now_ns: int) -> str:
+        """One line on a silent leg: samples that are all refused are another fault than none."""
+        seen = self._seen_ns
+        since = _seconds(now_ns - (self._since_ns if seen is None else seen))
+        how_long = f"{'yet, after' if seen is None else 'for'} {since}"
+        if self._unused is None or now_ns - self._unused_ns > _SILENT_AFTER_NS:
+            return f"no sample {how_long}"
+        return f"no usable sample {how_long}: {self._unused}"
 
 
 def _seconds(duration_ns: int) -> str:

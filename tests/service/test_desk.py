@@ -7,6 +7,8 @@ second service on the folder of the first.
 from __future__ import annotations
 
 import contextlib
+import math
+import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -171,3 +173,39 @@ def test_the_older_publisher_is_taken_back_after_a_restart_once_the_newer_is_gon
         second.hear(*(sample(seq, run=8) for seq in range(60, 84)))
         assert second.learner.rejects == {"other_publisher": 48}
         assert missed(second) == 0
+
+
+def test_a_leg_whose_samples_are_all_refused_is_silent(
+    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+) -> None:
+    with live() as life:
+        tokens, got = inbox(), statuses(life)
+        join(life.endpoint).watch_tokens("robot/leg/*", tokens)
+        life.hear(*(sample(seq) for seq in range(1, 11)))
+        tokens.wait(1)
+        life.hear(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
+        found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
+        assert found.status == "silent"
+        assert re.fullmatch(r"no usable sample for 4\.\d s: not_finite", found.note)
+        tokens.wait(2)
+        # Then nothing comes any more: another fault, another word.
+        life.idle(100)
+        found = got.wait(lambda items: " for 6." in str(items[-1].note))[-1]
+        assert re.fullmatch(r"no sample for 6\.\d s", found.note)
+        life.hear(*(sample(seq) for seq in range(400, 410)))
+        found = got.wait(lambda items: items[-1].status == "valid")[-1]
+        assert found.note is None
+        changes = tokens.wait(3)
+    assert changes[:3] == [("robot/leg/rf", alive) for alive in (True, False, True)]
+
+
+def test_a_leg_that_never_sent_a_usable_sample_says_why(
+    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+) -> None:
+    with live() as life:
+        got = statuses(life)
+        life.hear(*(sample(seq, measured=[0.1]) for seq in range(110)))
+        found = got.wait(lambda items: " after 2." in str(items[-1].note))[-1]
+        assert found.status == "silent"
+        assert re.fullmatch(r"no usable sample yet, after 2\.\d s: wrong_joints", found.note)
+        assert "robot/leg/rf" not in join(life.endpoint).alive("robot/leg/*")
