@@ -231,6 +231,8 @@ class Service:
             joints = [f"joint {i + 1}" for i in range(len(read_.measured))]
             self._facts[leg] = LegFacts(joints=joints, described=False)
         verdict = desk.heard(read_, now_ns)
+        if verdict.refused is not None:
+            self._warn("payload refused", verdict.refused, now_ns, leg=leg)
         return None if verdict.withheld else read_
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:

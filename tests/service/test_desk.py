@@ -15,7 +15,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import msgspec
 import pytest
+from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.intake import Raw, Round
@@ -209,3 +211,29 @@ def test_a_leg_that_never_sent_a_usable_sample_says_why(
         assert found.status == "silent"
         assert re.fullmatch(r"no usable sample yet, after 2\.\d s: wrong_joints", found.note)
         assert "robot/leg/rf" not in join(life.endpoint).alive("robot/leg/*")
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        ("not_finite", {"measured": [math.nan, 0.0, 0.0]}),
+        ("wrong_joints", {"desired": [0.1]}),
+        ("out_of_range", {"measured": [1e9, 0.0, 0.0]}),
+        ("time_backwards", {"t_ns": TICK}),
+        ("duplicate_seq", {"seq": 2}),
+        ("other_publisher", {"run": 1}),
+    ],
+)
+def test_every_refusal_of_a_stream_is_logged_once_in_ten_seconds(
+    live: Live, sample: Sample, reason: str, change: dict[str, Any]
+) -> None:
+    with live() as life, capture_logs() as logs:
+        life.hear(sample(1, run=1), *(sample(seq, run=2) for seq in range(2, 5)))
+        for seq in range(5, 5 + 600):  # 24 s, a good sample after each bad one
+            good = sample(seq, run=2)
+            life.hear(msgspec.structs.replace(good, **change), good)
+        assert life.learner.rejects == {reason: 600}
+        lines = [line for line in logs if line["log_level"] == "warning"]
+    assert [(line["event"], line["leg"], line["reason"], line["times"]) for line in lines] == [
+        ("payload refused", "rf", reason, times) for times in (1, 250, 250)
+    ]
