@@ -10,6 +10,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.service.admission import Admission
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.ports import Learner
@@ -18,6 +19,7 @@ from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import (
     ContactEvent,
     LearnerStatus,
+    Reject,
     Rejected,
     ServoSample,
     Status,
@@ -33,10 +35,6 @@ STATUS_PERIOD_S: Final = 1.0
 _SILENT_AFTER_NS: Final = int(SILENT_AFTER_S * 1e9)
 _STATUS_PERIOD_NS: Final = int(STATUS_PERIOD_S * 1e9)
 _REFUSAL_SHOWN_NS: Final = 5_000_000_000
-# A gap over a restart of the service is believed up to a day of samples at 100 Hz.
-_LONGEST_GAP: Final = 10_000_000
-# What a state on disk can hold; JSON brings integers of any size, and the learner refuses them.
-_INT64: Final = range(-(2**63), 2**63)
 
 
 class Desk:
@@ -46,13 +44,14 @@ class Desk:
         link: where to publish.
         leg: its id.
         learner: the leg's.
+        joints: how many its samples bring.
         now_ns: monotonic.
         resumes: where the leg's source was when the service was last here.
 
     Attributes:
         model_version: as the last look found it.
-        heard_samples: usable samples so far.
-        position: of the last of them.
+        heard_samples: readable samples so far, used or not.
+        position: of the last one that was used.
     """
 
     def __init__(
@@ -60,6 +59,7 @@ class Desk:
         link: Link,
         leg: str,
         learner: Learner,
+        joints: int,
         now_ns: int,
         resumes: Position | None = None,
     ) -> None:
@@ -68,31 +68,36 @@ class Desk:
         self.model_version = learner.status.model_version
         self.heard_samples = 0
         self.position = resumes
-        # Samples that passed while the service was down.
-        self._missed_down = 0 if resumes is None else resumes.missed_down
+        self._admission = Admission(joints, resumes)
         self._link = link
         self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
         self._token: Declared | None = None
         self._since_ns = now_ns
-        self._seen_ns: int | None = None
+        self._seen_ns: int | None = None  # when a sample came that was used
+        self._unused: Reject | None = None
+        self._unused_ns = 0
         self._refused: Rejected | None = None
         self._refused_ns = 0
         self._published: Status | None = None
         self._published_ns = now_ns
 
-    def heard(self, sample: ServoSample, now_ns: int) -> None:
-        """Note a usable sample."""
-        self._seen_ns = now_ns
-        if self.heard_samples == 0 and self.position is not None:
-            gap = sample.seq - self.position.seq - 1
-            if sample.run == self.position.run and 0 < gap < _LONGEST_GAP:
-                self._missed_down += gap
+    def heard(self, sample: ServoSample, now_ns: int) -> Reject | None:
+        """Note a readable sample.
+
+        Returns:
+            Why the learner will refuse it, and count it; None if it will use it.
+        """
         self.heard_samples += 1
-        if sample.seq in _INT64 and (sample.run is None or sample.run in _INT64):
-            self.position = Position(sample.run, sample.seq, self._missed_down)
+        refused = self._admission.judge(sample)
+        if refused is not None:
+            self._unused, self._unused_ns = refused, now_ns
+            return refused
+        self._seen_ns = now_ns
+        self.position = self._admission.position
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
+        return None
 
     def refused(self, why: Rejected, now_ns: int) -> None:
         """Count a payload that could not be read."""
@@ -102,11 +107,11 @@ class Desk:
 
     @property
     def ever_heard(self) -> bool:
-        """Whether any usable sample has come."""
-        return self._seen_ns is not None
+        """Whether any readable sample has come."""
+        return self.heard_samples > 0
 
     def silent(self, now_ns: int) -> bool:
-        """Tell whether the leg has not been heard for too long."""
+        """Tell whether nothing that could be used has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def publish_event(self, event: ContactEvent, arrival_ns: int, outbox: Outbox) -> None:
@@ -135,22 +140,30 @@ class Desk:
     def status(self, now_ns: int) -> LearnerStatus:
         """The learner's status, with what only the service can know put in."""
         status = self.learner.status
-        if self._missed_down:
-            status = msgspec.structs.replace(status, missed=status.missed + self._missed_down)
+        missed_down = self._admission.missed_down
+        if missed_down:
+            status = msgspec.structs.replace(status, missed=status.missed + missed_down)
         notes = [] if status.note is None else [status.note]
         if self._refused is not None and now_ns - self._refused_ns < _REFUSAL_SHOWN_NS:
             why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))
             notes.insert(0, f"payload refused: {why}")
         quiet = self.silent(now_ns)
         if quiet:
-            spoken = self._seen_ns
-            since = _seconds(now_ns - (self._since_ns if spoken is None else spoken))
-            notes.insert(0, f"no sample {'yet, after' if spoken is None else 'for'} {since}")
+            notes.insert(0, self._silence(now_ns))
         if not quiet and len(notes) == (status.note is not None):
             return status
         return msgspec.structs.replace(
             status, status="silent" if quiet else status.status, note="; ".join(notes)
         )
+
+    def _silence(self, now_ns: int) -> str:
+        """One line on a silent leg: samples that are all refused are another fault than none."""
+        seen = self._seen_ns
+        since = _seconds(now_ns - (self._since_ns if seen is None else seen))
+        how_long = f"{'yet, after' if seen is None else 'for'} {since}"
+        if self._unused is None or now_ns - self._unused_ns > _SILENT_AFTER_NS:
+            return f"no sample {how_long}"
+        return f"no usable sample {how_long}: {self._unused}"
 
 
 def _seconds(duration_ns: int) -> str:

@@ -92,8 +92,8 @@ class Service:
         self._look_ns = self._status_ns = now_ns
         self._latency_ns = now_ns + _LATENCY_LOG_NS
         self._visited = 0
-        for leg in robot.leg_ids:
-            self._desk(leg, now_ns)
+        for leg in robot.legs:
+            self._desk(leg.id, now_ns, len(leg.joints))
         link.subscribe(ALL_SERVO, self._intake.offer)
         link.queryable(model_key("*"), self._ask)
         link.token(SERVICE_TOKEN)
@@ -230,7 +230,9 @@ class Service:
         if leg not in self._facts:
             joints = [f"joint {i + 1}" for i in range(len(read_.measured))]
             self._facts[leg] = LegFacts(joints=joints, described=False)
-        desk.heard(read_, now_ns)
+        refused = desk.heard(read_, now_ns)
+        if refused is not None:
+            self._warn("payload refused", refused, now_ns, leg=leg)
         return read_
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
@@ -265,7 +267,7 @@ class Service:
 
     # -- what belongs to no round ---------------------------------------------------------
 
-    def _desk(self, leg: str, now_ns: int, joints: int | None = None) -> Desk | None:
+    def _desk(self, leg: str, now_ns: int, joints: int) -> Desk | None:
         learner = self._bank.learner(leg, joints)
         if learner is None:
             return None
@@ -274,7 +276,7 @@ class Service:
             report = learner.model_report
             library = "none" if report is None else report.library or "unnamed"
             resumes = self._keeper.restore(leg, learner, library, now_ns)
-        desk = self._desks[leg] = Desk(self._link, leg, learner, now_ns, resumes)
+        desk = self._desks[leg] = Desk(self._link, leg, learner, joints, now_ns, resumes)
         self._order.append(desk)
         if leg in self._robot.leg_ids:
             described = self._robot.leg(leg)

@@ -40,7 +40,8 @@ def _stream() -> types.ModuleType:
     return module
 
 
-StreamGuard = _stream().StreamGuard
+STREAM = _stream()
+StreamGuard = STREAM.StreamGuard
 
 
 class FakeLearner:
@@ -64,12 +65,14 @@ class FakeLearner:
         )
 
     def snapshot(self) -> dict[str, object]:
-        return {"contacts": self.contacts, "weights": bytes(8 * 1000), "bias": 0.25}
+        stream = self.guard.snapshot()
+        return {"contacts": self.contacts, "stream": stream, "weights": bytes(8000), "bias": 0.25}
 
     def restore(self, snapshot: dict[str, Any]) -> str | None:
         if not isinstance(snapshot.get("contacts"), int):
             return "implausible: contacts is no number"
         self.contacts = snapshot["contacts"]
+        self.guard.restore(snapshot.get("stream"))
         return None
 
     def count(self, reason: Reject, times: int = 1) -> None:
@@ -147,6 +150,7 @@ def main() -> None:
     module = types.ModuleType("adaptive_contact.adapt")
     module.LearnerBank = FakeBank  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.adapt"] = module
+    sys.modules["adaptive_contact.adapt.stream"] = STREAM
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refits"] = refits

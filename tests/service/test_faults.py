@@ -183,6 +183,9 @@ def test_two_publishers_of_one_leg(serve: Any, rig: ModuleType) -> None:
         listener.steady(old, "rf")
         assert listener.statuses["lf"].rejects == {}
     assert served.stop() == 0
+    assert re.search(
+        r"payload refused +leg=rf reason=other_publisher times=\d+", served.log.read_text()
+    )
 
 
 def test_a_flood_is_bounded_and_counted(serve: Any, rig: ModuleType) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.service.state import Identity, Record, Refused, pack, unpack
+from adaptive_contact.service.state.format import FORMAT
 
 WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
 
@@ -38,6 +39,17 @@ def why(data: bytes, identity: Identity | None = WHO) -> str:
 def test_what_is_packed_is_read_back() -> None:
     assert unpack(pack(record()), WHO) == record()
     assert unpack(pack(record(run=None, seq=None)), None) == record(run=None, seq=None)
+    known = record(superseded=(None, 3))
+    assert unpack(pack(known), WHO) == known
+
+
+def test_a_state_from_before_older_publishers_were_kept_is_read() -> None:
+    fields = msgspec.to_builtins(record(), builtin_types=(bytes,))
+    del fields["superseded"]
+    body = msgspec.msgpack.encode(fields)
+    digest = hashlib.sha256(struct.pack("<H", FORMAT) + body).digest()
+    data = struct.pack("<8sHQ32s", b"ACSTATE\n", FORMAT, len(body), digest)
+    assert unpack(data + body, WHO) == record(superseded=())
 
 
 def test_every_flipped_byte_is_refused() -> None:

@@ -58,9 +58,10 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
         saved_ns: wall clock, since 1970.
         package: version of this package.
         model_version: in force.
-        run, seq: of the last sample the learner was given; the run is None where samples
+        run, seq: of the last sample the learner used; the run is None where samples
             carry none, the number where none came yet.
         missed_down: samples that passed while the service was down, all times together.
+        superseded: runs of older publishers of the leg; none in files from before it was kept.
         body: the learner's own snapshot: numbers, strings, bytes, lists and maps.
     """
 
@@ -71,6 +72,7 @@ class Record(msgspec.Struct, frozen=True, kw_only=True):
     run: int | None
     seq: int | None
     missed_down: int = 0
+    superseded: tuple[int | None, ...] = ()
     body: dict[str, Any]
 
 

@@ -69,13 +69,15 @@ class Position(NamedTuple):
     """Where a source was when its leg was saved.
 
     Attributes:
-        run, seq: of its last sample.
+        run, seq: of the last sample that was used.
         missed_down: samples that passed while the service was down until then.
+        superseded: runs of older publishers, the one that was replaced last at the end.
     """
 
     run: int | None
     seq: int
     missed_down: int = 0
+    superseded: tuple[int | None, ...] = ()
 
 
 class Kept(Protocol):
@@ -186,7 +188,7 @@ class StateKeeper:
                 self._restored.append(leg)
                 if found.seq is None:
                     return None
-                return Position(found.run, found.seq, found.missed_down)
+                return Position(found.run, found.seq, found.missed_down, found.superseded)
             line = f"{path.name}: {' '.join(str(why).split())[:_LINE]}"
             _log.warning("state refused", leg=leg, file=path.name, why=why)
             self._refused.append(line)
@@ -230,6 +232,7 @@ class StateKeeper:
             run=None if position is None else position.run,
             seq=None if position is None else position.seq,
             missed_down=0 if position is None else position.missed_down,
+            superseded=() if position is None else position.superseded,
             body=body,
         )
         with self._changed:

@@ -1,0 +1,151 @@
+"""What is told of a sample is what the learner does with it, and a restart changes none of it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptive_contact.adapt import ContactLearner
+from adaptive_contact.adapt.stream import MAX_OLD_RUNS, TAKE_BACK_SAMPLES
+from adaptive_contact.robot import parse_robot
+from adaptive_contact.service.admission import Admission
+from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.wire import Reject, ServoSample
+
+STEP = 20_000_000
+USED = None
+ROBOT = """
+[robot]
+name = "mini"
+period_s = 0.02
+quantum_rad = 0.005
+[[leg]]
+id = "rf"
+joints = ["coxa", "femur"]
+"""
+
+
+def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> ServoSample:
+    fields: dict[str, object] = {
+        "t_ns": t0 + k * STEP, "seq": k, "measured": [0.1, 0.2], "desired": [0.1, 0.2], "run": run,
+    }  # fmt: skip
+    return ServoSample(**{**fields, **other})  # type: ignore[arg-type]
+
+
+anything = st.builds(
+    sample,
+    st.integers(0, 60),
+    run=st.sampled_from([None, 1, 2, 2**70]),
+    t0=st.integers(-STEP, 3 * STEP),
+    measured=st.lists(st.floats(), min_size=1, max_size=3) | st.just([0.1, 0.2]),
+)
+
+
+@given(
+    st.lists(anything, max_size=80),
+    st.none()
+    | st.builds(
+        Position,
+        st.sampled_from([None, 1, 2]),
+        st.integers(0, 60),
+        superseded=st.lists(st.sampled_from([None, 1, 2])).map(tuple),
+    ),
+)
+def test_the_learner_does_what_is_told_of_each_sample(
+    stream: list[ServoSample], resumes: Position | None
+) -> None:
+    admission = Admission(2, resumes)
+    learner = ContactLearner(parse_robot(ROBOT, source="test"), "rf")
+    if resumes is not None:  # as from the snapshot that was saved with the position
+        runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
+        learner._guard.restore({"begun": True, **runs})
+    for one in stream:
+        before = learner.status
+        refused = admission.judge(one)
+        learner.update(one)
+        after = learner.status
+        if refused is None:
+            assert (after.ticks, after.rejects) == (before.ticks + 1, before.rejects)
+            assert admission.position is not None
+            assert admission.position[:2] == (one.run, one.seq)
+        else:
+            reason = str(refused)
+            assert after.ticks == before.ticks
+            assert after.rejects == {
+                **before.rejects,
+                reason: before.rejects.get(reason, 0) + 1,
+            }
+
+
+@given(
+    st.lists(
+        st.sampled_from([None, 1, 2, 3]), min_size=1, max_size=TAKE_BACK_SAMPLES - 1
+    ),  # too few for anybody to be taken back: the count of those begins anew
+    st.integers(0, TAKE_BACK_SAMPLES),
+)
+def test_publishers_are_told_apart_over_a_restart_as_without_one(
+    runs: list[int | None], at: int
+) -> None:
+    whole, broken = Admission(2), Admission(2)
+    for k, run in enumerate(runs):
+        if k == at:
+            broken = Admission(2, broken.position)
+        one = sample(k, run=run)
+        assert broken.judge(one) == whole.judge(one)
+    before, after = whole.position, broken.position
+    assert before is not None
+    assert after is not None
+    assert after[:2] == before[:2]
+    assert after.superseded == before.superseded
+
+
+def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_between() -> None:
+    admission = Admission(2, Position(8, 100, superseded=(7,)))
+    refused = Reject.OTHER_PUBLISHER
+    for k in range(200):
+        assert admission.judge(sample(k, run=7)) == refused
+        if k % (TAKE_BACK_SAMPLES - 1) == TAKE_BACK_SAMPLES - 2:
+            assert admission.judge(sample(101 + k, run=8)) == USED
+    told = [admission.judge(sample(k, run=7)) for k in range(200, 230)]
+    waited = told.index(USED)
+    assert waited < TAKE_BACK_SAMPLES
+    assert told[waited:] == [USED] * (30 - waited)
+    assert admission.position is not None
+    assert admission.position.superseded == (8,)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"measured": [math.nan, 0.0]}, Reject.NOT_FINITE),
+        ({"desired": [0.1]}, Reject.WRONG_JOINTS),
+        ({"seq": -1}, Reject.OUT_OF_RANGE),
+    ],
+)
+def test_what_is_no_sample_brings_no_publisher_back(
+    change: dict[str, object], reason: Reject
+) -> None:
+    admission = Admission(2, Position(8, 100, superseded=(7,)))
+    for k in range(2 * TAKE_BACK_SAMPLES):
+        told = admission.judge(sample(k, run=7, **change))
+        assert told is reason
+
+
+def test_one_that_started_while_the_service_was_down_is_the_newest() -> None:
+    """The newer one comes first, the one that was in force before the restart goes on, too."""
+    admission = Admission(2, Position(8, 100))
+    for k in range(100):
+        assert admission.judge(sample(k, run=9)) == USED
+        assert admission.judge(sample(k, run=8)) is Reject.OTHER_PUBLISHER
+    assert admission.missed_down == 0
+
+
+def test_publishers_remembered_are_bounded() -> None:
+    admission = Admission(2, Position(0, 1))
+    for run in range(1, 100):
+        assert admission.judge(sample(run, run=run)) == USED
+    assert admission.position is not None
+    assert admission.position.superseded == tuple(range(99 - MAX_OLD_RUNS, 99))

@@ -1,0 +1,239 @@
+"""What the service makes of refused samples, of two publishers, and of both over a restart.
+
+The service in this process with a fake learner behind the real checks of a stream; a restart is a
+second service on the folder of the first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import msgspec
+import pytest
+from structlog.testing import capture_logs
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.intake import Raw, Round
+from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.server import Service
+from adaptive_contact.service.state import StateKeeper, StateStore
+from adaptive_contact.service.status import SERVICE_STATUS
+from adaptive_contact.wire import (
+    MSGPACK,
+    LearnerStatus,
+    ServoSample,
+    encode,
+    learner_key,
+)
+
+S = 1_000_000_000
+TICK = 20_000_000
+Sample = Callable[..., ServoSample]
+
+
+class Life:
+    """A service from its start to its end, and what it says of leg rf."""
+
+    def __init__(self, link: Link, fake: ModuleType, robot: Robot, folder: Path) -> None:
+        bank = fake.FakeBank(robot)
+        keeper = StateKeeper(StateStore.open(folder, robot.name), robot.name, lambda _: "s")
+        self.service = Service(link, bank, robot, baseline=None, now_ns=0, keeper=keeper)
+        self.learner = bank.learner("rf")
+        self.now_ns = 0
+        self.endpoint = link.endpoints[0]
+
+    def hear(self, *samples: ServoSample) -> None:
+        """One sample per control tick."""
+        for sample in samples:
+            self.now_ns += TICK
+            raw = Raw(encode(sample), MSGPACK, self.now_ns, 1)
+            self.service.work(Round(samples={"rf": raw}), self.now_ns)
+            self.service.look(self.now_ns)
+
+    def idle(self, ticks: int) -> None:
+        """Control ticks without a sample."""
+        for _ in range(ticks):
+            self.now_ns += TICK
+            self.service.look(self.now_ns)
+
+    def end(self) -> None:
+        """As a service ends that is asked to: everything is saved."""
+        stop = threading.Event()
+        stop.set()
+        self.service.run(stop)
+
+
+Live = Callable[[], contextlib.AbstractContextManager[Life]]
+
+
+@pytest.fixture
+def live(fake: ModuleType, robot: Robot, tmp_path: Path) -> Live:
+    """Lives of one robot's service, one after the other; each has its own router."""
+
+    @contextlib.contextmanager
+    def begin() -> Iterator[Life]:
+        with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+            life = Life(link, fake, robot, tmp_path / "kept")
+            yield life
+            life.end()
+
+    return begin
+
+
+@pytest.fixture
+def statuses(join: Callable[..., Link], inbox: Any) -> Callable[[Life], Any]:
+    """What a client gets of leg rf's status from now on."""
+
+    def begin(life: Life) -> Any:
+        got = inbox(LearnerStatus)
+        client = join(life.endpoint)
+        client.subscribe(learner_key("rf"), got)
+        client.query(SERVICE_STATUS)  # a round trip: the subscription is known after it
+        return got
+
+    return begin
+
+
+@pytest.fixture
+def missed(statuses: Callable[[Life], Any]) -> Callable[[Life], int]:
+    """How many samples the service says were lost."""
+
+    def ask(life: Life) -> int:
+        got = statuses(life)
+        life.idle(60)
+        number: int = got.wait(1)[-1].missed
+        return number
+
+    return ask
+
+
+def test_losses_over_a_restart_count_from_the_last_sample_that_was_used(
+    live: Live, missed: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(*(sample(seq) for seq in range(1, 1001)), sample(3))
+        assert first.learner.rejects == {"time_backwards": 1}
+    with live() as second:
+        second.hear(*(sample(seq) for seq in range(1011, 1015)))
+        assert missed(second) == 10
+
+
+def test_losses_over_a_restart_count_though_another_publisher_spoke_last(
+    live: Live, missed: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(sample(1, run=7))
+        for seq in range(1, 51):
+            first.hear(sample(seq, run=8), sample(seq + 1, run=7))
+        assert first.learner.rejects == {"other_publisher": 50}
+    with live() as second:
+        second.hear(*(sample(seq, run=8) for seq in range(151, 155)))
+        assert missed(second) == 100
+
+
+@pytest.mark.parametrize("order", [(7, 8), (8, 7)], ids=["older first", "newer first"])
+def test_the_newer_publisher_wins_over_a_restart_too(
+    live: Live, missed: Any, sample: Sample, order: tuple[int, int]
+) -> None:
+    with live() as first:
+        first.hear(sample(1, run=7))
+        for seq in range(1, 11):
+            first.hear(sample(seq, run=8, t_ns=S + seq * TICK), sample(seq + 1, run=7))
+    with live() as second:
+        # Both went on; whose sample comes first now is chance.
+        for seq in range(21, 71):
+            for run in order:
+                second.hear(sample(seq, run=run, t_ns=S * (run - 7) + seq * TICK))
+        assert second.learner.t_ns == S + 70 * TICK
+        assert second.learner.rejects == {"other_publisher": 50}
+        assert second.learner.ticks == 50
+    with live() as third:
+        for seq in range(71, 80):
+            for run in order:
+                third.hear(sample(seq, run=run, t_ns=S * (run - 7) + seq * TICK))
+        assert third.learner.t_ns == S + 79 * TICK
+        assert missed(third) == 10
+
+
+def test_the_older_publisher_is_taken_back_after_a_restart_once_the_newer_is_gone(
+    live: Live, missed: Any, sample: Sample
+) -> None:
+    with live() as first:
+        first.hear(sample(1, run=7), sample(1, run=8), sample(2, run=8))
+    with live() as second:
+        second.hear(*(sample(seq, run=7) for seq in range(50, 80)))
+        assert second.learner.rejects == {"other_publisher": 24}, "half a second, as ever"
+        assert second.learner.ticks == 6
+        # The other one is the superseded one now, though this service has never heard it.
+        second.hear(*(sample(seq, run=8) for seq in range(60, 84)))
+        assert second.learner.rejects == {"other_publisher": 48}
+        assert missed(second) == 0
+
+
+def test_a_leg_whose_samples_are_all_refused_is_silent(
+    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+) -> None:
+    with live() as life:
+        tokens, got = inbox(), statuses(life)
+        join(life.endpoint).watch_tokens("robot/leg/*", tokens)
+        life.hear(*(sample(seq) for seq in range(1, 11)))
+        tokens.wait(1)
+        life.hear(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
+        found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
+        assert found.status == "silent"
+        assert re.fullmatch(r"no usable sample for 4\.\d s: not_finite", found.note)
+        tokens.wait(2)
+        # Then nothing comes any more: another fault, another word.
+        life.idle(100)
+        found = got.wait(lambda items: " for 6." in str(items[-1].note))[-1]
+        assert re.fullmatch(r"no sample for 6\.\d s", found.note)
+        life.hear(*(sample(seq) for seq in range(400, 410)))
+        found = got.wait(lambda items: items[-1].status == "valid")[-1]
+        assert found.note is None
+        changes = tokens.wait(3)
+    assert changes[:3] == [("robot/leg/rf", alive) for alive in (True, False, True)]
+
+
+def test_a_leg_that_never_sent_a_usable_sample_says_why(
+    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+) -> None:
+    with live() as life:
+        got = statuses(life)
+        life.hear(*(sample(seq, measured=[0.1]) for seq in range(110)))
+        found = got.wait(lambda items: " after 2." in str(items[-1].note))[-1]
+        assert found.status == "silent"
+        assert re.fullmatch(r"no usable sample yet, after 2\.\d s: wrong_joints", found.note)
+        assert "robot/leg/rf" not in join(life.endpoint).alive("robot/leg/*")
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        ("not_finite", {"measured": [math.nan, 0.0, 0.0]}),
+        ("wrong_joints", {"desired": [0.1]}),
+        ("out_of_range", {"measured": [1e9, 0.0, 0.0]}),
+        ("time_backwards", {"t_ns": TICK}),
+        ("duplicate_seq", {"seq": 2}),
+        ("other_publisher", {"run": 1}),
+    ],
+)
+def test_every_refusal_of_a_stream_is_logged_once_in_ten_seconds(
+    live: Live, sample: Sample, reason: str, change: dict[str, Any]
+) -> None:
+    with live() as life, capture_logs() as logs:
+        life.hear(sample(1, run=1), *(sample(seq, run=2) for seq in range(2, 5)))
+        for seq in range(5, 5 + 600):  # 24 s, a good sample after each bad one
+            good = sample(seq, run=2)
+            life.hear(msgspec.structs.replace(good, **change), good)
+        assert life.learner.rejects == {reason: 600}
+        lines = [line for line in logs if line["log_level"] == "warning"]
+    assert [(line["event"], line["leg"], line["reason"], line["times"]) for line in lines] == [
+        ("payload refused", "rf", reason, times) for times in (1, 250, 250)
+    ]
