@@ -297,7 +297,7 @@ class Service:
             self._to_save.append((now_ns, desk))
 
     def _stalled(self, for_s: float) -> None:
-        """Say on the watchdog's thread what the worker cannot say."""
+        """Say on a thread of the watchdog what the worker cannot say."""
         self._surroundings.note = f"the worker has stood still for {for_s:.1f} s"
         self._status.put(self.status(time.monotonic_ns()))
 

@@ -3,12 +3,19 @@
 A worker that stands still is told of after a second (the log and ServiceStatus); after half a
 minute the process ends with exit code 70 and every thread's stack on stderr, for whatever
 started it to start it anew: state is on disk, and a service that only looks alive helps nobody.
+
+What the worker hangs on, the watchdog must not: the network, and whoever reads the log, are only
+spoken to on other threads, and the end waits for neither.  Code that keeps Python's lock for
+ever stops this thread too.  What could end the process all the same (faulthandler's timer) goes
+by the clock, and would end one that was only stopped and continued; so nothing does.
 """
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import os
+import queue
 import sys
 import threading
 import time
@@ -24,6 +31,8 @@ _log = structlog.get_logger()
 LOOK_S: Final = 0.25
 STALL_S: Final = 1.0
 GIVE_UP_S: Final = 30.0
+# The last words, and then the stacks, are waited for so long each.
+_LAST_WORDS_S: Final = 1.0
 # EX_SOFTWARE of sysexits.h.
 EXIT_CODE: Final = 70
 
@@ -37,8 +46,10 @@ class Watchdog:
     Args:
         beat: counts up whenever the worker gets round.
         blocked_ns: how long the put under way has been going on, by monotonic time.
-        on_stall: called at each look while the worker stands still, with for how long, s.
+        on_stall: called at each look while the worker stands still, with for how long, s; once
+            the watchdog is started, on a thread of its own, and not again before it returns.
         on_end: called when it has stood still for too long.
+        give_up_s: how long is too long.
 
     Attributes:
         stalls: times that the worker stood still for a second or more.
@@ -52,6 +63,7 @@ class Watchdog:
         *,
         on_stall: Callable[[float], None],
         on_end: Callable[[], None],
+        give_up_s: float = GIVE_UP_S,
     ) -> None:
         self.stalls = 0
         self.blocks = 0
@@ -59,21 +71,27 @@ class Watchdog:
         self._blocked_ns = blocked_ns
         self._on_stall = on_stall
         self._on_end = on_end
+        self._last_look = round(give_up_s / LOOK_S)
         self._seen = -1
         self._still = 0  # looks in a row without a beat
         self._blocked = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="watchdog", daemon=True)
+        self._told: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._teller = threading.Thread(target=self._tell, name="stalls", daemon=True)
 
     def start(self) -> None:
         """Look every quarter of a second from now on."""
+        self._teller.start()
         self._thread.start()
 
     def close(self) -> None:
         """Stop looking."""
         self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join(2 * LOOK_S)
+        self._told.put(None)
+        for thread in (self._thread, self._teller):
+            if thread.is_alive():
+                thread.join(2 * LOOK_S)
 
     def look(self, now_ns: int) -> None:
         """Look once; ``now_ns`` is monotonic."""
@@ -81,27 +99,41 @@ class Watchdog:
         blocked = self._blocked_ns(now_ns) >= 2 * LOOK_S * 1e9
         if blocked and not self._blocked:
             self.blocks += 1
-            _log.warning("a subscriber that hangs holds up contact events")
+            self._say(lambda: _log.warning("a subscriber that hangs holds up contact events"))
         self._blocked = blocked
 
     def _look_at_worker(self) -> None:
         beat = self._beat()
         if beat != self._seen:
-            if self._still * LOOK_S >= STALL_S:
-                _log.warning("worker goes on", stood_still_s=self._still * LOOK_S)
+            stood_s = self._still * LOOK_S
+            if stood_s >= STALL_S:
+                self._say(lambda: _log.warning("worker goes on", stood_still_s=stood_s))
             self._seen, self._still = beat, 0
             return
         self._still += 1
         still_s = self._still * LOOK_S
+        if self._still == self._last_look:
+            _try(lambda: _log.critical("worker stood still for too long, ending", for_s=still_s))
+            self._on_end()
         if still_s < STALL_S:
             return
         if still_s == STALL_S:
             self.stalls += 1
-            _log.error("worker stands still", for_s=still_s)
-        self._on_stall(still_s)
-        if still_s == GIVE_UP_S:
-            _log.critical("worker stood still for too long, ending", for_s=still_s)
-            self._on_end()
+            self._say(lambda: _log.error("worker stands still", for_s=still_s))
+        # Where the last one is still being told, this one would only be old by its turn.
+        if self._told.empty():
+            self._say(lambda: self._on_stall(still_s))
+
+    def _say(self, what: Callable[[], None]) -> None:
+        """Leave it to the teller; say it at once where there is none, as when looked by hand."""
+        if self._teller.ident is None:
+            what()
+        else:
+            self._told.put(what)
+
+    def _tell(self) -> None:
+        while (what := self._told.get()) is not None:
+            what()
 
     def _work(self) -> None:
         while not self._stop.wait(LOOK_S):
@@ -109,7 +141,26 @@ class Watchdog:
 
 
 def give_up() -> None:
-    """End the process at once, leaving every thread's stack on stderr."""
-    faulthandler.dump_traceback(file=sys.stderr, all_threads=True)
-    sys.stderr.flush()
-    os._exit(EXIT_CODE)
+    """End the process, leaving every thread's stack on stderr if that takes them in time."""
+    try:
+        # Into memory first: the dump keeps Python's lock, and whoever reads stderr may hang.
+        stacks = os.memfd_create("stacks")
+        faulthandler.dump_traceback(file=stacks, all_threads=True)
+        _try(lambda: _copy(stacks, sys.stderr.fileno()))
+    finally:
+        os._exit(EXIT_CODE)
+
+
+def _copy(source: int, target: int) -> None:
+    os.lseek(source, 0, os.SEEK_SET)
+    while data := os.read(source, 65536):
+        while data:
+            data = data[os.write(target, data) :]
+
+
+def _try(what: Callable[[], None]) -> None:
+    """Do something on a thread of its own, and go on without it where it hangs."""
+    thread = threading.Thread(target=what, name="last words", daemon=True)
+    with contextlib.suppress(RuntimeError):  # no room for another thread
+        thread.start()
+        thread.join(_LAST_WORDS_S)

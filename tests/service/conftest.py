@@ -172,13 +172,21 @@ def cli(command: Callable[..., subprocess.Popen[str]]) -> Callable[..., subproce
 
 
 @pytest.fixture
-def serve(tmp_path: Path, command: Callable[..., subprocess.Popen[str]]) -> Callable[..., Served]:
+def config(tmp_path: Path) -> Path:
+    """The robot's file."""
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT)
+    return path
+
+
+@pytest.fixture
+def serve(
+    tmp_path: Path, config: Path, command: Callable[..., subprocess.Popen[str]]
+) -> Callable[..., Served]:
     """Starts `serve` with the fake learner in a process of its own."""
     count = itertools.count()
 
     def start(*args: str, wait: bool = True) -> Served:
-        config = tmp_path / "robot.toml"
-        config.write_text(ROBOT)
         log = tmp_path / f"serve{next(count)}.log"
         where = () if "--connect" in args or "--listen" in args else ("--listen", "127.0.0.1:0")
         if "--state" not in args:

@@ -230,6 +230,32 @@ def test_a_flood_is_bounded_and_counted(serve: Any, rig: ModuleType) -> None:
     assert served.stop() == 0
 
 
+def test_a_burst_beyond_the_queue_is_told(
+    serve: Any, rig: ModuleType, sample: Callable[..., ServoSample]
+) -> None:
+    served = serve()
+    robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        publisher = listener.link.publisher(servo_key("lf"))
+        until = time.monotonic() + 30
+        number = 0
+        listener.wait(lambda me: "lf" in me.statuses)
+        while "overflow" not in listener.statuses["lf"].rejects:
+            assert time.monotonic() < until, "no burst was too much"
+            for _ in range(2000):  # the queue holds 64
+                publisher.put_raw(encode(sample(number)), MSGPACK)
+                number += 1
+            time.sleep(0.05)
+        shown = rig.watched(listener.link, "overflow")
+        assert re.search(r"overflow \d+", shown)
+        listener.steady(robot, "rf")
+        assert listener.statuses["rf"].rejects == {}
+    assert served.stop() == 0
+    log = served.log.read_text()
+    assert re.search(r"samples dropped .*leg=lf .*reason=overflow times=\d+", log)
+
+
 def test_a_subscriber_that_hangs(
     serve: Any, command: Any, rig: ModuleType, sample: Callable[..., ServoSample]
 ) -> None:

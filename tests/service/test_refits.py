@@ -5,13 +5,17 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
+import select
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from structlog.testing import capture_logs
 
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
@@ -20,11 +24,22 @@ from adaptive_contact.adapt.refit import InlineRefitter, Job, RefitJob, RefitRes
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import Factor, FitStatus, LegModel, Library
 from adaptive_contact.robot import Leg
+from adaptive_contact.service import refits
 from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter, _failed
 
 pytestmark = pytest.mark.e2e
 
 WHY = "the process that fits died or took too long"
+
+# A worker that reads a job and hangs within its answer.
+HALF_AN_ANSWER = """
+import sys, threading
+from adaptive_contact.service.refit_worker import read_frame
+read_frame(sys.stdin.buffer)
+sys.stdout.buffer.write((1000).to_bytes(8, "big") + b"half")
+sys.stdout.buffer.flush()
+threading.Event().wait()
+"""
 
 
 def job(leg: str = "rf", number: int = 1) -> RefitJob:
@@ -65,6 +80,13 @@ class Endless(RefitJob):
 
 
 @dataclasses.dataclass(frozen=True)
+class Large(RefitJob):
+    """A fit of so many rows that the pipe does not hold it."""
+
+    ballast: bytes = bytes(600_000)
+
+
+@dataclasses.dataclass(frozen=True)
 class Deadly(RefitJob):
     """A fit that no process survives."""
 
@@ -97,10 +119,8 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless, Deadly):
+    for kind in (Stubborn, Endless, Large, Deadly):
         monkeypatch.setattr(kind, "__module__", here.stem)
-    import sys
-
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=20.0)
     yield made
@@ -108,9 +128,12 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
 
 
 def _paths() -> list[str]:
-    import sys
-
     return [path for path in sys.path if path]
+
+
+def large(number: int) -> Large:
+    of = job("rf", number)
+    return Large(**{f.name: getattr(of, f.name) for f in dataclasses.fields(RefitJob)})
 
 
 def wait(refitter: Refitter, leg: str, number: int) -> object:
@@ -173,11 +196,94 @@ def test_a_job_that_kills_its_process_once_is_repeated(
 def test_a_job_that_takes_too_long_is_answered_as_failed(refitter: ProcessRefitter) -> None:
     refitter._timeout_s = 1.0
     endless = Endless(**{f.name: getattr(job(), f.name) for f in dataclasses.fields(RefitJob)})
-    refitter.submit(endless)
-    found = wait(refitter, "rf", 1)
+    with capture_logs() as logs:
+        refitter.submit(endless)
+        found = wait(refitter, "rf", 1)
     assert isinstance(found, RefitResult)
     assert found.status is FitStatus.LOST
     assert refitter.failures == 1
+    assert logs == [{"event": "refit given up", "log_level": "warning", "leg": "rf", "job": 1}]
+
+
+def test_a_process_that_hangs_before_a_large_job_is_replaced(
+    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refitter.submit(job())
+    assert isinstance(wait(refitter, "rf", 1), RefitResult)
+    hanging = refitter._process
+    assert hanging is not None
+    hanging.send_signal(signal.SIGSTOP)
+    start = refits._start
+
+    def patient() -> subprocess.Popen[bytes]:
+        refitter._timeout_s = 20.0  # the next one has to import everything first
+        return start()
+
+    monkeypatch.setattr(refits, "_start", patient)
+    refitter._timeout_s = 2.0
+    # The job fills the pipe, so that writing it never ends by itself.
+    refitter.submit(large(2))
+    found = wait(refitter, "rf", 2)
+    assert isinstance(found, RefitResult)
+    assert found.status is FitStatus.OK
+    assert refitter.failures == 0
+    assert hanging.wait(5) == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("where", ["before the job", "within the answer"])
+def test_processes_that_hang_are_given_up(
+    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    start = refits._start
+
+    def hangs() -> subprocess.Popen[bytes]:
+        if where == "before the job":
+            process = start()
+            process.send_signal(signal.SIGSTOP)
+        else:
+            process = subprocess.Popen(
+                [sys.executable, "-c", HALF_AN_ANSWER],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
+        started.append(process)
+        return process
+
+    monkeypatch.setattr(refits, "_start", hangs)
+    refitter._timeout_s = 2.0
+    with capture_logs() as logs:
+        refitter.submit(large(1))
+        found = wait(refitter, "rf", 1)
+    assert isinstance(found, RefitResult)
+    assert found.status is FitStatus.LOST
+    assert refitter.failures == 1
+    assert [line["event"] for line in logs] == ["refit given up"]
+    assert [process.wait(5) for process in started] == [-signal.SIGKILL] * 2
+    # The next job has a process of its own again.
+    monkeypatch.setattr(refits, "_start", start)
+    refitter._timeout_s = 20.0
+    refitter.submit(job("rf", 2))
+    again = wait(refitter, "rf", 2)
+    assert isinstance(again, RefitResult)
+    assert again.status is FitStatus.OK
+
+
+def test_closing_does_not_wait_for_a_process_that_hangs(refitter: ProcessRefitter) -> None:
+    refitter.submit(job())
+    assert isinstance(wait(refitter, "rf", 1), RefitResult)
+    hanging = refitter._process
+    assert hanging is not None
+    hanging.send_signal(signal.SIGSTOP)
+    refitter.submit(large(2))
+    until = time.monotonic() + 10
+    while select.select([], [hanging.stdin], [], 0)[1]:  # until the pipe is full
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    began = time.monotonic()
+    refitter.close()
+    assert time.monotonic() - began < 5.0
+    assert hanging.wait(5) == -signal.SIGKILL
 
 
 def test_a_job_that_kills_its_process_twice_is_answered_as_failed(

@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.intake import Raw, Round
@@ -188,7 +189,12 @@ def test_other_legs_do_not_notice_bad_payloads(step: Lockstep, inbox: Any, sampl
 def test_dropped_samples_are_counted_for_their_leg(step: Lockstep, sample: Sample) -> None:
     round_: Round[Any] = Round(samples={})
     round_.overflow.update(lf=3, nobody=2)
-    step.service.work(round_, 5)
+    with capture_logs() as logs:
+        step.service.work(round_, 5)
+    assert [(line["event"], line["reason"], line["leg"], line["times"]) for line in logs] == [
+        ("samples dropped", "overflow", "lf", 3),
+        ("samples dropped", "overflow", "nobody", 2),
+    ]
     assert step.bank.learner("lf").status.rejects == {Reject.OVERFLOW: 3}
     assert step.service.status(6).rejects == {Reject.OVERFLOW: 2}
 

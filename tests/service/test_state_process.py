@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -96,11 +97,15 @@ def test_a_second_service_says_so_and_does_not_save(
     got = inbox(ServiceStatus)
     join(first.endpoint).subscribe(SERVICE_STATUS, got, history=True)
     found = got.wait(
-        lambda items: len({s.instance for s in items if s.note and "another service" in s.note}) > 1
+        lambda items: len({s.instance for s in items if "another service runs" in str(s.note)}) > 1
     )
     assert any("every event comes twice; stop one of them" in str(one.note) for one in found)
     assert any(status.note and "in use by another service" in status.note for status in got.items)
     assert second.stop() == 0
+    assert re.search(
+        r"not alone .*another service runs here for robot mini .*every event comes twice",
+        second.log.read_text(),
+    )
     got.items.clear()
     got.wait(lambda items: items[-1].note is None)
     assert first.stop() == 0

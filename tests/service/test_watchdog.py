@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+import structlog
 from structlog.testing import capture_logs
 
 from adaptive_contact.errors import LinkError
@@ -17,10 +21,31 @@ from adaptive_contact.service.link import Link
 from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.service.watchdog import Watchdog
+from adaptive_contact.service.watchdog import LOOK_S, STALL_S, Watchdog
 from adaptive_contact.wire import ContactTruth, Message, ServoSample, servo_key
 
 S = 1_000_000_000
+
+# `serve` with a learner that hangs at its first sample, and gives up sooner; what else hangs is
+# the first argument.
+HANGING = """
+import functools, sys, threading
+import fake_service
+from adaptive_contact.service import server, watchdog
+
+what = sys.argv.pop(1)
+
+def hangs(*_):
+    while what == "the log":
+        print("a line that nobody reads" * 100, file=sys.stderr)
+    threading.Event().wait()
+
+fake_service.FakeBank.update = hangs
+if what == "the network":
+    server.Service._stalled = hangs
+server.Watchdog = functools.partial(watchdog.Watchdog, give_up_s=2.0)
+fake_service.main()
+"""
 
 
 def message(n: int) -> Message:
@@ -87,11 +112,58 @@ def test_a_stall_is_told_once_and_its_end_too() -> None:
 
 def test_half_a_minute_is_the_end() -> None:
     bench = Bench()
-    bench.look(1, beat=True)
-    bench.look(119, beat=False)
-    assert bench.ended == 0
-    bench.look(200, beat=False)
+    with capture_logs() as logs:
+        bench.look(1, beat=True)
+        bench.look(119, beat=False)
+        assert bench.ended == 0
+        bench.look(200, beat=False)
     assert bench.ended == 1
+    (line,) = (line for line in logs if line["log_level"] == "critical")
+    assert (line["event"], line["for_s"]) == ("worker stood still for too long, ending", 30.0)
+
+
+def test_telling_that_hangs_does_not_put_off_the_end() -> None:
+    told, ended, go_on = threading.Event(), threading.Event(), threading.Event()
+
+    def hangs(for_s: float) -> None:
+        told.set()
+        assert go_on.wait(20)
+
+    dog = Watchdog(
+        lambda: 0, lambda _: 0, on_stall=hangs, on_end=ended.set, give_up_s=STALL_S + 2 * LOOK_S
+    )
+    dog.start()
+    try:
+        assert told.wait(10)
+        assert ended.wait(10)
+    finally:
+        go_on.set()
+        dog.close()
+
+
+def test_a_log_that_nobody_reads_does_not_put_off_the_end() -> None:
+    ended, go_on = threading.Event(), threading.Event()
+
+    def hangs(*_: Any) -> Any:
+        assert go_on.wait(20)
+        raise structlog.DropEvent
+
+    dog = Watchdog(
+        lambda: 0,
+        lambda _: 0,
+        on_stall=lambda _: None,
+        on_end=ended.set,
+        give_up_s=STALL_S + 2 * LOOK_S,
+    )
+    before = structlog.get_config()["processors"]
+    structlog.configure(processors=[hangs])
+    try:
+        dog.start()
+        assert ended.wait(10)
+    finally:
+        go_on.set()
+        dog.close()
+        structlog.configure(processors=before)
 
 
 def test_a_put_that_blocks_is_told_once() -> None:
@@ -214,3 +286,44 @@ def test_giving_up_leaves_every_stack_and_an_exit_code(command: Any, tmp_path: A
         )
         assert process.wait(40) == 70
     assert "in stuck" in log.read_text()
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("too", ["nothing", "the network", "the log"])
+def test_a_service_whose_worker_hangs_ends_with_code_70(
+    command: Any,
+    config: Path,
+    join: Callable[..., Link],
+    sample: Callable[..., ServoSample],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    too: str,
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    log = tmp_path / "log"
+    reader, unread = os.pipe()
+    with log.open("w") as file:
+        process = command(
+            *("-c", HANGING, too, "--config", str(config)),
+            *("--listen", "127.0.0.1:0", "--no-state"),
+            stdout=subprocess.PIPE,
+            stderr=unread if too == "the log" else file,
+        )
+    try:
+        ready = process.stdout.readline()
+        source = join(ready.split("listening on ")[1].split(";")[0])
+        publisher = source.publisher(servo_key("lf"))
+        until = time.monotonic() + 20
+        while not publisher.matched:
+            assert time.monotonic() < until
+            time.sleep(0.005)
+        publisher.put(sample(1))
+        assert process.wait(40) == 70
+    finally:
+        os.close(reader)
+        os.close(unread)
+    if too != "the log":
+        text = log.read_text()
+        assert "worker stands still" in text
+        assert "worker stood still for too long, ending" in text
+        assert "in hangs" in text, "the stack that hung"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -96,6 +98,22 @@ class Folder:
     @property
     def files(self) -> list[Path]:
         return [stored.path for stored in list_states(self.path)]
+
+
+@contextlib.contextmanager
+def unprivileged() -> Iterator[None]:
+    """Be nobody, where the tests are run by root, who may do everything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    try:
+        os.seteuid(65534)
+    except OSError:
+        pytest.skip("this root can become nobody else")
+    try:
+        yield
+    finally:
+        os.seteuid(0)
 
 
 @pytest.fixture
@@ -223,6 +241,32 @@ def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
     assert written == [1, 5]
 
 
+def test_a_disk_that_is_too_slow_at_the_end_is_told(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    writing, go_on = threading.Event(), threading.Event()
+
+    def slow(record: Record) -> None:
+        writing.set()
+        assert go_on.wait(20)
+
+    monkeypatch.setattr(folder.store, "save", slow)
+    for leg in ("lf", "rm", "lr"):  # the first is being written, the others wait
+        desk = Desk(leg)
+        keeper.restore(leg, desk.learner, "servo", 0)
+        desk.hear()
+        keeper.take(desk, 0)
+        assert writing.wait(5)
+    with capture_logs() as logs:
+        keeper.close(0.01)
+    folder.keeper = None
+    go_on.set()
+    (line,) = logs
+    assert line["event"] == "state not saved in time, the one before it stays"
+    assert line["legs"] == "lr rm"
+
+
 def test_a_full_disk_is_told_once_and_tried_again(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,29 +307,48 @@ def test_a_snapshot_that_cannot_be_written_does_not_end_the_thread(folder: Folde
     assert folder.restored()[0] == 3
 
 
-def test_a_read_only_folder_is_told_once_and_read(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("why", [errno.EROFS, errno.EACCES])
+def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, why: int
 ) -> None:
     folder.save(9)
     folder.close()
     folder.keeper = None
 
-    def read_only(*_: Any, **__: Any) -> int:
-        raise OSError(errno.EROFS, "Read-only file system")
+    def refuses(*_: Any, **__: Any) -> int:
+        raise OSError(why, os.strerror(why))
 
-    monkeypatch.setattr("os.open", read_only)
+    monkeypatch.setattr("os.open", refuses)
     number, refused, lines = folder.restored()
     assert (number, refused) == (9, [])
-    where = folder.store.folder
-    assert lines == [
-        f"state is not saved: {where} cannot be written to (read-only file system); "
-        "give another --state DIR, or --no-state",
-        "state restored: ",
-    ]
+    line = (
+        f"{folder.store.folder} cannot be written to ({os.strerror(why).lower()}); "
+        "give another --state DIR, or --no-state"
+    )
+    assert lines == [f"state is not saved: {line}", "state restored: "]
+    assert folder.keeper is not None
+    assert folder.keeper.facts.error == line, "what ServiceStatus and watch tell"
     desk = Desk()
     desk.hear()
-    assert folder.keeper is not None
     assert not folder.keeper.due(desk, 100 * S)
+
+
+def test_a_folder_that_may_not_be_looked_into_is_one_line(folder: Folder) -> None:
+    """Not two more for each leg, of files that may not even be there."""
+    folder.save(9)
+    folder.close()
+    folder.keeper = None
+    folder.path.chmod(0)
+    try:
+        with unprivileged():
+            number, refused, lines = folder.restored()
+    finally:
+        folder.path.chmod(0o700)
+    assert (number, refused) == (0, [])
+    assert lines == [
+        f"state is not saved: {folder.store.folder} cannot be written to (permission denied); "
+        "give another --state DIR, or --no-state"
+    ]
 
 
 @pytest.mark.parametrize("number", [2**70, -(2**70)])
