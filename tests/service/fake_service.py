@@ -121,7 +121,7 @@ class FakeLearner:
 
 
 class FakeBank:
-    def __init__(self, robot: Robot, baseline: object = None, *, refitter: object = None) -> None:
+    def __init__(self, robot: Robot, baseline: object = None, **_: object) -> None:
         self._joints = {leg.id: len(leg.joints) for leg in robot.legs}
         self._learners: dict[str, FakeLearner] = {}
 
