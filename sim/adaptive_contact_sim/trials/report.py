@@ -42,7 +42,7 @@ _SMALL: Final = {
     "brief": """\
 **These are figures of the short form (`scenarios run --all --brief`)**: {leg_runs} leg-runs, half
 a minute around a step, ramps over one minute instead of ten, 60 swings in contact instead of 500,
-minutes without change instead of ten robot-hours. Ramps are thus ten times as steep as they should
+minutes without change instead of five robot-hours. Ramps are thus ten times as steep as they should
 be, and a false alarm more or less moves a rate by hundreds per robot-hour. `make scenarios` makes
 the full form, two hours on two idle cores.
 """,
