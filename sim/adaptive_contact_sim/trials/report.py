@@ -12,6 +12,7 @@ from adaptive_contact_sim.trials.runner import Folders
 from adaptive_contact_sim.trials.runs import FULL_SIZES
 from adaptive_contact_sim.trials.spec import Variant
 from adaptive_contact_sim.trials.words import (
+    alarms,
     leg_runs,
     percent,
     phases_around,
@@ -189,7 +190,7 @@ def _names(pool: Tree) -> str:
 def _pooled(pools: Tree) -> list[str]:
     """What is asked of several scenarios together."""
     return [
-        f"{_names(pool)} together: {pool['false_alarms']} false alarms in "
+        f"{_names(pool)} together: {alarms(pool['false_alarms'])} in "
         f"{pool['robot_hours']:.1f} robot-hours, {_alarms(pool)} per robot-hour "
         f"(at most {plain_number(pool['goals'][0]['limit'])}).\n"
         for pool in pools.values()

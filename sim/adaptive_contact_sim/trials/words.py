@@ -7,6 +7,7 @@ from typing import Any, Final
 from rich.table import Table
 
 __all__ = [
+    "alarms",
     "leg_runs",
     "percent",
     "phases_around",
@@ -22,6 +23,11 @@ _HEADS: Final = (
     *("leg-runs", "recall before", "after", "false alarms before", "after"),
     *("recovery", "on the way", "lock-out", "contact learned %", "goals"),
 )
+
+
+def alarms(count: int) -> str:
+    """So many false alarms."""
+    return f"{count} false alarm{'' if count == 1 else 's'}"
 
 
 def leg_runs(tree: Tree) -> str:
@@ -103,7 +109,7 @@ def _together(pool: Tree) -> str:
     """What several scenarios are held to together, in a line."""
     met = all(goal["met"] for goal in pool["goals"])
     return (
-        f"{' + '.join(pool['scenarios'])}: {pool['false_alarms']} false alarms in "
+        f"{' + '.join(pool['scenarios'])}: {alarms(pool['false_alarms'])} in "
         f"{pool['robot_hours']:.1f} robot-hours, {rate(pool)} per hour: "
         f"{'met' if met else 'not met'}"
     )
