@@ -22,7 +22,7 @@ from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
 from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
-from adaptive_contact.adapt.monitor import LEVEL_RANGE, SETTLED_LEVEL, DriftMonitor
+from adaptive_contact.adapt.monitor import SETTLED_LEVEL, DriftMonitor
 from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
@@ -32,8 +32,8 @@ from adaptive_contact.adapt.snapshot import (
     array_of,
     library_key,
     pack,
+    read_state,
     segment_of,
-    unpack_segments,
 )
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
@@ -263,48 +263,24 @@ class Follower:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
-        p, joints = self.model.coefficients.shape
         try:
-            if saved.get("format") != FORMAT:
-                raise ImplausibleError(
-                    f"its format is {saved.get('format')!r}, this version's {FORMAT}"
-                )
-            if saved.get("library") != library_key(self.model.library):
-                raise ImplausibleError(
-                    "it belongs to another library, other joints or another rate"
-                )
-            baseline = array_of(saved.get("baseline"), (p, joints), "its baseline")
-            if not np.allclose(baseline, self._baseline.coefficients, rtol=0, atol=1e-9):
-                raise ImplausibleError("it was learned from another baseline")
-            coefficients = array_of(saved.get("coefficients"), (p, joints), "its model")
+            state = read_state(saved, self._baseline, len(self._recent.whiten))
             # A model that moves a typical tick by radians is none of a servo's.
-            if self._implausible(coefficients):
+            if self._implausible(state.coefficients):
                 raise ImplausibleError("its model is implausible")
-            support = array_of(saved.get("support"), (p, joints), "its support") > 0.5
             # A promoted model has a support of its own.
-            rls = RecursiveLeastSquares(coefficients, support, self._scale, self._noise)
-            q = len(rls.terms)
-            factor = array_of(saved.get("factor"), (joints, q, q), "its covariance")
-            contexts = len(self._recent.whiten)
-            segments = unpack_segments(saved.get("segments"), p, joints, contexts)
-            version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
-            if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
-                raise ImplausibleError("its version or era is no number")
-            if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
-                raise ImplausibleError(f"its level is {level!r}")
-            status = saved.get("status")
-            if status not in ("valid", "adapting", "ambiguous"):
-                raise ImplausibleError(f"its status is {status!r}")
+            rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
+            factor = array_of(saved.get("factor"), rls.factor.shape, "its covariance")
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
-        self._model, self._moved = self._model.moved(coefficients, version), False
+        self._model, self._moved = self._model.moved(state.coefficients, state.version), False
         self._rls = rls
-        self._rls.restore(coefficients, factor)
-        self.monitor.resume(level, status, held=saved.get("held") is True)
-        self._era = era
-        self._loosened = bool(saved.get("loosened", False))
+        self._rls.restore(state.coefficients, factor)
+        self.monitor.resume(state.level, state.status, held=state.held)
+        self._era = state.era
+        self._loosened = state.loosened
         self._challenger.restore(saved.get("refits"))
-        self.buffer.restore(segments)
+        self.buffer.restore(state.segments)
         self._recent.restore(saved.get("recent"))
         self._refresh()
         return None

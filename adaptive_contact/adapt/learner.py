@@ -55,6 +55,7 @@ Array = NDArray[np.float64]
 ROWS_PER_TICK: Final = 3
 # Free residuals remembered for the status, about the swings of the last ten seconds.
 STATUS_TICKS: Final = 256
+_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 
 
 class ContactLearner:
@@ -99,7 +100,8 @@ class ContactLearner:
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
-        self._faults, self._fault = 0, ""
+        self._faults = 0
+        self._fault_note: str | None = None
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -120,7 +122,8 @@ class ContactLearner:
     def begin_anew(self, fault: Exception) -> None:
         """After a fault in its learning: go on as if nothing had been learned, and say so."""
         self._faults += 1
-        self._fault = f"{type(fault).__name__}: {fault}"
+        last = f"{type(fault).__name__}: {fault}"
+        self._fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
         self._knowledge.start()
         self._let_go()
         self._swing.restart()
@@ -246,17 +249,8 @@ class ContactLearner:
         if not self._owes_release:
             return None
         self._owes_release = False
-        return ContactEvent(
-            leg=self.leg.id,
-            t_ns=sample.t_ns,
-            seq=sample.seq,
-            onset_ns=sample.t_ns,
-            contact=False,
-            status=self._status,
-            score=0.0,
-            residual=[0.0] * len(self.leg.joints),
-            model_version=self._version,
-        )
+        cut_short = Decision(contact=False, onset_ns=sample.t_ns, score=0.0)
+        return self._event(cut_short, sample, [0.0] * len(self.leg.joints))
 
     def watch(self, sample: ServoSample) -> None:
         """A tick of a leg without a model: its commands are followed, a cold start goes on."""
@@ -320,7 +314,7 @@ class ContactLearner:
         if decision.contact:
             self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, self._period_ns, detector)
-        return self._event(decision, sample)
+        return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:
         """Take in the command written after the reading; True if a prediction is to be made.
@@ -384,8 +378,9 @@ class ContactLearner:
             if self.tracker is not None:
                 self.tracker.begin_swing()
 
-    def _event(self, decision: Decision, sample: ServoSample) -> ContactEvent:
-        assert self.tracker is not None
+    def _event(
+        self, decision: Decision, sample: ServoSample, residual: list[float]
+    ) -> ContactEvent:
         return ContactEvent(
             leg=self.leg.id,
             t_ns=sample.t_ns,
@@ -394,7 +389,7 @@ class ContactLearner:
             contact=decision.contact,
             status=self._status,
             score=decision.score,
-            residual=self.tracker.residuals[0].tolist(),
+            residual=residual,
             model_version=self._version,
         )
 
@@ -411,25 +406,16 @@ class ContactLearner:
         return 0 if self._follower is None else self._follower.model.version
 
     def _ailment(self) -> str | None:
-        """What stops this leg from being judged, for a person."""
-        if self._faults:
-            return f"{self._faults} faults in learning, begun anew each time; last {self._fault}"
-        if self._knowledge.note is not None:
-            return self._knowledge.note
-        if self._follower is not None and self._follower.monitor.note is not None:
-            return self._follower.monitor.note
-        if self._swing.untold and self._swing.blind:
-            return (
-                "samples carry no phase and robot.toml no lengths_m: swings cannot be told, "
-                "contacts are not reported"
-            )
-        if self._rate.note is not None:
-            return self._rate.note
-        if self._swing.deaf and self._follower is not None and self._follower.gated:
-            return (
-                "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the "
-                "leg are not followed; give the lengths of its links"
-            )
-        if self._tally.counts["no_preview"]:
-            return "the model needs a preview that the samples do not carry: no predictions"
-        return None
+        """What stops this leg from being judged, for a person; the gravest."""
+        follower, swing = self._follower, self._swing
+        gated = follower is not None and follower.gated
+        notes = (
+            self._fault_note,
+            self._knowledge.note,
+            None if follower is None else follower.monitor.note,
+            swing.blind_note,
+            self._rate.note,
+            swing.deaf_note if gated else None,
+            _NO_PREVIEW if self._tally.counts["no_preview"] else None,
+        )
+        return next((note for note in notes if note is not None), None)

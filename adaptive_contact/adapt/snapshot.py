@@ -6,22 +6,25 @@ checked for form and for sense before anything is changed: a snapshot is used wh
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.buffer import Segment
-from adaptive_contact.identify import Library
+from adaptive_contact.adapt.monitor import LEVEL_RANGE
+from adaptive_contact.identify import LegModel, Library
+from adaptive_contact.wire import Status
 
 __all__ = [
     "FORMAT",
     "ImplausibleError",
+    "SavedState",
     "array_of",
     "library_key",
     "pack",
+    "read_state",
     "segment_of",
-    "unpack_segments",
 ]
 
 Array = NDArray[np.float64]
@@ -87,12 +90,70 @@ def segment_of(segment: Segment) -> dict[str, Any]:
     }
 
 
-def unpack_segments(value: object, terms: int, joints: int, contexts: int) -> list[Segment]:
-    """Segments from a snapshot.
+class SavedState(NamedTuple):
+    """What a snapshot holds of a follower, read and found to make sense.
+
+    Attributes:
+        coefficients: (p, J) of the model that was in force.
+        support: (p, J) of its recursion.
+        segments: of the buffer, oldest first.
+        version, era: of the model, and of the leg as it was.
+        level, status, held: of the monitor.
+        loosened: whether the recursion was.
+    """
+
+    coefficients: Array
+    support: NDArray[np.bool_]
+    segments: list[Segment]
+    version: int
+    era: int
+    level: float
+    status: Status
+    held: bool
+    loosened: bool
+
+
+def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> SavedState:
+    """Read a follower's snapshot.
+
+    Args:
+        saved: as :meth:`~adaptive_contact.adapt.follower.Follower.snapshot` gave it.
+        baseline: from which it must have been learned.
+        contexts: of covariances.
 
     Raises:
-        ImplausibleError: they are none.
+        ImplausibleError: it is none, or of another leg.
     """
+    p, joints = baseline.coefficients.shape
+    if saved.get("format") != FORMAT:
+        raise ImplausibleError(f"its format is {saved.get('format')!r}, this version's {FORMAT}")
+    if saved.get("library") != library_key(baseline.library):
+        raise ImplausibleError("it belongs to another library, other joints or another rate")
+    of_baseline = array_of(saved.get("baseline"), (p, joints), "its baseline")
+    if not np.allclose(of_baseline, baseline.coefficients, rtol=0, atol=1e-9):
+        raise ImplausibleError("it was learned from another baseline")
+    version, level, era = saved.get("version"), saved.get("level"), saved.get("era")
+    if not (isinstance(version, int) and isinstance(era, int) and version >= 0):
+        raise ImplausibleError("its version or era is no number")
+    if not (isinstance(level, float) and LEVEL_RANGE[0] <= level <= LEVEL_RANGE[1]):
+        raise ImplausibleError(f"its level is {level!r}")
+    status = saved.get("status")
+    if status not in ("valid", "adapting", "ambiguous"):
+        raise ImplausibleError(f"its status is {status!r}")
+    return SavedState(
+        coefficients=array_of(saved.get("coefficients"), (p, joints), "its model"),
+        support=array_of(saved.get("support"), (p, joints), "its support") > 0.5,
+        segments=_segments(saved.get("segments"), p, joints, contexts),
+        version=version,
+        era=era,
+        level=level,
+        status=status,
+        held=saved.get("held") is True,
+        loosened=bool(saved.get("loosened", False)),
+    )
+
+
+def _segments(value: object, terms: int, joints: int, contexts: int) -> list[Segment]:
     if not isinstance(value, list | tuple):
         raise ImplausibleError("its segments are no list")
     return [_unpack_segment(one, terms, joints, contexts) for one in value]

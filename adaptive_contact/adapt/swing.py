@@ -93,6 +93,26 @@ class SwingWatch:
         return self._leg.lengths_m is None and bool(self._lengths) and self._half < LIFT_TICKS
 
     @property
+    def blind_note(self) -> str | None:
+        """One line for a person when swings cannot be told at all."""
+        if not (self.untold and self.blind):
+            return None
+        return (
+            "samples carry no phase and robot.toml no lengths_m: swings cannot be told, contacts "
+            "are not reported"
+        )
+
+    @property
+    def deaf_note(self) -> str | None:
+        """One line for a person when changes of the leg cannot be heard."""
+        if not self.deaf:
+            return None
+        return (
+            "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the leg "
+            "are not followed; give the lengths of its links"
+        )
+
+    @property
     def _half(self) -> int:
         return min(self._lengths, default=0) // 2
 

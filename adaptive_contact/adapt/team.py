@@ -59,7 +59,7 @@ class Team:
                 learner, sample = here[i]
                 try:
                     learner.watch(sample)
-                except Exception as fault:  # as above
+                except Exception as fault:  # of one leg, as above
                     self._begin_anew(learner, fault)
         for block, places in self._blocks:
             work = [(row, i, *here[i]) for row, i in enumerate(places) if i in here]
@@ -90,7 +90,7 @@ class Team:
             try:
                 if learner.observe(sample):
                     judged.append(row)
-            except Exception as fault:  # as in `advance`
+            except Exception as fault:  # of one leg, as in `advance`
                 self._begin_anew(learner, fault)
                 faulty.add(row)
         said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
@@ -108,7 +108,7 @@ class Team:
                 else:
                     trackers[row].predicted = False
                 learner.learn()
-            except Exception as fault:  # as in `advance`
+            except Exception as fault:  # of one leg, as in `advance`
                 self._begin_anew(learner, fault)
         block.push(rows, [sample.desired for *_, sample in work])
         if ready:

@@ -299,9 +299,9 @@ class StateKeeper:
     def _write(self, leg: str, record: Record) -> None:
         try:
             self._store.save(record)
-        except Exception as error:
+        except Exception as error:  # must not end this thread for the other legs
             # A full or failing disk; or a learner that put something into its snapshot that is
-            # no plain value or fits no file, which must not end this thread for the other legs.
+            # no plain value or fits no file.
             self._fail(leg, error)
             return
         self._saved += 1
