@@ -13,7 +13,7 @@ from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.contacts import StoredContacts
 from adaptive_contact.adapt.refit import RefitJob, RefitResult, Refitter
 from adaptive_contact.adapt.segments import Row
-from adaptive_contact.identify import FitStatus, LegModel
+from adaptive_contact.identify import Domain, Factor, FitStatus, LegModel
 from adaptive_contact.wire import RefitCounts
 
 __all__ = ["Challenger", "rows_for_refit"]
@@ -26,9 +26,11 @@ REFIT_EVERY_S: Final = 30.0
 # Ticks after its snapshot at which a result takes effect, so that a replay, which waits for it,
 # gives the same events as the live run, which does not.
 REFIT_DUE_TICKS: Final = 50
-# A minute of one gait does not span the workspace: a refit holds on to the model in force with the
-# weight of so many rows per term.
+# A minute of one gait does not span the workspace, and the ends of descents are never learned: a
+# refit holds on to the model in force with the weight of so many rows per term, and of so many
+# from wherever the model has been.
 PRIOR_ROWS: Final = 20.0
+DOMAIN_ROWS: Final = 1000.0
 MIN_ROWS_PER_TERM: Final = 4
 # New ticks on which candidate and champion are compared, the champion before it learns them.
 TRIAL_ROWS: Final = 200
@@ -56,12 +58,22 @@ class Challenger:
         noise: (J,) rad.
         scale: (p,) typical size of each regressor.
         refitter: does the work.
+        domain: where the baseline's model has been; None if that is not known.
 
     Attributes:
+        domain: and the leg's, by the newest fit to it as it is.
         contacts: that a candidate must find as well as the model in force does.
     """
 
-    def __init__(self, leg: str, noise: Array, scale: Array, refitter: Refitter) -> None:
+    def __init__(
+        self,
+        leg: str,
+        noise: Array,
+        scale: Array,
+        refitter: Refitter,
+        domain: Domain | None = None,
+    ) -> None:
+        self.domain = self._of_baseline = domain
         self.contacts = StoredContacts()
         self._leg = leg
         self._noise = noise
@@ -108,12 +120,13 @@ class Challenger:
                 f"{MIN_ROWS_PER_TERM * p} are needed"
             )
             return
-        prior = np.diag(self._scale * PRIOR_ROWS**0.5)
-        fit.add(prior, prior @ model.coefficients)
         self._swings = self._ticks = 0
         self._early = False
         self._jobs += 1
-        self._refitter.submit(RefitJob(self._leg, self._jobs, fit, held_out, self._noise))
+        prior = self._prior(model)
+        self._refitter.submit(
+            RefitJob(self._leg, self._jobs, fit, held_out, self._noise, prior, self._of_baseline)
+        )
         self._pending = (self._jobs, REFIT_DUE_TICKS)
 
     def tick(self) -> None:
@@ -133,6 +146,7 @@ class Challenger:
         if result.status is not FitStatus.OK:
             self._refuse(f"the fit ended with '{result.status}'")
             return
+        self.domain = result.domain
         self._candidate, self._off, self._probation = result.coefficients, [], False
 
     @property
@@ -184,7 +198,14 @@ class Challenger:
         """The leg has changed: what was fitted to its past is void, a new fit does not wait."""
         self._pending, self._candidate, self._probation = None, None, False
         self._early = True
+        self.domain = self._of_baseline
         self.contacts.clear()
+
+    def resume(self, buffer: SlidingBuffer, terms: int, era: int) -> None:
+        """The leg has been where its saved buffer says."""
+        if self._of_baseline is not None:
+            fit, _ = buffer.factors(terms, len(self._noise), era=era)
+            self.domain = self._of_baseline.widened(fit)
 
     def rolled_back(self, why: str) -> None:
         """Count a return to an earlier model."""
@@ -204,6 +225,16 @@ class Challenger:
                 self._tally[name] = saved[name]
         reason = saved.get("reason")
         self._reason = reason if isinstance(reason, str) else None
+
+    def _prior(self, model: LegModel) -> Factor:
+        """Rows on which the model in force is right, as far as was known before."""
+        every = np.diag(self._scale * PRIOR_ROWS**0.5)
+        prior = Factor(*model.coefficients.shape)
+        prior.add(every, every @ model.coefficients)
+        if self.domain is not None:
+            been = self.domain.rows_like(DOMAIN_ROWS)
+            prior.add(been, been @ model.coefficients)
+        return prior
 
     def _refuse(self, why: str) -> None:
         self._tally["refused"] += 1

@@ -52,7 +52,7 @@ class LegDetector:
     """One leg's.
 
     Args:
-        known: its model at the start, and the domain of that.
+        known: its model at the start.
         recent: covariances and thresholds, which follow.
         quantum_rad: position step of the servos.
         period_ns: control tick.
@@ -71,7 +71,6 @@ class LegDetector:
         self.recent = recent
         self.context = 0
         self.unit: Array | float = 1.0
-        self._domain = known.domain
         self._quantum = quantum_rad
         self._period_ns = period_ns
 
@@ -107,7 +106,7 @@ class LegDetector:
 
     def known_score(self, verdict: Verdict) -> tuple[float, int]:
         """The largest score where the model is not asked to extrapolate; its window's ticks."""
-        return within_domain(verdict.scores, self.tracker.thetas, self._domain)
+        return within_domain(verdict.scores, self.tracker.thetas, self.recent.domain)
 
     def distance(self, verdict: Verdict) -> float:
         """From free motion in any direction, over the threshold of one tick."""

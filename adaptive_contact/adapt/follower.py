@@ -9,6 +9,7 @@ legs change, and learns from the lifts at once.
 from __future__ import annotations
 
 import enum
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -22,7 +23,12 @@ from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
 from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
-from adaptive_contact.adapt.monitor import SETTLED_LEVEL, DriftMonitor
+from adaptive_contact.adapt.monitor import (
+    LEAST_LEVEL,
+    LEVEL_RANGE,
+    SETTLED_LEVEL,
+    DriftMonitor,
+)
 from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.segments import Row
@@ -58,6 +64,9 @@ MAX_TERM_RAD: Final = 0.5
 BALANCE: Final = 5.0
 # Covariances and thresholds are made anew after so many swings.
 REFRESH_SWINGS: Final = 4
+# Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
+# fall into one tick.
+REFRESH_TICKS: Final = 16
 
 
 class LearnerMode(enum.StrEnum):
@@ -87,6 +96,8 @@ class Follower:
         recent: covariances and thresholds, which it keeps up to date.
         mode: what it may do.
         refitter: does the sparse refits.
+        provisional: the baseline is a first model, from a few swings: it may move by what these
+            left open.
 
     Attributes:
         learning: whether it does anything at all.
@@ -100,13 +111,16 @@ class Follower:
         recent: RecentNoise,
         mode: LearnerMode,
         refitter: Refitter,
+        *,
+        provisional: bool = False,
     ) -> None:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
         self.gated = mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
         self._model = known.model
         self._moved = False  # the recursion has, since the model was made
-        self.monitor = DriftMonitor(len(known.noise.rms))
+        least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
+        self.monitor = DriftMonitor(len(known.noise.rms), least)
         self.buffer = SlidingBuffer(rows=rows_for_refit(known.model))
         self._recent = recent
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
@@ -114,8 +128,10 @@ class Follower:
         self._baseline = known.model
         self._noise = known.noise.rms
         self._scale = known.scale
+        self._provisional = provisional
         self._rls = self._recursion(known.model)
         self._queue: deque[Row] = deque()
+        self._doubted: list[Row] = []  # the descent after a lift that was not believed
         self._better_baseline = 0
         self._era = 0
         self._loosened = False  # the recursion, since it was begun
@@ -125,7 +141,8 @@ class Follower:
         self._good: _Good | None = None
         self._swings = 0  # since covariances were made anew
         self._learned_swing = False
-        self._challenger = Challenger(leg, self._noise, self._scale, refitter)
+        self._refresh_in: int | None = None  # ticks
+        self._challenger = Challenger(leg, self._noise, self._scale, refitter, known.domain)
 
     # -- what the detector asks -------------------------------------------------------------------
 
@@ -178,15 +195,21 @@ class Follower:
         if not rows:
             return
         heard = self.monitor.hear(rows, t_ns)
+        waiting, self._doubted = self._doubted, []
         if heard.changed:
             self._change(heard.rows, first=heard.first)
         if heard.rows:
             self._consider_baseline(heard.rows)
             self._confirm(heard.rows, region)
+        if heard.changed:
+            self._confirm(waiting, region)
 
     def descent(self, rows: list[Row], region: int) -> None:
-        """The confirmed part of a descent."""
-        self._confirm(rows, region)
+        """The confirmed part of a descent; that of a doubted lift waits for the next one."""
+        if self.monitor.trusted:
+            self._confirm(rows, region)
+        else:
+            self._doubted = rows
 
     def distrust(self, since_ns: int) -> None:
         """The ticks from a time on were of another length: what was confirmed of them is dropped.
@@ -211,7 +234,7 @@ class Follower:
             return
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
-            self._refresh()
+            self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
         if self.monitor.status == "valid" and self.monitor.level < SETTLED_LEVEL:
             self._good = _Good(self.model, self._rls.copy(), self._loosened)
         if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
@@ -228,6 +251,11 @@ class Follower:
                 self._learn(self._queue.popleft())
             self._moved = True
         self._challenger.tick()
+        self._recent.domain = self._challenger.domain
+        if self._refresh_in is not None:
+            self._refresh_in -= 1
+            if self._refresh_in < 0:
+                self._refresh()
 
     def _share(self, budget: int) -> int:
         """Rows of a tick: a leg that is known can wait, one that has changed cannot.
@@ -281,6 +309,8 @@ class Follower:
         self._loosened = state.loosened
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
+        self._challenger.resume(self.buffer, len(self._scale), self._era)
+        self._recent.domain = self._challenger.domain
         self._recent.restore(saved.get("recent"))
         self._refresh()
         return None
@@ -356,13 +386,16 @@ class Follower:
         return float(np.square((target - theta @ coefficients) / self._noise).mean())
 
     def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
-        return RecursiveLeastSquares(
+        rls = RecursiveLeastSquares(
             model.coefficients, core_support(model), self._scale, self._noise
         )
+        if self._provisional and self._recent.domain is not None:
+            rls.doubt(self._recent.domain.gram)
+        return rls
 
     def _refresh(self) -> None:
         """Make covariances and thresholds those of the model in force and the leg as it is."""
-        self._swings = 0
+        self._swings, self._refresh_in = 0, None
         segments = [s for s in self.buffer.segments if s.era == self._era]
         self._recent.refresh(segments, self.model.coefficients)
 

@@ -163,7 +163,10 @@ class Knowledge:
         recent = RecentNoise(known.noise, tails, aim, known.domain)
         period_ns = round(robot.period_s * 1e9)
         self.detector = LegDetector(known, recent, robot.quantum(leg.id), period_ns)
-        self.follower = Follower(leg.id, known, recent, self._mode, self._refitter)
+        first = version > 0  # no file's: from a few swings
+        self.follower = Follower(
+            leg.id, known, recent, self._mode, self._refitter, provisional=first
+        )
 
     def _start_cold(self) -> None:
         library = leg_library(self._robot, self._leg)

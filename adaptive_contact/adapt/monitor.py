@@ -34,7 +34,10 @@ TAKE_BACK_LEVEL: Final = 1.5
 # Share of a new lift in the followed level, and while adapting.
 LEVEL_SHARE: Final = 0.1
 LEVEL_SHARE_ADAPTING: Final = 0.8
-LEVEL_RANGE: Final = (1.0, 400.0)
+LEVEL_RANGE: Final = (0.2, 400.0)
+# A baseline's noise is that of many swings: below it nothing is gained.  A first model's is that of
+# a hasty fit, and what is learned may bring it down as far as the range goes.
+LEAST_LEVEL: Final = 1.0
 # Calm lifts in a row after which an adapting leg is valid again.
 SETTLED_SWINGS: Final = 3
 SETTLED_LEVEL: Final = 2.5
@@ -45,6 +48,13 @@ WORN_LEVEL: Final = 6.25
 LOOSEN_EVERY: Final = 5
 # A foot that does not rise in so many swings in a row is held by something.
 HELD_SWINGS: Final = 2
+# Nor does one whose lifts are so much further off (ten times the noise) than any drift takes them:
+# the worst of the simulator's, a drive gone twice as soft, came to 80; a foot that is caught and
+# still gives is at 115 to 180.
+FAR_LEVEL: Final = 100.0
+# It is let go of after so many lifts in a row that tell nothing of it: where little way is asked,
+# a foot on a leash comes all of it.
+RELEASE_SWINGS: Final = 3
 # A baseline whose very first lifts are all further off than this (five times the noise) is of
 # another leg; a leg that merely changed overnight is followed instead.
 UNFIT_LEVEL: Final = 25.0
@@ -70,6 +80,7 @@ class DriftMonitor:
 
     Args:
         joints: J.
+        least: the level is not followed below this.
 
     Attributes:
         level: followed: squared whitened residual over J on free ticks, 1 for a good model.
@@ -77,7 +88,8 @@ class DriftMonitor:
         kind: of the change, where it can be told.
     """
 
-    def __init__(self, joints: int) -> None:
+    def __init__(self, joints: int, least: float = LEAST_LEVEL) -> None:
+        self._range = (least, LEVEL_RANGE[1])
         self.level = 1.0
         self.status: Status = "valid"
         self.kind: str | None = None
@@ -90,8 +102,11 @@ class DriftMonitor:
         self._settled = 0
         self._since_ns: int | None = None
         self._swings_adapting = self._swings_loose = 0  # since the change, since it was let loose
-        self._held_swings = self._worn_swings = 0
-        self._came = 1.0
+        self._worn_swings = 0
+        self._held_swings = self._far_swings = self._free_swings = 0
+        self._sign = ""
+        self._told_free = False  # in this swing
+        self._trusted = True
         self._lifts = self._lifts_far = 0
 
     @property
@@ -112,11 +127,8 @@ class DriftMonitor:
     @property
     def note(self) -> str | None:
         """One line for a person, None when all is well."""
-        if self._held_swings >= HELD_SWINGS:
-            return (
-                f"the foot came {100 * self._came:.0f} % of its command's way, and did not rise in "
-                f"{self._held_swings} swings: caught, or no strength"
-            )
+        if self.held:
+            return f"{self._sign}, {self._held_swings} swings in a row: caught, or no strength"
         if self.status == "ambiguous":
             return (
                 f"lifts have been {self.level**0.5:.1f} times as far from the model as they should "
@@ -127,6 +139,13 @@ class DriftMonitor:
     def begin_swing(self) -> None:
         """A new swing: doubts of the last one's lift are not carried over."""
         self._swing_level = None
+        self._trusted = not self.held
+        self._told_free = False
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the descent of this swing may be learned: its lift was not, where it may not."""
+        return self._trusted
 
     def hear(self, rows: Sequence[Row], t_ns: int) -> Heard:
         """Take in a lift, at its top.
@@ -140,6 +159,13 @@ class DriftMonitor:
         level = float(kept.mean())
         self._lifts += 1
         self._lifts_far += level > UNFIT_LEVEL
+        if level > FAR_LEVEL:
+            return self._hear_far(list(rows), level, t_ns)
+        self._far_swings = 0
+        self._no_hold()
+        if self.held:
+            self._swing_level = float(np.clip(level, self.level, self._range[1]))
+            return Heard([])
         if level > _doubt_limit(self._joints * len(kept)) * self.level:
             return self._doubt(list(rows), level, t_ns)
         self._doubts, self._doubted = 0, []
@@ -159,6 +185,7 @@ class DriftMonitor:
         if sum(self._since_doubt) < TAKE_BACK_LEVEL * TAKE_BACK_TICKS * self.level:
             self._swing_level = None
             self._doubts, self._doubted = 0, []
+            self._trusted = True
 
     def foot_held(self, *, held: bool, came: float) -> None:
         """Tell whether the foot failed to rise with its command in the swing that ends.
@@ -169,17 +196,16 @@ class DriftMonitor:
             held: whether it did.
             came: share of its command's way that it went.
         """
-        released = self._held_swings >= HELD_SWINGS and not held
-        self._held_swings = self._held_swings + 1 if held else 0
-        self._came = came
-        if self._held_swings >= HELD_SWINGS:
-            self.status = "ambiguous"
-        elif released:
-            self.status = "adapting" if self._swings_adapting else "valid"
+        if not held:
+            if self.held or not self._far_swings:  # else its lift is yet to be heard
+                self._no_hold()
+        else:
+            self._far_swings = 0
+            self._hold(f"the foot came {100 * came:.0f} % of its command's way")
 
     @property
     def held(self) -> bool:
-        """Whether it is because of a foot that does not rise that the leg is ambiguous."""
+        """Whether something holds the foot, as far as can be told: nothing of it is learned."""
         return self._held_swings >= HELD_SWINGS
 
     def resume(self, level: float, status: Status, *, held: bool = False) -> None:
@@ -192,16 +218,18 @@ class DriftMonitor:
         """
         self.level, self.status, self._since_ns = level, status, None
         self._held_swings = HELD_SWINGS if held else 0
+        self._sign = "the foot was held when the state was saved"
         adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
         self._swings_adapting = 0 if held else adapting.get(status, 0)
         self._swings_loose = LOOSEN_EVERY  # a doubt that comes now is of something new
         self._lifts = 1  # the model is this leg's: it has been learned
 
     def _doubt(self, rows: list[Row], level: float, t_ns: int) -> Heard:
-        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
+        self._swing_level = float(np.clip(level, *self._range))
         self._since_doubt.clear()
         self._doubts += 1
         self._settled = 0
+        self._trusted = self._doubts >= DOUBTS
         if self._doubts < DOUBTS:
             self._doubted, self._doubted_ns = rows, t_ns
             return Heard([])
@@ -210,6 +238,43 @@ class DriftMonitor:
         heard = self._changed(rows, self._doubted_ns)
         self._follow_level(level)
         return heard
+
+    def _hear_far(self, rows: list[Row], level: float, t_ns: int) -> Heard:
+        """A lift further off than any drift: held by something, or, if it lasts, another leg."""
+        self._swing_level = float(np.clip(level, *self._range))
+        self._since_doubt.clear()
+        self._settled = 0
+        self._far_swings += 1
+        self._hold(f"the lift is {level**0.5:.0f} times as far from the model as it should be")
+        if self._far_swings < PATIENCE_SWINGS:
+            return Heard([])
+        # The foot comes all its way, and each time so: a horn that slipped, another leg's horn.
+        self._far_swings = self._held_swings = 0
+        self.level = self._swing_level**0.5
+        self._trusted = True
+        return self._changed(rows, t_ns)
+
+    def _hold(self, sign: str) -> None:
+        self._sign = sign
+        self._held_swings += 1
+        self._free_swings = 0
+        self._trusted = False
+        if self.held:
+            self.status = "ambiguous"
+
+    def _no_hold(self) -> None:
+        if not self.held:
+            self._held_swings = 0
+            return
+        if self._told_free:
+            return
+        self._told_free = True
+        self._free_swings += 1
+        if self._free_swings < RELEASE_SWINGS:
+            return
+        self._held_swings = self._free_swings = 0
+        self._trusted = True
+        self.status = "adapting" if self._swings_adapting else "valid"
 
     def _crept(self) -> bool:
         """Whether the leg has left its model so slowly that no lift was doubted."""
@@ -232,7 +297,7 @@ class DriftMonitor:
 
     def _follow_level(self, level: float) -> None:
         share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
-        self.level = float(np.clip((1 - share) * self.level + share * level, *LEVEL_RANGE))
+        self.level = float(np.clip((1 - share) * self.level + share * level, *self._range))
 
     def _settle(self, level: float) -> None:
         if self.status == "valid":

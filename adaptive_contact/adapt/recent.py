@@ -40,7 +40,7 @@ SHRINK_TICKS: Final = 1000.0
 # A residual further out than so many of its deviations counts as if it were there.
 CLIP: Final = 3.0
 # The baseline's tail weighs like so many exceedances.
-PRIOR_EXCEEDANCES: Final = 200.0
+PRIOR_EXCEEDANCES: Final = 50.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
 # A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
@@ -58,6 +58,7 @@ class RecentNoise:
         domain: where the baseline's model has been; None if that is not known.
 
     Attributes:
+        domain: where the model in force has been; None if that is not known.
         whiten: (contexts, windows, J, J).
         thresholds: (windows,) of the statistic.
         limits: the same, as plain floats.
@@ -72,7 +73,7 @@ class RecentNoise:
         domain: Domain | None = None,
     ) -> None:
         self._noise = noise
-        self._domain = domain
+        self.domain = domain
         self._tails = tails
         self._aim = false_alarms_per_hour
         self._least = thresholds_of(tails, false_alarms_per_hour)
@@ -91,7 +92,7 @@ class RecentNoise:
             if not row.value > level:  # NaN is not
                 continue
             # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.
-            spread = 0.0 if self._domain is None else float(self._domain.leverage(row.theta))
+            spread = 0.0 if self.domain is None else float(self.domain.leverage(row.theta))
             value = row.value / (1.0 + spread)
             if value > level:
                 self._above += 1.0

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import Factor, FitSettings, FitStatus, fit_sparse
+from adaptive_contact.identify import Domain, Factor, FitSettings, FitStatus, fit_sparse
 
 __all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refit"]
 
@@ -32,6 +32,8 @@ class RefitJob:
         leg, number: name it.
         fit, held_out: compressed factors of the buffer.
         noise: (J,) rad, the unit of λ.
+        prior: rows that stand for what was known before, fitted to with the others.
+        domain: where the model has been by its baseline; None if that is not known.
     """
 
     leg: str
@@ -39,6 +41,8 @@ class RefitJob:
     fit: Factor
     held_out: Factor
     noise: Array
+    prior: Factor | None = None
+    domain: Domain | None = None
 
     def run(self) -> RefitResult:
         """Fit a sparse model, λ and support chosen on the held-out segments."""
@@ -54,6 +58,7 @@ class RefitResult:
         coefficients: (p, J).
         threshold: λ that was chosen.
         held_out: root mean square over the noise, mean over joints, on the held-out segments.
+        domain: where the leg's model has been by now; None if that is not known.
     """
 
     number: int
@@ -61,6 +66,7 @@ class RefitResult:
     coefficients: Array
     threshold: float
     held_out: float
+    domain: Domain | None = None
 
 
 class Job(Protocol):
@@ -108,9 +114,12 @@ def refit(job: RefitJob) -> RefitResult:
     """Fit a sparse model, λ and support chosen on the held-out segments."""
     unit = tuple(job.noise.tolist())
     tried: list[tuple[float, Array, Array]] = []
+    whole = job.fit
+    if job.prior is not None:
+        whole = Factor.merged([job.fit, job.prior], whole.terms, whole.outputs)
     status = FitStatus.OK
     for threshold in SWEEP:
-        fit = fit_sparse(job.fit, FitSettings(threshold=threshold, ridge=1e-6, unit=unit))
+        fit = fit_sparse(whole, FitSettings(threshold=threshold, ridge=1e-6, unit=unit))
         if fit.status is not FitStatus.OK:
             status = fit.status
             break
@@ -129,4 +138,6 @@ def refit(job: RefitJob) -> RefitResult:
         (entry for entry, worst in zip(tried, worst_of, strict=True) if worst <= limit),
         key=lambda entry: entry[0],
     )
-    return RefitResult(job.number, FitStatus.OK, coefficients, threshold, float(errors.mean()))
+    domain = None if job.domain is None else job.domain.widened(job.fit)
+    held_out = float(errors.mean())
+    return RefitResult(job.number, FitStatus.OK, coefficients, threshold, held_out, domain)

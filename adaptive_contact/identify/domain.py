@@ -15,6 +15,7 @@ a term beforehand, and keeps h finite for one that was never excited.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Final
 
 import numpy as np
@@ -76,6 +77,32 @@ class Domain:
             found = scipy.linalg.qr(rows, mode="r", check_finite=False)[0][:p]
             triangle[: len(found)] = found
         return cls(triangle, scale)
+
+    def widened(self, factor: Factor) -> Domain:
+        """The domain, with the rows of another fit."""
+        stacked = np.concatenate([self.triangle, factor.system[0] / self.scale])
+        p = len(self.scale)
+        triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
+        return Domain(np.asarray(triangle, dtype=np.float64), self.scale)
+
+    def rows_like(self, most: float) -> Array:
+        """Rows that stand for those it has seen, in raw units.
+
+        Args:
+            most: weigh like so many of them, or like all there are where these are fewer.
+
+        Returns:
+            (p, p) regressors with the same outer products.
+        """
+        raw: Array = self.triangle * self.scale
+        seen = float(np.square(raw[:, 0]).sum())  # the constant is one in every row
+        return raw * math.sqrt(min(most / seen, 1.0)) if seen > 0.0 else raw
+
+    @property
+    def gram(self) -> Array:
+        """(p, p) sum of the scaled regressors' outer products, with what is known beforehand."""
+        seen: Array = self.triangle.T @ self.triangle
+        return seen + np.eye(len(self.scale)) / PRIOR_DEVIATIONS**2
 
     def leverage(self, theta: Array) -> Array:
         """Leverage h of rows.

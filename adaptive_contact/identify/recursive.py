@@ -207,6 +207,23 @@ class RecursiveLeastSquares:
             self._bound()
         return innovations
 
+    def doubt(self, gram: Array) -> None:
+        """Let the coefficients move by what the fit they come from leaves open.
+
+        Args:
+            gram: (p, p) positive definite, sum over that fit's rows of the scaled regressors'
+                outer products, with what is known beforehand.
+        """
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            own = index[held]
+            n = len(own)
+            if n == 0:
+                continue
+            lower = np.linalg.cholesky(gram[np.ix_(own, own)])
+            root = scipy.linalg.solve_triangular(lower, np.eye(n), lower=True).T
+            self._take_root(joint, np.concatenate([self._s[joint, :n, :n], root], axis=1))
+        self._bound()
+
     def loosen(self, directions: Array) -> None:
         """Let the coefficients move along some directions: something about the leg has changed.
 

@@ -46,6 +46,28 @@ def test_without_forgetting_one_by_one_equals_batch() -> None:
         np.testing.assert_allclose(ours, np.linalg.inv(information), rtol=1e-8)
 
 
+def test_a_recursion_that_doubts_its_fit_goes_on_as_that_fit_would() -> None:
+    """Batch of the first rows, then one by one, against the batch of all."""
+    theta, target, _ = data(60, seed=8)
+    phi = theta / SCALE
+    known = np.eye(P) / 20.0**2
+    start = np.zeros((P, J))
+    for j in range(J):
+        on = np.flatnonzero(SUPPORT[:, j])
+        gram = (phi[:25].T @ phi[:25] + known)[np.ix_(on, on)]
+        start[on, j] = np.linalg.solve(gram, phi[:25, on].T @ target[:25, j]) / SCALE[on]
+    settings = RlsSettings(forgetting=1.0, prior=1e-9, bound=1e9, huber=1e9)
+    rls = RecursiveLeastSquares(start, SUPPORT, SCALE, NOISE, settings)
+    rls.doubt(phi[:25].T @ phi[:25] + known)
+    for row, y in zip(theta[25:], target[25:], strict=True):
+        rls.update(row, y)
+    for j in range(J):
+        on = np.flatnonzero(SUPPORT[:, j])
+        gram = (phi.T @ phi + known)[np.ix_(on, on)]
+        whole = np.linalg.solve(gram, phi[:, on].T @ target[:, j]) / SCALE[on]
+        np.testing.assert_allclose(rls.coefficients[on, j], whole, rtol=1e-6, atol=1e-9)
+
+
 def test_forgetting_equals_the_dense_recursion() -> None:
     """Kulhavý's recursion on the covariance itself, written from the paper's formula."""
     lam = 0.97

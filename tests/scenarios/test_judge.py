@@ -10,7 +10,7 @@ import pytest
 from adaptive_contact.score import SwingTable
 from adaptive_contact_sim.trials.figures import quantile
 from adaptive_contact_sim.trials.goals import goals, pooled
-from adaptive_contact_sim.trials.judge import longest_lock_out, swings_until_valid
+from adaptive_contact_sim.trials.judge import SETTLED, longest_lock_out, swings_until_valid
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.replay import STATUSES, SwingLog
 
@@ -56,20 +56,21 @@ def log(*statuses: str) -> SwingLog:
 
 
 @pytest.mark.parametrize(
-    ("statuses", "expected"),
+    ("story", "expected"),
     [
-        ((), (None, None)),
-        (("valid", "valid"), (0, 0)),
-        (("learning", "learning", "valid"), (3, 30)),
-        (("learning", "learning"), (None, None)),
-        (("valid", "adapting", "valid", "adapting"), (3, 30)),
-        (("valid", "ambiguous"), (None, None)),
+        ("", (None, None)),
+        ("v" * SETTLED, (0, 0)),
+        ("v" * (SETTLED - 1), (None, None)),
+        ("ll" + "v" * SETTLED, (3, 30)),
+        ("l" * 100, (None, None)),
+        ("v" * 19 + "aa" + "v" * SETTLED, (22, 220)),  # it was not at an end
+        ("v" * SETTLED + "a" + "v" * 5, (0, 0)),  # a doubt that came later is another
+        (("v" * 19 + "m") * 10, (None, None)),
     ],
 )
-def test_swings_until_valid(
-    statuses: tuple[str, ...], expected: tuple[int | None, int | None]
-) -> None:
-    assert swings_until_valid(log(*statuses)) == expected
+def test_swings_until_valid(story: str, expected: tuple[int | None, int | None]) -> None:
+    names = {"v": "valid", "l": "learning", "a": "adapting", "m": "ambiguous"}
+    assert swings_until_valid(log(*(names[letter] for letter in story))) == expected
 
 
 def test_a_quantile_of_those_that_never_came() -> None:

@@ -20,7 +20,15 @@ from adaptive_contact.score import (
 from adaptive_contact_sim.trials.replay import STATUSES, LegReplay, SwingLog
 from adaptive_contact_sim.trials.spec import Mark, Scenario
 
-__all__ = ["Judged", "Recovery", "judge", "longest_lock_out", "swings_until_valid", "within"]
+__all__ = [
+    "SETTLED",
+    "Judged",
+    "Recovery",
+    "judge",
+    "longest_lock_out",
+    "swings_until_valid",
+    "within",
+]
 
 _VALID: Final = STATUSES.index("valid")
 _AMBIGUOUS: Final = STATUSES.index("ambiguous")
@@ -28,6 +36,8 @@ _AMBIGUOUS: Final = STATUSES.index("ambiguous")
 # when it next rests, and two swings in a row have to show it.
 CAUGHT: Final = "caught"
 CAUGHT_GRACE: Final = 4
+# Swings in a row that a learner calls itself valid, before it is taken at its word.
+SETTLED: Final = 20
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,7 @@ class Judged:
         confirmed: ticks it took for free.
         touched: those of them on which the leg touched something.
         touched_before: those of these that began in touch, not with the touch itself.
-        until_valid: swings until it called itself valid, None where it did not.
+        until_valid: swings until it called itself valid and went on to, None where it did not.
         valid_ns: when it did.
         doubted: whether it ever called itself anything else.
         caught: swings that ended while the foot was held by the stage, but for the first few.
@@ -123,22 +133,21 @@ def longest_lock_out(swings: SwingTable) -> int:
 
 
 def swings_until_valid(log: SwingLog) -> tuple[int | None, int | None]:
-    """Swings until a learner called itself valid after having called itself anything else.
+    """Swings until a learner called itself valid for :data:`SETTLED` swings in a row.
+
+    A single swing that it doubts later on is no part of how it began.
 
     Returns:
-        Their number, 0 for one that never doubted itself, and the time; None where it never did.
+        Their number, 0 for one that did from the first, and the time; None where it never did.
     """
     valid = log.status == _VALID
-    if len(valid) == 0:
+    if len(valid) < SETTLED:
         return None, None
-    if valid.all():
-        return 0, 0
-    first_doubt = int(np.argmin(valid))
-    later = np.flatnonzero(valid[first_doubt:])
-    if len(later) == 0:
+    runs = np.lib.stride_tricks.sliding_window_view(valid, SETTLED).all(axis=1)
+    if not runs.any():
         return None, None
-    at = first_doubt + int(later[0])
-    return at + 1, int(log.t_ns[at])
+    at = int(np.argmax(runs))
+    return (at + 1, int(log.t_ns[at])) if at else (0, 0)
 
 
 def _recovery(outcome: LegOutcome, mark: Mark, end_s: float, *, mixed: bool) -> Recovery:
