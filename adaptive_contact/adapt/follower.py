@@ -62,6 +62,10 @@ MAX_TERM_RAD: Final = 0.5
 # Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
 # times what the baseline's do.
 BALANCE: Final = 5.0
+# A level up to this says nothing of a leg that has not changed; from twice as far on it counts in
+# full.
+STRAY: Final = 1.2
+STEEP: Final = 2.0
 # Covariances and thresholds are made anew after so many swings.
 REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
@@ -162,10 +166,22 @@ class Follower:
         Returns:
             (J,) or one number.
         """
-        level = self.monitor.level_in_force
+        level = self.level_in_force
         if self._loosened:
             return level * (1.0 + self._rls.uncertainty(theta))
         return level
+
+    @property
+    def level_in_force(self) -> float:
+        """The level by which this swing is judged.
+
+        That of a leg that has not changed strays by a tenth of itself; as it is not followed below
+        the baseline's, what it strays upwards would make the detector duller on average.
+        """
+        level = self.monitor.level_in_force
+        if self._loosened or not 1.0 < level < STEEP * STRAY - 1.0:
+            return level
+        return max(1.0, 1.0 + STEEP * (level - STRAY))
 
     @property
     def status(self) -> Status:

@@ -313,7 +313,7 @@ class ContactLearner:
             return None
         if decision.contact:
             self._tally.counts["contacts"] += 1
-            self._quarantine.alarm(decision.onset_ns, self._period_ns, detector)
+            self._quarantine.alarm(decision.onset_ns, sample.t_ns, self._period_ns, detector)
         return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:

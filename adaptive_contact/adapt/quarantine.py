@@ -112,7 +112,7 @@ class Quarantine:
             return  # what the model put in where a reading did not come is no measurement
         # The model's own doubt is part of the unit; the followed level is not.
         monitor, book = follower.monitor, self._book
-        level = verdict.distance * monitor.level_in_force / len(verdict.target)
+        level = verdict.distance * follower.level_in_force / len(verdict.target)
         row = Row(
             theta,
             verdict.target,
@@ -140,8 +140,9 @@ class Quarantine:
             self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)
 
-    def alarm(self, onset_ns: int, period_ns: int, detector: LegDetector) -> None:
+    def alarm(self, onset_ns: int, t_ns: int, period_ns: int, detector: LegDetector) -> None:
         """A contact was reported: what came well before its onset is free."""
+        self._swing.touched(round((t_ns - onset_ns) / period_ns))
         self._confirm(self._book.alarm(onset_ns, period_ns))
         self._touching = [detector.touch()]
 

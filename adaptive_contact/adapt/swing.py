@@ -29,6 +29,13 @@ LAG_TICKS: Final = 3
 # pressed, let it rise before that: by less in all but one tick in a thousand on hard ground and
 # on soft.
 CLEARANCE_M: Final = 0.015
+# Ground that gives is felt late, and a foot rises out of it for long: where it begins its swing so
+# far below the onset that was told, it is off the ground only above where it was so many ticks
+# before that onset.
+SUNK_M: Final = 0.006
+SURFACE_TICKS: Final = 3
+SOFT_TICKS: Final = 12  # by then it is, all the same
+HEIGHTS: Final = 12  # ticks remembered
 # A lift in which the foot has risen by less says nothing of the leg: it may never have left the
 # ground.
 LIFTED_M: Final = 0.006
@@ -74,6 +81,9 @@ class SwingWatch:
         self._rise = self._moved = 0.0
         self._asked: deque[float] = deque([0.0], maxlen=LAG_TICKS + 1)
         self._lengths: deque[int] = deque(maxlen=SWINGS)  # of swings, ticks
+        self._heights: deque[float] = deque(maxlen=HEIGHTS)  # m, newest last
+        self._surface = -math.inf  # height of soft ground that the swing began in, m
+        self._touch: tuple[float, float] | None = None  # heights at a touch, and before it
 
     @property
     def blind(self) -> bool:
@@ -136,6 +146,8 @@ class SwingWatch:
     def restart(self) -> None:
         """The source started anew."""
         self.ticks = 0
+        self._surface, self._touch = -math.inf, None
+        self._heights.clear()
         self._last_desired = self._last_measured = None
         if self._phase is not None:
             self._phase = PhaseTracker()
@@ -163,6 +175,9 @@ class SwingWatch:
                 self._rise = self._moved = 0.0
                 self._asked.clear()
                 self._asked.append(0.0)
+                at, before = self._touch or (-math.inf, -math.inf)
+                self._surface = before if self._start[2] < at - SUNK_M else -math.inf
+                self._touch = None
             now = place or self._place(sample.desired)
             self._commanded_up = now[2] > self._commanded[2]
             self._commanded = now
@@ -177,13 +192,21 @@ class SwingWatch:
             self.cleared = self.ticks >= CLEAR_TICKS
             self.rising = self._half >= LIFT_TICKS and LIFT_OFF_TICKS < self.ticks <= self._half
             return
-        self.cleared = self._rise > CLEARANCE_M or self.ticks >= CLEAR_TICKS
+        out = self._measured[2] > self._surface or self.ticks >= SOFT_TICKS
+        self.cleared = out and (self._rise > CLEARANCE_M or self.ticks >= CLEAR_TICKS)
         now = self._place(measured)
         self.rising = now[2] > self._measured[2]
         self._measured = now
+        self._heights.append(now[2])
         self._rise = max(self._rise, now[2] - self._start[2])
         self._moved = max(self._moved, math.dist(now, self._start))
         self._asked.append(math.dist(self._commanded, self._start))
+
+    def touched(self, ticks: int) -> None:
+        """A touch was told, with its onset so many ticks ago."""
+        if self._heights:
+            back = [min(past, len(self._heights) - 1) for past in (ticks, ticks + SURFACE_TICKS)]
+            self._touch = (self._heights[-1 - back[0]], self._heights[-1 - back[1]])
 
     def command(self) -> None:
         """The sample's command is now in force."""
