@@ -119,7 +119,7 @@ def test_robot_hours_without_change() -> None:
         for s in quiet
     )
     assert [s.name for s in quiet] == ["steady-pose", "steady-walk"]
-    assert hours >= 5.5
+    assert hours >= 10.0
 
 
 @pytest.mark.parametrize(

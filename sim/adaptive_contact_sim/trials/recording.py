@@ -30,6 +30,7 @@ from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
@@ -243,27 +244,29 @@ def key_of(spec: RecordingSpec) -> str:
 
 @functools.cache
 def simulator_fingerprint() -> str:
-    """Hash of what the simulator does in a second of pose, of a walk, and with each in drift."""
+    """Hash of what the simulator does in a second of pose, one leg and a tripod, and of a walk."""
     from adaptive_contact.wire import Drift
 
     drift = (
         Injection(Drift(kind="friction", value=4.0), 0.5),
         Injection(Drift(kind="mass", value=0.1), 0.5),
     )
-    pose = SimulationSettings(
-        motion=PoseSettings(obstacles=ObstacleSettings(probability=1.0, soft=0.5)),
-        seed=7,
-        drift=drift,
-    )
+    alone = PoseSettings(obstacles=ObstacleSettings(probability=1.0, soft=0.5))
+    pose = SimulationSettings(motion=alone, seed=7, drift=drift)
     walk = SimulationSettings(
         motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=7, drift=drift
     )
+    tripod = TRIPODS[0]
+    together = PoseGroupSettings(tuple(replace(alone, legs=(leg,)) for leg in tripod))
+    group = replace(pose, motion=together)
     digest = hashlib.sha256()
-    for settings in (pose, replace(pose, drift=()), walk):
-        recording = record(RecordingSpec(settings, 1.5, ("rf",)))
-        leg = recording.legs["rf"]
-        for array in (leg.measured, leg.desired, leg.swing, *leg.truth):
-            digest.update(np.ascontiguousarray(array).tobytes())
+    runs = ((pose, ("rf",)), (replace(pose, drift=()), ("rf",)), (walk, ("rf",)), (group, tripod))
+    for settings, legs in runs:
+        recording = record(RecordingSpec(settings, 1.5, legs))
+        for name in legs:
+            leg = recording.legs[name]
+            for array in (leg.measured, leg.desired, leg.swing, *leg.truth):
+                digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:16]
 
 

@@ -95,7 +95,7 @@ class Sizes:
     turn_trials: int = 262
     caught_s: float = 30.0
     start_s: float = 140.0
-    steady_walks: float = 1.5
+    steady_walks: float = 3.0
     first_seed: int = 7000
 
 
