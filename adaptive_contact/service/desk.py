@@ -19,6 +19,7 @@ from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import (
     ContactEvent,
     LearnerStatus,
+    ModelReport,
     Reject,
     Rejected,
     ServoSample,
@@ -139,7 +140,7 @@ class Desk:
 
     def status(self, now_ns: int) -> LearnerStatus:
         """The learner's status, with what only the service can know put in."""
-        status = self.learner.status
+        status = self._told()
         missed_down = self._admission.missed_down
         if missed_down:
             status = msgspec.structs.replace(status, missed=status.missed + missed_down)
@@ -155,6 +156,21 @@ class Desk:
         return msgspec.structs.replace(
             status, status="silent" if quiet else status.status, note="; ".join(notes)
         )
+
+    def report(self) -> ModelReport | None:
+        """The leg's model, None before there is one."""
+        try:
+            return self.learner.model_report
+        except Exception as fault:  # of one leg, which must not end the others' service
+            self.learner.begin_anew(fault)
+            return self.learner.model_report
+
+    def _told(self) -> LearnerStatus:
+        try:
+            return self.learner.status
+        except Exception as fault:  # of one leg, as in `report`
+            self.learner.begin_anew(fault)
+            return self.learner.status
 
     def _silence(self, now_ns: int) -> str:
         """One line on a silent leg: samples that are all refused are another fault than none."""

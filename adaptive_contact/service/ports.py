@@ -31,6 +31,9 @@ class Learner(Protocol):
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
 
+    def begin_anew(self, fault: Exception) -> None:
+        """Go on after a fault as if nothing had been learned, and say so in the status."""
+
 
 class Bank(Protocol):
     """All legs at once, as :class:`adaptive_contact.adapt.bank.LearnerBank` is."""

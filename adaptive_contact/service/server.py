@@ -252,7 +252,7 @@ class Service:
 
     def _answer(self, request: Question) -> None:
         asked = [leg for leg in self._desks if request.covers(model_key(leg))]
-        reports = {leg: self._desks[leg].learner.model_report for leg in asked}
+        reports = {leg: self._desks[leg].report() for leg in asked}
         found = {leg: report for leg, report in reports.items() if report is not None}
         if not asked:
             known = ", ".join(self._desks) or "none yet"

@@ -56,7 +56,8 @@ class FakeLearner:
         self.rejects: Counter[str] = Counter()
         self.guard = StreamGuard(joints)
         self.note: str | None = None
-        self.model_report: ModelReport | None = ModelReport(
+        self.fault: Exception | None = None  # raised by whoever asks
+        self.report: ModelReport | None = ModelReport(
             leg=leg,
             model_version=3,
             joints=[f"j{i}" for i in range(joints)],
@@ -78,8 +79,20 @@ class FakeLearner:
     def count(self, reason: Reject, times: int = 1) -> None:
         self.rejects[reason] += times
 
+    def begin_anew(self, fault: Exception) -> None:
+        self.fault = None
+        self.note = f"begun anew: {fault}"
+
+    @property
+    def model_report(self) -> ModelReport | None:
+        if self.fault is not None:
+            raise self.fault
+        return self.report
+
     @property
     def status(self) -> LearnerStatus:
+        if self.fault is not None:
+            raise self.fault
         return LearnerStatus(
             leg=self.leg,
             t_ns=self.t_ns,

@@ -237,3 +237,15 @@ def test_every_refusal_of_a_stream_is_logged_once_in_ten_seconds(
     assert [(line["event"], line["leg"], line["reason"], line["times"]) for line in lines] == [
         ("payload refused", "rf", reason, times) for times in (1, 250, 250)
     ]
+
+
+def test_a_leg_that_cannot_say_how_it_is_begins_anew_and_says_that(
+    live: Live, statuses: Any, sample: Sample
+) -> None:
+    """A fault outside of its ticks, too, is that leg's own."""
+    with live() as life:
+        got = statuses(life)
+        life.learner.fault = ZeroDivisionError("in its status")
+        life.hear(*(sample(seq) for seq in range(1, 100)))
+        found = got.wait(lambda items: items[-1].status == "valid")[-1]
+        assert found.note == "begun anew: in its status"
