@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline, LearnerMode
-from adaptive_contact.adapt.follower import MAX_TERM_RAD, Follower
+from adaptive_contact.adapt.baseline import LegBaseline
+from adaptive_contact.adapt.follower import (
+    MAX_TERM_RAD,
+    REFRESH_SWINGS,
+    REFRESH_TICKS,
+    Follower,
+)
 from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import InlineRefitter
 from adaptive_contact.adapt.segments import Row
+from adaptive_contact.identify import Domain, Factor
 from adaptive_contact.robot import Leg, Robot, parse_robot
 
 from .conftest import TOML, FakeLeg, samples
 from .test_learner import outcomes, play
+
+Array = NDArray[np.float64]
 
 
 @pytest.fixture
@@ -92,6 +103,92 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(follower: Follower) -> Non
     assert moved <= max(MAX_TERM_RAD, follower._most_rad)
     assert np.isfinite(follower.model.coefficients).all()
     assert follower.status != "valid"
+
+
+def first_model(baseline: Baseline, rows: int) -> tuple[LegBaseline, Array]:
+    """What so many rows tell of a leg, and the leg itself: its baseline's model."""
+    known = baseline.legs["rf"]
+    true = known.model.coefficients
+    rng = np.random.default_rng(5)
+    theta = rng.normal(size=(rows, len(true))) * known.scale
+    noise = known.noise.rms
+    factor = Factor(*true.shape)
+    factor.add(theta, theta @ true + rng.normal(size=(rows, 3)) * noise)
+    ridge = np.diag(known.scale / 20.0)
+    guess = Factor(*true.shape)
+    guess.merge(factor)
+    guess.add(ridge, np.zeros(true.shape))
+    left, right = guess.system
+    model = known.model.moved(np.linalg.lstsq(left, right)[0], 1)
+    domain = Domain.of(factor, known.scale)
+    return dataclasses.replace(known, model=model, domain=domain), true
+
+
+def test_a_first_model_moves_by_what_its_rows_left_open(baseline: Baseline) -> None:
+    """After as many rows again it is nearly right; one that is held for a baseline is not."""
+    known, true = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
+    rng = np.random.default_rng(6)
+    off = {}
+    for provisional in (True, False):
+        recent = RecentNoise(known.noise, baseline.tails, 1.0, known.domain)
+        follower = Follower(
+            "rf", known, recent, LearnerMode.RLS, InlineRefitter(), provisional=provisional
+        )
+        rng = np.random.default_rng(6)
+        for swing in range(60):
+            theta = rng.normal(size=(8, len(true))) * known.scale
+            target = theta @ true + rng.normal(size=(8, 3)) * known.noise.rms
+            rows = [
+                Row(t, moved, 1.0, 1.0, 0, k, lift=True, calm=True, cleared=True)
+                for k, (t, moved) in enumerate(zip(theta, target, strict=True))
+            ]
+            follower.monitor.begin_swing()
+            follower.lift(rows, 0, swing)
+            for _ in range(28):
+                follower.tick(3)
+            follower.swing_done()
+        wrong = (follower.model.coefficients - true) * known.scale[:, None] / known.noise.rms
+        off[provisional] = float(np.square(wrong[follower._rls.support]).mean() ** 0.5)
+    assert off[True] < 0.1
+    assert off[True] < 0.5 * off[False]
+
+
+def test_six_legs_make_their_covariances_anew_in_ticks_of_their_own(baseline: Baseline) -> None:
+    known = baseline.legs["rf"]
+    due: dict[int, list[str]] = {}
+    for leg in ("lf", "lm", "lr", "rf", "rm", "rr"):
+        recent = RecentNoise(known.noise, baseline.tails, 1.0)
+        follower = Follower(leg, known, recent, LearnerMode.RLS, InlineRefitter())
+        for _ in range(REFRESH_SWINGS):
+            follower.swing_done()
+        before = recent.revision
+        for tick in range(REFRESH_TICKS):
+            follower.tick(3)
+            if recent.revision > before:
+                due.setdefault(tick, []).append(leg)
+                break
+    assert sum(map(len, due.values())) == 6
+    assert max(map(len, due.values())) == 1
+
+
+def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> None:
+    known, _ = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
+
+    def fresh() -> tuple[Follower, RecentNoise]:
+        recent = RecentNoise(known.noise, baseline.tails, 1.0, known.domain)
+        mode, refitter = LearnerMode.FULL, InlineRefitter()
+        return Follower("rf", known, recent, mode, refitter, provisional=True), recent
+
+    follower, recent = fresh()
+    assert known.domain is not None
+    theta = np.random.default_rng(7).normal(size=len(known.scale)) * known.scale
+    lifts(follower, 60)
+    grown = float(recent.domain.leverage(theta)) if recent.domain else 0.0
+    assert grown < 0.8 * float(known.domain.leverage(theta)), "refits have widened it"
+    again, restored = fresh()
+    assert again.restore(follower.snapshot()) is None
+    assert restored.domain is not None
+    assert float(restored.domain.leverage(theta)) <= grown * 1.05
 
 
 def without_lengths() -> Robot:

@@ -60,3 +60,40 @@ def test_a_held_foot_has_to_come_further_to_be_free_again(robot: Robot) -> None:
 def test_a_command_that_goes_nowhere_says_nothing(robot: Robot) -> None:
     watch = SwingWatch(robot.leg("rf"))
     assert watch.judge_lift() is None
+
+
+def lowered(watch: SwingWatch, depth: float, *, told_at: float) -> None:
+    """A descent and a stance; a touch is told 1 tick after its onset, the foot rests deeper."""
+    heights = [HIGH[2] - 0.008 * k for k in range(8)]  # down to -0.096, by 8 mm a tick
+    onset = min(range(8), key=lambda k: abs(heights[k] - told_at))
+    for k, height in enumerate([*heights, *[told_at - depth] * 6]):
+        place = np.array([LOW[0], LOW[1], height])
+        sample = ServoSample(
+            t_ns=k,
+            seq=k,
+            measured=inverse(place, LENGTHS).tolist(),
+            desired=inverse(place, LENGTHS).tolist(),
+            phase="swing" if k < 10 else "stance",
+        )
+        watch.follow(sample)
+        watch.observe(sample.measured)
+        watch.command()
+        if k == onset + 1:
+            watch.touched(1)
+
+
+@pytest.mark.parametrize(("depth", "soft"), [(0.004, False), (0.012, True)])
+def test_a_foot_is_out_of_ground_that_gave_when_it_is_above_it(
+    robot: Robot, depth: float, soft: bool
+) -> None:
+    """The same lift: after hard ground by the way it came, after soft by where the ground was."""
+    watch = SwingWatch(robot.leg("rf"))
+    swing(watch, follow=1.0)
+    lowered(watch, depth, told_at=LOW[2] + depth)
+    told = swing(watch, follow=1.0)[5:]  # in stance nobody asks
+    first = next(rise for rise, cleared in told if cleared)
+    above_onset = first - depth
+    assert above_onset > (0.016 if soft else CLEARANCE_M - depth)
+    assert soft or above_onset < 0.024
+    # And the next one starts from where nothing was touched.
+    assert next(rise for rise, cleared in swing(watch, 1.0)[5:] if cleared) < 0.024
