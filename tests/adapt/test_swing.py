@@ -11,7 +11,8 @@ from adaptive_contact.adapt.swing import CLEARANCE_M, SwingWatch
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.geometry import inverse
 from adaptive_contact.wire import ServoSample
-from tests.adapt.conftest import LENGTHS
+
+from .conftest import LENGTHS
 
 LOW, HIGH = np.array([0.16, 0.0, -0.10]), np.array([0.16, 0.02, -0.04])
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.score import Gatherer, LegOutcome, match
-from adaptive_contact.score.contacts import TruthChanges
+from adaptive_contact.score import Gatherer, match
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact.wire import ContactEvent, ServoSample, decode, leg_of_key
+from adaptive_contact.wire import ServoSample, decode, leg_of_key
 from adaptive_contact_sim.soak.accounts import (
     cut_off,
     forgotten_s,
@@ -27,9 +25,10 @@ from adaptive_contact_sim.soak.accounts import (
     uncounted,
 )
 from adaptive_contact_sim.soak.arrival import Arrivals, SourceClock, judge_arrivals
-from adaptive_contact_sim.soak.conduct import Broken, Take
+from adaptive_contact_sim.soak.conduct import Take
 from adaptive_contact_sim.soak.memory import Grown, Point, curves_of, grown
-from adaptive_contact_sim.soak.plan import RECOVERY_S, SoakPlan
+from adaptive_contact_sim.soak.plan import SoakPlan
+from adaptive_contact_sim.soak.recovery import recovery_of, right_events
 from adaptive_contact_sim.soak.releases import judge_releases
 from adaptive_contact_sim.soak.sections import (
     Section,
@@ -56,8 +55,6 @@ MISSED_SHARE: Final = 0.01
 FORGIVEN: Final = 2
 # While a drift is under way its cause has not ended; so many errors per touch are honest there.
 RAMP_SHARE: Final = 0.05
-# What an event takes to get here, on top of what the detector may take.
-_TRAVEL_NS: Final = 250_000_000
 _NS: Final = 1_000_000_000
 
 
@@ -159,8 +156,8 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     sections = judge_sections(outcomes, releases, spans_between(windows, epoch_ns, end_ns))
     settled = [one for one in sections if not one.ramp]
     edges = [(window.begin_ns, window.end_ns) for window in windows]
-    right = _right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
-    back = [_recovery(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
+    right = right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
+    back = [recovery_of(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
     shaken = [(one.begin_ns, one.end_ns) for one in windows_of(faults, (), epoch_ns)]
 
     newest = {status.leg: status for _, status in take.heard.statuses}
@@ -340,68 +337,3 @@ def _outside(times_ns: Any, windows: list[tuple[int, int]]) -> Any:
     for begin, end in windows:
         keep &= (times_ns < begin) | (times_ns > end)
     return keep
-
-
-def _right_events(
-    take: Take, outcomes: Sequence[LegOutcome], truth: Mapping[str, TruthChanges]
-) -> dict[str, list[tuple[int, ContactEvent]]]:
-    """Per leg the events that are true, with the wall clock of their arrival, in that order.
-
-    A contact is right if it has found a touch, a release if the leg is in the air.
-    """
-    found_ns = {
-        one.leg: set((one.touches.onset_ns + one.touches.latency_ns)[one.touches.found].tolist())
-        for one in outcomes
-    }
-    right: dict[str, list[tuple[int, ContactEvent]]] = {leg: [] for leg in truth}
-    for arrived_ns, event in sorted(take.heard.events, key=lambda pair: pair[0]):
-        if event.leg not in truth:
-            continue
-        if event.contact:
-            sound = event.t_ns in found_ns.get(event.leg, ())
-        else:
-            changes = truth[event.leg]
-            at = int(np.searchsorted(changes.t_ns, event.t_ns, side="right")) - 1
-            # One that only ends what a restart has cut short says nothing about detection.
-            sound = event.score > 0.0 and (at < 0 or not changes.contact[at])
-        if sound:
-            right[event.leg].append((arrived_ns, event))
-    return right
-
-
-def _recovery(
-    fault: Broken,
-    legs: Sequence[str],
-    right: Mapping[str, Sequence[tuple[int, ContactEvent]]],
-    outcomes: Sequence[LegOutcome],
-    clock: SourceClock,
-) -> tuple[float, list[str]]:
-    """Seconds from the end of a fault to the last leg's first right event, and who was late.
-
-    A leg that had nothing to tell for two seconds has until the first touch of a whole swing.
-    """
-    last_s, late = 0.0, []
-    by_leg = {one.leg: one for one in outcomes}
-    to_ns = clock.of_wall(fault.to_ns)
-    for leg in legs:
-        first_ns = next(
-            (
-                arrived_ns
-                for arrived_ns, event in right.get(leg, ())
-                if arrived_ns > fault.to_ns and event.t_ns > to_ns
-            ),
-            None,
-        )
-        took_s = float("inf") if first_ns is None else (first_ns - fault.to_ns) / _NS
-        last_s = max(last_s, took_s)
-        limit_ns = fault.to_ns + int(RECOVERY_S * _NS)
-        if leg in by_leg:
-            touches, swings = by_leg[leg].touches, by_leg[leg].swings
-            whole = swings.start_ns[touches.swing] > to_ns
-            latest_ns = (touches.onset_ns + touches.window_ns)[whole]
-            if len(latest_ns):
-                latest = int(latest_ns[0])
-                limit_ns = max(limit_ns, latest + clock.lag_ns(latest) + _TRAVEL_NS)
-        if first_ns is None or first_ns > limit_ns:
-            late.append(leg)
-    return last_s, late

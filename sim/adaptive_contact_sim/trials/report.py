@@ -81,8 +81,8 @@ Every recording is simulated once and replayed through five learners side by sid
   need no free ones. "never": not before the recording ended.
 - A *lock-out* is the longest run of swings with a missed touch or a false alarm, from the change
   on; swings that could not have shown a blind leg are passed over.
-- A learner is *valid* after the first swing that begins 20 of which it says so, one after the other:
-  a single swing that it doubts minutes later is no part of how it began.
+- A learner is *valid* after the first swing that begins 20 of which it says so, one after the
+  other: a single swing that it doubts minutes later is no part of how it began.
 - *Contact learned* is the share of the ticks a learner took for free on which the leg touched
   anything between the sample before and this one, by the simulator's truth. A foot that is caught
   counts as touching for as long as it is held.

@@ -1,0 +1,62 @@
+"""The parts that a soak is conducted with: processes found and killed, and the plan."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+
+pytest.importorskip("mujoco")
+
+from adaptive_contact_sim.demo.child import Child
+from adaptive_contact_sim.drift_spec import parse_drift
+from adaptive_contact_sim.soak.conduct import _born, _children, _crash, _resident_mb
+from adaptive_contact_sim.soak.plan import SoakPlan
+
+
+@pytest.mark.e2e
+def test_a_service_is_killed_as_by_a_crash(tmp_path: Path) -> None:
+    """It used to be asked to end, and saved everything before it did."""
+    listen = ("--listen", "tcp/127.0.0.1:0", "--state", str(tmp_path), "--log-level", "warning")
+    with Child("the service", ("serve", *listen)) as child:
+        assert _born(child.pid)
+        _crash(child)
+        assert not child.running
+        assert "exit code -9" in str(child.failure())
+        assert _born(child.pid) == ""
+
+
+def test_a_process_is_told_from_a_later_one_of_its_id() -> None:
+    assert _born(os.getpid()).isdigit()
+    assert _born(2**22 + 1) == "", "beyond any id"
+
+
+def test_children_of_a_process_are_found() -> None:
+    code = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'input()'])"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        until = time.monotonic() + 20
+        while not (found := _children(process.pid)):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        assert all(_resident_mb(pid) > 0.1 for pid in found)
+        process.communicate(b"\n", timeout=20)
+
+
+def test_the_plan_is_one_that_the_simulator_takes() -> None:
+    for minutes in (1.0, 30.0, 600.0):
+        plan = SoakPlan(minutes=minutes)
+        kinds = [fault.kind for fault in plan.faults]
+        assert sorted(kinds) == ["router", "router", "service"]
+        for drift in plan.drifts:
+            assert parse_drift(drift.option).at_s == pytest.approx(drift.at_s)
+            assert drift.at_s + drift.duration_s < plan.seconds
+    with pytest.raises(ConfigurationError, match="expected 1 to 1440 min"):
+        SoakPlan(minutes=0.5)

@@ -1,0 +1,231 @@
+"""A disk that is slow, full or closed, and a state that fits no file: told, and nobody waits."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from structlog.testing import capture_logs
+
+from adaptive_contact.service.state import Record, StateKeeper, StateStore
+from adaptive_contact.service.state.keeper import Position
+
+from .conftest import Desk, Folder, Learner, S
+
+
+@contextlib.contextmanager
+def unprivileged() -> Iterator[None]:
+    """Be nobody, where the tests are run by root, who may do everything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    try:
+        os.seteuid(65534)
+    except OSError:
+        pytest.skip("this root can become nobody else")
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def test_a_slow_disk_holds_nobody_up_and_gets_the_newest(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    desk = Desk(learner=Learner())
+    keeper.restore("rf", desk.learner, "servo", 0)
+    writing, go_on = threading.Event(), threading.Event()
+    save = folder.store.save
+    written: list[int] = []
+
+    def slow(record: Record) -> None:
+        writing.set()
+        assert go_on.wait(5)
+        written.append(record.body["number"])
+        save(record)
+
+    monkeypatch.setattr(folder.store, "save", slow)
+    for number in range(1, 6):
+        desk.learner.number = number  # type: ignore[attr-defined]
+        desk.hear()
+        keeper.take(desk, 0)  # returns at once
+        assert writing.wait(5)
+    assert not keeper.flush(0.01)
+    go_on.set()
+    assert keeper.flush(5)
+    assert written == [1, 5]
+
+
+def test_a_disk_that_is_too_slow_at_the_end_is_told(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    writing, go_on = threading.Event(), threading.Event()
+
+    def slow(record: Record) -> None:
+        writing.set()
+        assert go_on.wait(20)
+
+    monkeypatch.setattr(folder.store, "save", slow)
+    for leg in ("lf", "rm", "lr"):  # the first is being written, the others wait
+        desk = Desk(leg)
+        keeper.restore(leg, desk.learner, "servo", 0)
+        desk.hear()
+        keeper.take(desk, 0)
+        assert writing.wait(5)
+    with capture_logs() as logs:
+        keeper.close(0.01)
+    folder.keeper = None
+    go_on.set()
+    (line,) = logs
+    assert line["event"] == "state not saved in time, the one before it stays"
+    assert line["legs"] == "lr rm"
+
+
+def test_a_full_disk_is_told_once_and_tried_again(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keeper = folder.open()
+    desk = Desk()
+    keeper.restore("rf", desk.learner, "servo", 0)
+    full = OSError(errno.ENOSPC, "No space left on device")
+
+    def fails(record: Record) -> None:
+        raise full
+
+    with capture_logs() as logs:
+        monkeypatch.setattr(folder.store, "save", fails)
+        for _ in range(3):
+            desk.hear()
+            keeper.take(desk, 0)
+            assert keeper.flush(5)
+        facts = keeper.facts
+        monkeypatch.undo()
+        keeper.take(desk, 0)
+        assert keeper.flush(5)
+    assert (facts.saved, facts.failed) == (0, 3)
+    assert facts.error == f"rf not saved in {folder.store.folder}: no space left on device"
+    assert [line["event"] for line in logs] == ["state not saved", "state is saved again"]
+    assert (keeper.facts.saved, keeper.facts.error) == (1, None)
+
+
+def test_a_snapshot_that_cannot_be_written_does_not_end_the_thread(folder: Folder) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+    bad.learner.snapshot = lambda: {"thing": object()}  # type: ignore[attr-defined]
+    for desk in (bad, good):
+        keeper.restore(desk.leg, desk.learner, "servo", 0)
+        desk.hear()
+        keeper.take(desk, 0)
+        assert keeper.flush(5)
+    assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
+    assert folder.restored()[0] == 3
+
+
+@pytest.mark.parametrize("why", [errno.EROFS, errno.EACCES])
+def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, why: int
+) -> None:
+    folder.save(9)
+    folder.close()
+    folder.keeper = None
+
+    def refuses(*_: Any, **__: Any) -> int:
+        raise OSError(why, os.strerror(why))
+
+    monkeypatch.setattr("os.open", refuses)
+    number, refused, lines = folder.restored()
+    assert (number, refused) == (9, [])
+    line = (
+        f"{folder.store.folder} cannot be written to ({os.strerror(why).lower()}); "
+        "give another --state DIR, or --no-state"
+    )
+    assert lines == [f"state is not saved: {line}", "state restored: "]
+    assert folder.keeper is not None
+    assert folder.keeper.facts.error == line, "what ServiceStatus and watch tell"
+    desk = Desk()
+    desk.hear()
+    assert not folder.keeper.due(desk, 100 * S)
+
+
+def test_a_folder_that_may_not_be_looked_into_is_one_line(folder: Folder) -> None:
+    """Not two more for each leg, of files that may not even be there."""
+    folder.save(9)
+    folder.close()
+    folder.keeper = None
+    folder.path.chmod(0)
+    try:
+        with unprivileged():
+            number, refused, lines = folder.restored()
+    finally:
+        folder.path.chmod(0o700)
+    assert (number, refused) == (0, [])
+    assert lines == [
+        f"state is not saved: {folder.store.folder} cannot be written to (permission denied); "
+        "give another --state DIR, or --no-state"
+    ]
+
+
+@pytest.mark.parametrize("number", [2**70, -(2**70)])
+def test_a_number_that_fits_no_file_is_counted_and_does_not_end_the_thread(
+    folder: Folder, number: int
+) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+    for desk in (bad, good):
+        keeper.restore(desk.leg, desk.learner, "servo", 0)
+        desk.hear()
+    bad.position = Position(number, 1)
+    for desk in (bad, good):
+        keeper.take(desk, 0)
+        assert keeper.flush(5)
+    assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
+    assert folder.restored()[0] == 3
+
+
+def test_a_snapshot_that_raises_is_counted_and_told(folder: Folder) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+
+    def raises() -> dict[str, object]:
+        raise ZeroDivisionError("of nothing")
+
+    bad.learner.snapshot = raises  # type: ignore[attr-defined]
+    with capture_logs() as logs:
+        for desk in (bad, good):
+            keeper.restore(desk.leg, desk.learner, "servo", 0)
+            desk.hear()
+            keeper.take(desk, 0)
+            assert keeper.flush(5)
+    assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
+    assert {"event": "state not saved", "leg": "lf", "why": "of nothing"}.items() <= logs[0].items()
+
+
+def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
+    owner = StateStore.open(folder.path, "mini")
+    store = StateStore.open(folder.path, "mini")
+    with capture_logs() as logs:
+        keeper = StateKeeper(store, "mini", lambda _: "s", period_s=0.05)
+        desk = Desk(learner=Learner(5))
+        keeper.restore("rf", desk.learner, "servo", 0)
+        desk.hear()
+        assert not keeper.due(desk, 100 * S)
+        assert "in use by another service" in str(keeper.facts.error)
+        owner.close()
+        until = time.monotonic() + 20
+        while not keeper.due(desk, 100 * S):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        keeper.take(desk, 100 * S)
+        assert keeper.flush(5)
+    assert keeper.facts.error is None
+    assert [line["event"] for line in logs] == ["state is not saved", "state is saved again"]
+    keeper.close()
+    assert folder.restored()[0] == 5
