@@ -234,6 +234,7 @@ class Follower:
         would have kept them.
         """
         self._queue = deque(row for row in self._queue if row.t_ns < since_ns)
+        self._doubted = [row for row in self._doubted if row.t_ns < since_ns]
         self.buffer.drop_since(since_ns)
         while self.confirmed_ns and self.confirmed_ns[-1] >= since_ns:
             self.confirmed_ns.pop()

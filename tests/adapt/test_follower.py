@@ -191,6 +191,38 @@ def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> 
     assert float(restored.domain.leverage(theta)) <= grown * 1.05
 
 
+def rows_at(follower: Follower, level: float, t_ns: int) -> list[Row]:
+    """Eight rows of the model's own leg, as far off as is said."""
+    theta = np.random.default_rng(t_ns).normal(size=(8, len(follower._scale))) * follower._scale
+    target = theta @ follower.model.coefficients
+    return [
+        Row(t, moved, level, 1.0, 0, t_ns + k, lift=True, calm=True, cleared=True)
+        for k, (t, moved) in enumerate(zip(theta, target, strict=True))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("second", "distrusted", "learned"), [(20.0, False, 24), (1.0, False, 8), (20.0, True, 16)]
+)
+def test_the_descent_of_a_doubted_lift_waits_for_the_next(
+    follower: Follower, second: float, distrusted: bool, learned: int
+) -> None:
+    """It is learned with the change, is dropped where there was none, or its ticks were none."""
+    for t_ns in range(1000, 1005):
+        follower.monitor.begin_swing()
+        follower.lift(rows_at(follower, 1.0, 100 * t_ns), 0, 0)
+    before = len(follower.confirmed_ns)
+    follower.monitor.begin_swing()
+    follower.lift(rows_at(follower, 20.0, 10_000_000), 0, 0)
+    follower.descent(rows_at(follower, 20.0, 11_000_000), 0)
+    assert len(follower.confirmed_ns) == before
+    if distrusted:
+        follower.distrust(11_000_000)
+    follower.monitor.begin_swing()
+    follower.lift(rows_at(follower, second, 12_000_000), 0, 0)
+    assert len(follower.confirmed_ns) - before == learned
+
+
 def without_lengths() -> Robot:
     text = "\n".join(line for line in TOML.splitlines() if not line.startswith("lengths_m"))
     return parse_robot(text, source="testbot")
