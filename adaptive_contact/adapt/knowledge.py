@@ -20,6 +20,7 @@ from adaptive_contact.detect import Tail
 from adaptive_contact.errors import BaselineError
 from adaptive_contact.identify import leg_library
 from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.wire import ServoSample
 
 __all__ = ["Knowledge"]
 
@@ -79,6 +80,21 @@ class Knowledge:
             return [0.0] * len(self._leg.joints)
         floor: list[float] = self._known.noise.rms.tolist()
         return floor
+
+    def collect(self, sample: ServoSample, *, swing: bool, broken: bool) -> None:
+        """A sample for a first model, where one is wanted.
+
+        Args:
+            sample: accepted.
+            swing: the leg is in one.
+            broken: it does not connect to the one before.
+        """
+        if self.cold is None:
+            return
+        if broken:
+            self.cold.interrupt()
+        sound = sample.valid is None or all(sample.valid)
+        self.cold.add(sample.measured, sample.desired, swing=swing, sound=sound)
 
     def try_cold(self) -> None:
         """Hand in a first fit when it is time, and take its result when it is there."""

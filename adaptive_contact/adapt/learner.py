@@ -11,7 +11,6 @@ free is learned there, a few rows per tick.
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any, Final
 
 import numpy as np
@@ -29,10 +28,7 @@ from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
 from adaptive_contact.adapt.tracker import Tracker
-from adaptive_contact.detect import (
-    ContactState,
-    Decision,
-)
+from adaptive_contact.detect import ContactState, Decision
 from adaptive_contact.identify import LegModel
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import (
@@ -53,9 +49,6 @@ Array = NDArray[np.float64]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
-# Free residuals remembered for the status, about the swings of the last ten seconds.
-STATUS_TICKS: Final = 256
-_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 
 
 class ContactLearner:
@@ -93,15 +86,12 @@ class ContactLearner:
         # Whoever listens may hold the leg to touch, and no tick will decide that it has let go.
         self._owes_release = False
         self._tally = Tally()
-        self._recent: deque[Array] = deque(maxlen=STATUS_TICKS)
         self._t_ns = 0
         self._command: list[float] = [0.0] * len(self.leg.joints)  # in force, and before it
         self._command_before = self._command
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
-        self._faults = 0
-        self._fault_note: str | None = None
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -121,9 +111,7 @@ class ContactLearner:
 
     def begin_anew(self, fault: Exception) -> None:
         """After a fault in its learning: go on as if nothing had been learned, and say so."""
-        self._faults += 1
-        last = f"{type(fault).__name__}: {fault}"
-        self._fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
+        self._tally.fault(fault)
         self._knowledge.start()
         self._let_go()
         self._swing.restart()
@@ -164,16 +152,13 @@ class ContactLearner:
     @property
     def status(self) -> LearnerStatus:
         """How the learner is."""
-        joints = len(self.leg.joints)
         follower = self._follower
-        recent = np.array(self._recent)
-        rms = np.sqrt(np.square(recent).mean(axis=0)).tolist() if len(recent) else [0.0] * joints
         return LearnerStatus(
             leg=self.leg.id,
             t_ns=self._t_ns,
             status=self._status,
             model_version=self._version,
-            residual_rms=rms,
+            residual_rms=self._tally.residual_rms(len(self.leg.joints)),
             noise_floor=self._knowledge.noise_floor,
             buffer=BufferCounts() if follower is None else follower.buffer.counts,
             drift=DriftLevel() if follower is None else follower.monitor.drift,
@@ -232,16 +217,8 @@ class ContactLearner:
         connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
         self._connect(result, sample, paused=not connected)
         self._follow_phase(sample)
-        cold = self._knowledge.cold
-        if cold is not None:
-            if result.restart or result.missed or self._rate.off or not connected:
-                cold.interrupt()
-            cold.add(
-                sample.measured,
-                sample.desired,
-                swing=self._swing.ticks > 0,
-                sound=sample.valid is None or all(sample.valid),
-            )
+        broken = result.restart or result.missed > 0 or self._rate.off or not connected
+        self._knowledge.collect(sample, swing=self._swing.ticks > 0, broken=broken)
         return True
 
     def released(self, sample: ServoSample) -> ContactEvent | None:
@@ -300,7 +277,7 @@ class ContactLearner:
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
         elif not (loaded or self._state.contact):
-            self._recent.append(verdict.residual)
+            self._tally.residuals.append(verdict.residual)
         self._quarantine.enter(
             tracker.thetas[0],
             verdict,
@@ -410,12 +387,12 @@ class ContactLearner:
         follower, swing = self._follower, self._swing
         gated = follower is not None and follower.gated
         notes = (
-            self._fault_note,
+            self._tally.fault_note,
             self._knowledge.note,
             None if follower is None else follower.monitor.note,
             swing.blind_note,
             self._rate.note,
             swing.deaf_note if gated else None,
-            _NO_PREVIEW if self._tally.counts["no_preview"] else None,
+            self._tally.preview_note,
         )
         return next((note for note in notes if note is not None), None)

@@ -5,8 +5,8 @@ This is what makes six legs cost little more than one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from adaptive_contact.adapt.block import Block
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt.learner import ContactLearner
 
 __all__ = ["Team"]
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
 
 
 class Team:
@@ -45,11 +48,8 @@ class Team:
         """
         here: dict[int, tuple[ContactLearner, ServoSample]] = {}
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
-            try:
-                if sample is not None and learner.admit(sample):
-                    here[i] = (learner, sample)
-            except Exception as fault:  # of one leg, which must not end the others' service
-                self._begin_anew(learner, fault)
+            if sample is not None and self._of_one(learner, learner.admit, sample):
+                here[i] = (learner, sample)
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for i, (learner, sample) in here.items():
             events[i] = learner.released(sample)
@@ -57,20 +57,24 @@ class Team:
         for i in self._without:
             if i in here:
                 learner, sample = here[i]
-                try:
-                    learner.watch(sample)
-                except Exception as fault:  # of one leg, as above
-                    self._begin_anew(learner, fault)
+                self._of_one(learner, learner.watch, sample)
         for block, places in self._blocks:
             work = [(row, i, *here[i]) for row, i in enumerate(places) if i in here]
             if work:
                 self._tick(block, work, events)
         return events
 
-    def _begin_anew(self, learner: ContactLearner, fault: Exception) -> None:
-        if not self._shielded:
-            raise fault
-        learner.begin_anew(fault)
+    def _of_one(
+        self, learner: ContactLearner, step: Callable[P, Result], *args: P.args, **more: P.kwargs
+    ) -> Result | None:
+        """What a step of one leg gives; None where it faults and the team is shielded."""
+        try:
+            return step(*args, **more)
+        except Exception as fault:  # of one leg, which must not end the others' service
+            if not self._shielded:
+                raise
+            learner.begin_anew(fault)
+            return None
 
     def _tick(
         self,
@@ -85,31 +89,25 @@ class Team:
             rows,
             [trackers[row].repair(sample.measured, sample.valid) for row, _, _, sample in work],
         )
-        judged, faulty = [], set()
-        for row, _, learner, sample in work:
-            try:
-                if learner.observe(sample):
-                    judged.append(row)
-            except Exception as fault:  # of one leg, as in `advance`
-                self._begin_anew(learner, fault)
-                faulty.add(row)
+        seen = [self._of_one(learner, learner.observe, sample) for *_, learner, sample in work]
+        judged = [row for row, can in zip(rows, seen, strict=True) if can]
         said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
-        ready = []
-        for row, i, learner, sample in work:
-            if row in faulty:
-                continue
-            try:
-                verdict = said.get(row)
-                decided = None if verdict is None else learner.decide(verdict, sample)
-                if decided is not None:
-                    events[i] = decided
-                if learner.command(sample):
-                    ready.append(row)
-                else:
-                    trackers[row].predicted = False
-                learner.learn()
-            except Exception as fault:  # of one leg, as in `advance`
-                self._begin_anew(learner, fault)
+        ready: list[int] = []
+
+        def conclude(row: int, i: int, learner: ContactLearner, sample: ServoSample) -> None:
+            verdict = said.get(row)
+            decided = None if verdict is None else learner.decide(verdict, sample)
+            if decided is not None:
+                events[i] = decided
+            if learner.command(sample):
+                ready.append(row)
+            else:
+                trackers[row].predicted = False
+            learner.learn()
+
+        for one, can in zip(work, seen, strict=True):
+            if can is not None:
+                self._of_one(one[2], conclude, *one)
         block.push(rows, [sample.desired for *_, sample in work])
         if ready:
             block.predict(ready)

@@ -37,22 +37,31 @@ def follower(baseline: Baseline) -> Follower:
     return Follower("rf", known, recent, LearnerMode.RLS, InlineRefitter())
 
 
+def rows_of(theta: Array, target: Array, *, level: float = 1.0, t_ns: int = 0) -> list[Row]:
+    """Free ticks of a lift, one after the other."""
+    return [
+        Row(t, moved, level, 1.0, 0, t_ns + k, lift=True, calm=True, cleared=True)
+        for k, (t, moved) in enumerate(zip(theta, target, strict=True))
+    ]
+
+
+def swing(follower: Follower, rows: list[Row], number: int) -> None:
+    """One that has a lift alone, and the stance that follows."""
+    follower.monitor.begin_swing()
+    follower.lift(rows, 0, number)
+    for _ in range(28):
+        follower.tick(3)
+    follower.swing_done()
+
+
 def lifts(follower: Follower, swings: int, spoil: Callable[[Row], Row] = lambda row: row) -> None:
     """Swings of a leg that does what the model says, each row changed on its way."""
     rng = np.random.default_rng(swings)
     model = follower.model
-    for swing in range(swings):
+    for number in range(swings):
         theta = rng.normal(size=(8, model.library.size)) * follower._scale
         target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
-        rows = [
-            spoil(Row(t, moved, 1.0, 1.0, 0, k, lift=True, calm=True, cleared=True))
-            for k, (t, moved) in enumerate(zip(theta, target, strict=True))
-        ]
-        follower.monitor.begin_swing()
-        follower.lift(rows, 0, swing)
-        for _ in range(28):
-            follower.tick(3)
-        follower.swing_done()
+        swing(follower, [spoil(row) for row in rows_of(theta, target)], number)
 
 
 def test_a_model_that_fits_stays(follower: Follower) -> None:
@@ -127,7 +136,6 @@ def first_model(baseline: Baseline, rows: int) -> tuple[LegBaseline, Array]:
 def test_a_first_model_moves_by_what_its_rows_left_open(baseline: Baseline) -> None:
     """After as many rows again it is nearly right; one that is held for a baseline is not."""
     known, true = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
-    rng = np.random.default_rng(6)
     off = {}
     for provisional in (True, False):
         recent = RecentNoise(known.noise, baseline.tails, 1.0, known.domain)
@@ -135,18 +143,10 @@ def test_a_first_model_moves_by_what_its_rows_left_open(baseline: Baseline) -> N
             "rf", known, recent, LearnerMode.RLS, InlineRefitter(), provisional=provisional
         )
         rng = np.random.default_rng(6)
-        for swing in range(60):
+        for number in range(60):
             theta = rng.normal(size=(8, len(true))) * known.scale
             target = theta @ true + rng.normal(size=(8, 3)) * known.noise.rms
-            rows = [
-                Row(t, moved, 1.0, 1.0, 0, k, lift=True, calm=True, cleared=True)
-                for k, (t, moved) in enumerate(zip(theta, target, strict=True))
-            ]
-            follower.monitor.begin_swing()
-            follower.lift(rows, 0, swing)
-            for _ in range(28):
-                follower.tick(3)
-            follower.swing_done()
+            swing(follower, rows_of(theta, target), number)
         wrong = (follower.model.coefficients - true) * known.scale[:, None] / known.noise.rms
         off[provisional] = float(np.square(wrong[follower._rls.support]).mean() ** 0.5)
     assert off[True] < 0.1
@@ -194,11 +194,7 @@ def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> 
 def rows_at(follower: Follower, level: float, t_ns: int) -> list[Row]:
     """Eight rows of the model's own leg, as far off as is said."""
     theta = np.random.default_rng(t_ns).normal(size=(8, len(follower._scale))) * follower._scale
-    target = theta @ follower.model.coefficients
-    return [
-        Row(t, moved, level, 1.0, 0, t_ns + k, lift=True, calm=True, cleared=True)
-        for k, (t, moved) in enumerate(zip(theta, target, strict=True))
-    ]
+    return rows_of(theta, theta @ follower.model.coefficients, level=level, t_ns=t_ns)
 
 
 @pytest.mark.parametrize(

@@ -116,15 +116,20 @@ def test_a_full_disk_is_told_once_and_tried_again(
     assert (keeper.facts.saved, keeper.facts.error) == (1, None)
 
 
-def test_a_snapshot_that_cannot_be_written_does_not_end_the_thread(folder: Folder) -> None:
-    keeper = folder.open()
-    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
-    bad.learner.snapshot = lambda: {"thing": object()}  # type: ignore[attr-defined]
-    for desk in (bad, good):
+def keep_all(keeper: StateKeeper, *desks: Desk) -> None:
+    """Have each leg saved, one after the other."""
+    for desk in desks:
         keeper.restore(desk.leg, desk.learner, "servo", 0)
         desk.hear()
         keeper.take(desk, 0)
         assert keeper.flush(5)
+
+
+def test_a_snapshot_that_cannot_be_written_does_not_end_the_thread(folder: Folder) -> None:
+    keeper = folder.open()
+    bad, good = Desk("lf", Learner()), Desk("rf", Learner(3))
+    bad.learner.snapshot = lambda: {"thing": object()}  # type: ignore[attr-defined]
+    keep_all(keeper, bad, good)
     assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
     assert folder.restored()[0] == 3
 
@@ -199,11 +204,7 @@ def test_a_snapshot_that_raises_is_counted_and_told(folder: Folder) -> None:
 
     bad.learner.snapshot = raises  # type: ignore[attr-defined]
     with capture_logs() as logs:
-        for desk in (bad, good):
-            keeper.restore(desk.leg, desk.learner, "servo", 0)
-            desk.hear()
-            keeper.take(desk, 0)
-            assert keeper.flush(5)
+        keep_all(keeper, bad, good)
     assert (keeper.facts.saved, keeper.facts.failed) == (1, 1)
     assert {"event": "state not saved", "leg": "lf", "why": "of nothing"}.items() <= logs[0].items()
 
