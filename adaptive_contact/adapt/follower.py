@@ -1,7 +1,5 @@
 """Follows one leg's model: recursion, refits, return to what was known.
 
-The model of the last good swing is kept: one that turns out implausible is replaced by it.
-
 When the monitor says that the leg has changed, the recursion is loosened along the ways in which
 legs change, and learns from the lifts at once.
 """
@@ -12,7 +10,7 @@ import enum
 import zlib
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +18,8 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
+from adaptive_contact.adapt.champion import Champion
 from adaptive_contact.adapt.contacts import Touch
-from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.kinds import kind_of_change
 from adaptive_contact.adapt.monitor import (
     LEAST_LEVEL,
@@ -35,14 +33,11 @@ from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.snapshot import (
     FORMAT,
     ImplausibleError,
-    array_of,
     library_key,
-    pack,
     read_state,
     segment_of,
 )
 from adaptive_contact.identify import LegModel
-from adaptive_contact.identify.recursive import RecursiveLeastSquares
 from adaptive_contact.wire import RefitCounts, Status
 
 __all__ = ["Follower", "LearnerMode"]
@@ -56,12 +51,6 @@ RETURN_SWINGS: Final = 3
 CALM_QUEUE: Final = 24
 # Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
 CONFIRMED_TICKS: Final = 2048
-# A term never moves a tick by more than this: the fastest servos make it in one, and no term of the
-# shipped models moves a typical tick by more than an eighth of it.
-MAX_TERM_RAD: Final = 0.5
-# Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
-# times what the baseline's do.
-BALANCE: Final = 5.0
 # A level up to this says nothing of a leg that has not changed; from twice as far on it counts in
 # full.
 STRAY: Final = 1.2
@@ -81,14 +70,6 @@ class LearnerMode(enum.StrEnum):
     REFIT = "refit"
     RLS = "rls"
     FULL = "full"
-
-
-class _Good(NamedTuple):
-    """A model that fitted, with the recursion that went on from it."""
-
-    model: LegModel
-    rls: RecursiveLeastSquares
-    loosened: bool
 
 
 class Follower:
@@ -121,28 +102,19 @@ class Follower:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
         self.gated = mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
-        self._model = known.model
-        self._moved = False  # the recursion has, since the model was made
         least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
         self.monitor = DriftMonitor(len(known.noise.rms), least)
         self.buffer = SlidingBuffer(rows=rows_for_refit(known.model))
         self._recent = recent
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
         self._leg = leg
-        self._baseline = known.model
         self._noise = known.noise.rms
         self._scale = known.scale
-        self._provisional = provisional
-        self._rls = self._recursion(known.model)
+        self._champion = Champion(known, recent, provisional=provisional, on_fall=self._fallen)
         self._queue: deque[Row] = deque()
         self._doubted: list[Row] = []  # the descent after a lift that was not believed
         self._better_baseline = 0
         self._era = 0
-        self._loosened = False  # the recursion, since it was begun
-        # What a term may move a tick by, at most.
-        own = np.abs(known.model.coefficients * known.scale[:, None]).max()
-        self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
-        self._good: _Good | None = None
         self._swings = 0  # since covariances were made anew
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
@@ -152,10 +124,8 @@ class Follower:
 
     @property
     def model(self) -> LegModel:
-        """In force; made when somebody asks, as most rows are learned while the leg stands."""
-        if self._moved:
-            self._publish()
-        return self._model
+        """In force."""
+        return self._champion.model
 
     def variance(self, theta: Array) -> Array | float:
         """Factor on the residual's variance at a tick: the level, and the model's own doubt.
@@ -167,8 +137,8 @@ class Follower:
             (J,) or one number.
         """
         level = self.level_in_force
-        if self._loosened:
-            return level * (1.0 + self._rls.uncertainty(theta))
+        if self._champion.loosened:
+            return level * (1.0 + self._champion.uncertainty(theta))
         return level
 
     @property
@@ -179,7 +149,7 @@ class Follower:
         the baseline's, what it strays upwards would make the detector duller on average.
         """
         level = self.monitor.level_in_force
-        if self._loosened or not 1.0 < level < STEEP * STRAY - 1.0:
+        if self._champion.loosened or not 1.0 < level < STEEP * STRAY - 1.0:
             return level
         return max(1.0, 1.0 + STEEP * (level - STRAY))
 
@@ -197,8 +167,7 @@ class Follower:
 
     def learn_now(self, row: Row) -> None:
         """Ungated: any tick is learned as it comes, contact or not."""
-        self._rls.update(row.theta, row.target)
-        self._moved = True
+        self._champion.learn(row)
 
     def lift(self, rows: list[Row], region: int, t_ns: int) -> None:
         """The top of a swing has been passed.
@@ -253,7 +222,7 @@ class Follower:
         if self._swings >= REFRESH_SWINGS:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
         if self.monitor.status == "valid" and self.monitor.level < SETTLED_LEVEL:
-            self._good = _Good(self.model, self._rls.copy(), self._loosened)
+            self._champion.remember()
         if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
             self._challenger.swing_done(self.model, self.buffer, self._era, learned=learned)
 
@@ -266,7 +235,6 @@ class Follower:
         if self._queue:
             for _ in range(min(self._share(budget), len(self._queue))):
                 self._learn(self._queue.popleft())
-            self._moved = True
         self._challenger.tick()
         self._recent.domain = self._challenger.domain
         if self._refresh_in is not None:
@@ -287,16 +255,11 @@ class Follower:
         return {
             "format": FORMAT,
             "library": library_key(self.model.library),
-            "baseline": pack(self._baseline.coefficients),
-            "coefficients": pack(self.model.coefficients),
-            "version": self.model.version,
-            "factor": pack(self._rls.factor),
-            "support": pack(self._rls.support.astype(np.float64)),
+            **self._champion.snapshot(),
             "level": self.monitor.level,
             "status": self.monitor.status,
             "held": self.monitor.held,
             "era": self._era,
-            "loosened": self._loosened,
             "refits": self._challenger.snapshot(),
             "recent": self._recent.snapshot(),
             "segments": [segment_of(s) for s in self.buffer.segments],
@@ -309,21 +272,12 @@ class Follower:
             None when it is in force, else one line that says why it is not.
         """
         try:
-            state = read_state(saved, self._baseline, len(self._recent.whiten))
-            # A model that moves a typical tick by radians is none of a servo's.
-            if self._implausible(state.coefficients):
-                raise ImplausibleError("its model is implausible")
-            # A promoted model has a support of its own.
-            rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
-            factor = array_of(saved.get("factor"), rls.factor.shape, "its covariance")
+            state = read_state(saved, self._champion.baseline, len(self._recent.whiten))
+            self._champion.restore(state, saved.get("factor"))
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
-        self._model, self._moved = self._model.moved(state.coefficients, state.version), False
-        self._rls = rls
-        self._rls.restore(state.coefficients, factor)
         self.monitor.resume(state.level, state.status, held=state.held)
         self._era = state.era
-        self._loosened = state.loosened
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
         self._challenger.resume(self.buffer, len(self._scale), self._era)
@@ -342,8 +296,7 @@ class Follower:
             self.monitor.kind = kind_of_change(theta, residual, self.model, self._noise)
         self._era += 1
         if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
-            self._loosened = True
-            self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
+            self._champion.loosen()
         self._challenger.withdraw()
         self._refresh()
 
@@ -365,25 +318,24 @@ class Follower:
         if self.model.version == 0:
             return
         now = self._error(rows, self.model.coefficients)
-        before = self._error(rows, self._baseline.coefficients)
+        before = self._error(rows, self._champion.baseline.coefficients)
         self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
         if self._better_baseline < RETURN_SWINGS:
             return
         self._better_baseline = 0
-        self._rls, self._loosened = self._recursion(self._baseline), False
+        self._champion.take_up_baseline()
         self._queue.clear()
         self._challenger.withdraw()
         self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
-        self._moved = True
         self.monitor.level = 1.0
         self._era += 1
         self._refresh()
 
     def _learn(self, row: Row) -> None:
         """Learn a row, and let a candidate, if there is one, be tried on it."""
-        innovations = self._rls.update(row.theta, row.target)
+        innovations = self._champion.learn(row)
         if self._challenger.trying:
-            self._promote(self._challenger.compare(row, innovations, self._model))
+            self._promote(self._challenger.compare(row, innovations, self._champion.as_made))
 
     def _compare(self, row: Row) -> None:
         """Let a candidate be tried on a row that is not learned."""
@@ -393,8 +345,7 @@ class Follower:
 
     def _promote(self, model: LegModel | None) -> None:
         if model is not None:
-            self._model, self._moved = model, False
-            self._rls, self._loosened = self._recursion(model), False
+            self._champion.replace(model)
             self._refresh()
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:
@@ -402,36 +353,17 @@ class Follower:
         target = np.array([row.target for row in rows])
         return float(np.square((target - theta @ coefficients) / self._noise).mean())
 
-    def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
-        rls = RecursiveLeastSquares(
-            model.coefficients, core_support(model), self._scale, self._noise
-        )
-        if self._provisional and self._recent.domain is not None:
-            rls.doubt(self._recent.domain.gram)
-        return rls
-
     def _refresh(self) -> None:
         """Make covariances and thresholds those of the model in force and the leg as it is."""
         self._swings, self._refresh_in = 0, None
         segments = [s for s in self.buffer.segments if s.era == self._era]
         self._recent.refresh(segments, self.model.coefficients)
 
-    def _implausible(self, coefficients: Array) -> bool:
-        """Whether a model would move a typical tick by more than any servo's can; NaN is, too."""
-        return not np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad
-
-    def _publish(self) -> None:
-        version = max(1, self._model.version)
-        self._moved = False
-        coefficients = self._rls.coefficients
-        if not self._implausible(coefficients):
-            self._model = self._model.moved(coefficients, version)
-            return
-        good = self._good or _Good(self._baseline, self._recursion(self._baseline), loosened=False)
-        self._model = self._model.moved(good.model.coefficients, version)
-        self._rls, self._loosened = good.rls.copy(), good.loosened
+    def _fallen(self, back_to: str) -> None:
+        """The model was not finite, or implausible, and another is in force again."""
         self._queue.clear()
         self._challenger.withdraw()
-        whose = "the baseline" if self._good is None else "the last good model"
-        self._challenger.rolled_back(f"a coefficient was not finite, or implausible: {whose} again")
+        self._challenger.rolled_back(
+            f"a coefficient was not finite, or implausible: {back_to} again"
+        )
         self._refresh()

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline, LearnerMode
 from adaptive_contact.adapt.baseline import LegBaseline
+from adaptive_contact.adapt.champion import MAX_TERM_RAD
 from adaptive_contact.adapt.follower import (
-    MAX_TERM_RAD,
     REFRESH_SWINGS,
     REFRESH_TICKS,
     Follower,
@@ -77,8 +77,8 @@ def test_a_model_that_went_wild_gives_way_to_the_last_good_one(
 ) -> None:
     lifts(follower, 10)
     good = follower.model.coefficients
-    follower._rls._xi[0, 0] = wild / follower._rls._to_raw[0, 0]
-    follower._moved = True
+    follower._champion._rls._xi[0, 0] = wild / follower._champion._rls._to_raw[0, 0]
+    follower._champion._moved = True
     np.testing.assert_allclose(follower.model.coefficients, good, atol=1e-9)
     assert follower.refits.rolled_back == 1
     assert follower.refits.last_reason == (
@@ -93,8 +93,8 @@ def test_one_that_goes_wild_before_there_was_a_good_swing_gives_way_to_the_basel
     follower: Follower,
 ) -> None:
     before = follower.model.coefficients
-    follower._rls._xi[:] = np.nan
-    follower._moved = True
+    follower._champion._rls._xi[:] = np.nan
+    follower._champion._moved = True
     np.testing.assert_array_equal(follower.model.coefficients, before)
     assert "the baseline again" in (follower.refits.last_reason or "")
 
@@ -109,7 +109,7 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(follower: Follower) -> Non
 
     lifts(follower, 40, jump)
     moved = np.abs(follower.model.coefficients * follower._scale[:, None]).max()
-    assert moved <= max(MAX_TERM_RAD, follower._most_rad)
+    assert moved <= max(MAX_TERM_RAD, follower._champion._most_rad)
     assert np.isfinite(follower.model.coefficients).all()
     assert follower.status != "valid"
 
@@ -148,7 +148,7 @@ def test_a_first_model_moves_by_what_its_rows_left_open(baseline: Baseline) -> N
             target = theta @ true + rng.normal(size=(8, 3)) * known.noise.rms
             swing(follower, rows_of(theta, target), number)
         wrong = (follower.model.coefficients - true) * known.scale[:, None] / known.noise.rms
-        off[provisional] = float(np.square(wrong[follower._rls.support]).mean() ** 0.5)
+        off[provisional] = float(np.square(wrong[follower._champion._rls.support]).mean() ** 0.5)
     assert off[True] < 0.1
     assert off[True] < 0.5 * off[False]
 

@@ -1,0 +1,169 @@
+"""The model in force, and the recursion that moves it.
+
+The model of the last good swing is kept with its recursion: one that turns out implausible is
+replaced by it, or by the baseline where there was none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.baseline import LegBaseline
+from adaptive_contact.adapt.directions import core_support, drift_directions
+from adaptive_contact.adapt.recent import RecentNoise
+from adaptive_contact.adapt.segments import Row
+from adaptive_contact.adapt.snapshot import ImplausibleError, SavedState, array_of, pack
+from adaptive_contact.identify import LegModel
+from adaptive_contact.identify.recursive import RecursiveLeastSquares
+
+__all__ = ["Champion"]
+
+Array = NDArray[np.float64]
+
+# A term never moves a tick by more than this: the fastest servos make it in one, and no term of the
+# shipped models moves a typical tick by more than an eighth of it.
+MAX_TERM_RAD: Final = 0.5
+# Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
+# times what the baseline's do.
+BALANCE: Final = 5.0
+
+
+class _Good(NamedTuple):
+    """A model that fitted, with the recursion that went on from it."""
+
+    model: LegModel
+    rls: RecursiveLeastSquares
+    loosened: bool
+
+
+class Champion:
+    """One leg's.
+
+    Args:
+        known: the baseline.
+        recent: knows where the model has been.
+        provisional: the baseline is a first model, from a few swings: it may move by what these
+            left open.
+        on_fall: told which model is in force again when one was implausible.
+
+    Attributes:
+        baseline: the model at the start.
+        loosened: whether the recursion was, since it was begun.
+    """
+
+    def __init__(
+        self,
+        known: LegBaseline,
+        recent: RecentNoise,
+        *,
+        provisional: bool,
+        on_fall: Callable[[str], None],
+    ) -> None:
+        self.baseline = known.model
+        self.loosened = False
+        self._recent = recent
+        self._provisional = provisional
+        self._on_fall = on_fall
+        self._noise = known.noise.rms
+        self._scale = known.scale
+        self._model = known.model
+        self._moved = False  # the recursion has, since the model was made
+        self._rls = self._recursion(known.model)
+        # What a term may move a tick by, at most.
+        own = np.abs(known.model.coefficients * known.scale[:, None]).max()
+        self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
+        self._good: _Good | None = None
+
+    @property
+    def model(self) -> LegModel:
+        """In force; made when somebody asks, as most rows are learned while the leg stands."""
+        if self._moved:
+            self._publish()
+        return self._model
+
+    @property
+    def as_made(self) -> LegModel:
+        """As it was when somebody last asked for it; rows learned since are not in it."""
+        return self._model
+
+    def uncertainty(self, theta: Array) -> Array:
+        """(J,) variance of the prediction at (p,) regressors, over the noise's."""
+        return self._rls.uncertainty(theta)
+
+    def learn(self, row: Row) -> list[float]:
+        """Learn a row; how far the model was off before, J numbers over the noise."""
+        self._moved = True
+        return self._rls.update(row.theta, row.target)
+
+    def loosen(self) -> None:
+        """The leg has changed: let the recursion move along the ways in which legs change."""
+        self.loosened = True
+        self._rls.loosen(drift_directions(self.model, self._scale, self._noise))
+
+    def remember(self) -> None:
+        """All is well: this is the model to go back to."""
+        self._good = _Good(self.model, self._rls.copy(), self.loosened)
+
+    def replace(self, model: LegModel) -> None:
+        """Another model is in force; the recursion begins from it."""
+        self._model, self._moved = model, False
+        self._rls, self.loosened = self._recursion(model), False
+
+    def take_up_baseline(self) -> None:
+        """Back to what was known; the version goes on."""
+        self._rls, self.loosened = self._recursion(self.baseline), False
+        self._moved = True
+
+    def snapshot(self) -> dict[str, Any]:
+        """What :meth:`restore` and the state's reader need."""
+        return {
+            "baseline": pack(self.baseline.coefficients),
+            "coefficients": pack(self.model.coefficients),
+            "version": self.model.version,
+            "factor": pack(self._rls.factor),
+            "support": pack(self._rls.support.astype(np.float64)),
+            "loosened": self.loosened,
+        }
+
+    def restore(self, state: SavedState, factor: Any) -> None:
+        """Take over a saved model and the packed square root of its covariance.
+
+        Raises:
+            ImplausibleError: the two are none of a leg's; nothing is changed.
+        """
+        # A model that moves a typical tick by radians is none of a servo's.
+        if self._implausible(state.coefficients):
+            raise ImplausibleError("its model is implausible")
+        # A promoted model has a support of its own.
+        rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
+        rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
+        self._model, self._moved = self._model.moved(state.coefficients, state.version), False
+        self._rls, self.loosened = rls, state.loosened
+
+    def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
+        rls = RecursiveLeastSquares(
+            model.coefficients, core_support(model), self._scale, self._noise
+        )
+        if self._provisional and self._recent.domain is not None:
+            rls.doubt(self._recent.domain.gram)
+        return rls
+
+    def _implausible(self, coefficients: Array) -> bool:
+        """Whether a model would move a typical tick by more than any servo's can; NaN is, too."""
+        return not np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad
+
+    def _publish(self) -> None:
+        version = max(1, self._model.version)
+        self._moved = False
+        coefficients = self._rls.coefficients
+        if not self._implausible(coefficients):
+            self._model = self._model.moved(coefficients, version)
+            return
+        good = self._good or _Good(self.baseline, self._recursion(self.baseline), loosened=False)
+        self._model = self._model.moved(good.model.coefficients, version)
+        self._rls, self.loosened = good.rls.copy(), good.loosened
+        self._on_fall("the baseline" if self._good is None else "the last good model")
