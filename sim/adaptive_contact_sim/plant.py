@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import mujoco
@@ -61,6 +62,10 @@ class Plant:
         period_s: control tick; a whole number of physics steps.
         supply_resistance_ohm: of battery and wiring.
 
+    Attributes:
+        steps: physics steps made so far.
+        on_step: called after each of them; None where nobody listens.
+
     Raises:
         ConfigurationError: the period is not a whole number of physics steps.
     """
@@ -87,6 +92,7 @@ class Plant:
         self.period_s = period_s
         self.step_s = float(model.opt.timestep)
         self.steps = 0
+        self.on_step: Callable[[], None] | None = None
 
         e = self.elements
         self._supply_resistance_ohm = supply_resistance_ohm
@@ -185,6 +191,7 @@ class Plant:
         drive, rub = self.servos.drive, self.servos.rub
         step, sensed, sensors = mujoco.mj_step, self._sensed, data.sensordata
         gears = self.gears if self.gears.active else None
+        told = self.on_step
         for i in range(self.substeps):
             drive()
             if gears is not None:
@@ -195,6 +202,8 @@ class Plant:
                 gears.rub()
             sensed[i] = sensors
             self.steps += 1
+            if told is not None:
+                told()
             if data.ncon != self._contacts:
                 self._note_contacts()
 

@@ -52,7 +52,7 @@ _MARGIN: Final = 10
 
 @dataclass
 class _Listener:
-    """Takes down body and joints at every physics step; called where the servos rub."""
+    """Takes down body and joints at every physics step; told of each by the plant."""
 
     sim: Simulation
     leg: int
@@ -63,12 +63,10 @@ class _Listener:
 
     def __post_init__(self) -> None:
         plant = self.sim.plant
-        rub = plant.servos.rub
         own = slice(3 * self.leg, 3 * self.leg + 3)
 
         def listen() -> None:
-            rub()
-            self.t_s.append((plant.steps + 1) * plant.step_s)
+            self.t_s.append(plant.steps * plant.step_s)
             matrix = np.zeros(9)
             mujoco.mju_quat2Mat(matrix, plant.data.qpos[3:7])
             m = matrix.reshape(3, 3)
@@ -77,7 +75,7 @@ class _Listener:
             ctrl = plant.data.ctrl[plant.elements.ctrl][own]
             self.torque.append(ctrl - plant.servos.back_emf[own] * plant.joint_speeds[own])
 
-        plant.servos.rub = listen  # type: ignore[method-assign]
+        plant.on_step = listen
 
 
 def ten_collisions(
