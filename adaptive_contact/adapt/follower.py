@@ -142,6 +142,11 @@ class Follower:
         return level
 
     @property
+    def changed(self) -> bool:
+        """Whether the leg has changed since the model in force was fitted."""
+        return self._champion.loosened
+
+    @property
     def level_in_force(self) -> float:
         """The level by which this swing is judged.
 

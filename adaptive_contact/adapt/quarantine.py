@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.contacts import TICKS, Touch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
+from adaptive_contact.adapt.ground import Push, push_of
 from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.segments import Row, SwingBook
 from adaptive_contact.adapt.swing import SwingWatch
@@ -123,6 +124,7 @@ class Quarantine:
             lift=swing.rising,
             calm=free,
             cleared=swing.cleared,
+            push=self._push(verdict, detector) if follower.changed else None,
         )
         if not follower.gated:
             follower.learn_now(row)
@@ -154,6 +156,16 @@ class Quarantine:
         self._hand_touch()
         self._confirm(self._book.resolve())
         self.follower.swing_done()
+
+    def _push(self, verdict: Verdict, detector: LegDetector) -> Push | None:
+        """What a tick of a descent shows of a push from the ground; None without geometry."""
+        swing = self._swing
+        if swing.rising:
+            return None
+        gradient = swing.height_gradient
+        if gradient is None:
+            return None
+        return push_of(verdict.residual, verdict.target, detector.whitening[0], gradient)
 
     def _hand_touch(self) -> None:
         """The first ticks of a contact, for candidate models to be tried on."""

@@ -3,7 +3,9 @@
 A swing is in quarantine until it is resolved.  Ticks in which the foot rises, well after
 lift-off, cannot press on the ground: they are free at once.  Ticks after the top are free once the
 next stance has begun without an alarm, but for the last ones, in which a touch too soft to see may
-sit; after an alarm, only those well before its onset.
+sit; after an alarm, only those well before its onset.  Where every swing ends in a touch these
+never reach the end of a descent; of a leg that has changed, what the ground cannot have done to
+the last ticks before the onset is learned, too.
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from adaptive_contact.adapt.ground import Push
 
 __all__ = ["Row", "SwingBook"]
 
@@ -28,6 +32,12 @@ LET_GO_RATIO: Final = 10.0
 MIN_LIFT_ROWS: Final = 3
 # Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
 GUARD_TICKS: Final = 3
+# Nearer than this nothing is.
+TOUCHING_TICKS: Final = 1
+# In between, ticks that the model misses (a level above this)...
+MISSED_LEVEL: Final = 1.0
+# ...while the foot is pushed up by no more deviations than this, nor was it in any tick since.
+PUSHED_SIGMA: Final = 1.0
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6
 # A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
@@ -47,6 +57,8 @@ class Row(NamedTuple):
         lift: the foot was rising.
         calm: the leg had been found free before.
         cleared: the foot had left the ground before, by its height; only then it is learned.
+        push: what it shows of a push from the ground, of a leg that has changed; None for nobody
+            asked.
     """
 
     theta: Array
@@ -58,6 +70,7 @@ class Row(NamedTuple):
     lift: bool
     calm: bool
     cleared: bool
+    push: Push | None = None
 
 
 @dataclasses.dataclass
@@ -128,6 +141,9 @@ class SwingBook:
     def alarm(self, onset_ns: int, period_ns: int) -> list[Row]:
         """A contact was reported: what came well before its onset is free.
 
+        Nearer to it, what the ground cannot have done is: the part of the movement that no push
+        from below accounts for.
+
         Returns:
             Rows of the descent that are confirmed; the rest of the swing is not entered.
         """
@@ -137,6 +153,7 @@ class SwingBook:
         limit = LET_GO_RATIO * max([1.0, *(row.level for row in up)])
         self._lift = up + [row for row in late if row.t_ns <= last or row.level <= limit]
         rows = [row for row in self._descent if row.t_ns <= last]
+        rows += _not_pushed(self._descent[len(rows) :], onset_ns - TOUCHING_TICKS * period_ns)
         self._descent, self._closed = [], True
         return rows
 
@@ -156,3 +173,14 @@ def _let_go(rows: list[Row]) -> list[Row] | None:
             first -= 1
         rows = rows[first:]
     return rows if len(rows) >= MIN_LIFT_ROWS else None
+
+
+def _not_pushed(rows: list[Row], last_ns: int) -> list[Row]:
+    """Of a leg that has changed: what no push from below accounts for, in the ticks it missed."""
+    found: list[Row] = []
+    for row in rows:
+        if row.t_ns > last_ns or row.push is None or row.push.sigma > PUSHED_SIGMA:
+            break
+        if row.level > MISSED_LEVEL:
+            found.append(row._replace(target=row.push.aside))
+    return found

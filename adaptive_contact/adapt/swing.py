@@ -7,8 +7,11 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
-from adaptive_contact.robot import Leg, foot_point
+from adaptive_contact.robot import Leg, foot_point, height_gradient
 from adaptive_contact.robot.phase import Direction, PhaseTracker
 from adaptive_contact.wire import ServoSample
 
@@ -130,6 +133,13 @@ class SwingWatch:
     def lifted(self) -> bool:
         """Whether the foot has come up at all; without geometry, its command's word is taken."""
         return self._leg.lengths_m is None or self._rise > LIFTED_M
+
+    @property
+    def height_gradient(self) -> NDArray[np.float64] | None:
+        """(J,) m per rad, how the foot rises with each joint where it is; None without geometry."""
+        if self._leg.lengths_m is None or self._last_measured is None:
+            return None
+        return height_gradient(self._last_measured, self._leg.lengths_m, self._axes)
 
     def judge_lift(self) -> bool | None:
         """Whether the foot is held, told at the top of a lift; None where little was asked of it.

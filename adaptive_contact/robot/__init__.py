@@ -16,7 +16,7 @@ from adaptive_contact.robot.description import (
     parse_robot,
     shipped_robot,
 )
-from adaptive_contact.robot.geometry import foot, foot_point, inverse, link_angles
+from adaptive_contact.robot.geometry import foot, foot_point, height_gradient, inverse, link_angles
 
 __all__ = [
     "ROBOT_HOUR_TICKS",
@@ -30,6 +30,7 @@ __all__ = [
     "ServoLaw",
     "foot",
     "foot_point",
+    "height_gradient",
     "inverse",
     "link_angles",
     "load_robot",

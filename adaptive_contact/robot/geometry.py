@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["foot", "foot_point", "inverse", "link_angles"]
+__all__ = ["foot", "foot_point", "height_gradient", "inverse", "link_angles"]
 
 Array = NDArray[np.float64]
 
@@ -101,6 +101,29 @@ def foot_point(
         y += reach * math.sin(yaw)
         z += length * math.sin(pitch)
     return x, y, z
+
+
+def height_gradient(q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str]) -> Array:
+    """How the foot rises with each joint: the third row of the leg's Jacobian.
+
+    Args:
+        q: (J,) rad joint angles.
+        lengths_m: (J,) m.
+        axes: (J,) ``yaw`` or ``pitch`` per joint.
+
+    Returns:
+        (J,) m per rad; 0 for a yaw joint, whose axis is upright.
+    """
+    pitch, reach = 0.0, []
+    for angle, length, axis in zip(q, lengths_m, axes, strict=True):
+        pitch += angle if axis == "pitch" else 0.0
+        reach.append(length * math.cos(pitch))
+    beyond, rises = 0.0, [0.0] * len(reach)
+    for i in range(len(reach) - 1, -1, -1):
+        beyond += reach[i]
+        if axes[i] == "pitch":
+            rises[i] = beyond
+    return np.array(rises)
 
 
 def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:
