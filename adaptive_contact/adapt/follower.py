@@ -242,10 +242,11 @@ class Follower:
                 self._learn(self._queue.popleft())
         self._challenger.tick()
         self._recent.domain = self._challenger.domain
+        self._recent.go_on()
         if self._refresh_in is not None:
             self._refresh_in -= 1
             if self._refresh_in < 0:
-                self._refresh()
+                self._refresh(at_once=False)
 
     def _share(self, budget: int) -> int:
         """Rows of a tick: a leg that is known can wait, one that has changed cannot.
@@ -358,11 +359,16 @@ class Follower:
         target = np.array([row.target for row in rows])
         return float(np.square((target - theta @ coefficients) / self._noise).mean())
 
-    def _refresh(self) -> None:
-        """Make covariances and thresholds those of the model in force and the leg as it is."""
+    def _refresh(self, *, at_once: bool = True) -> None:
+        """Make covariances and thresholds those of the model in force and the leg as it is.
+
+        Args:
+            at_once: now, as what they are of is another model or leg; else within a few ticks.
+        """
         self._swings, self._refresh_in = 0, None
         segments = [s for s in self.buffer.segments if s.era == self._era]
-        self._recent.refresh(segments, self.model.coefficients)
+        refresh = self._recent.refresh if at_once else self._recent.begin_refresh
+        refresh(segments, self.model.coefficients)
 
     def _fallen(self, back_to: str) -> None:
         """The model was not finite, or implausible, and another is in force again."""

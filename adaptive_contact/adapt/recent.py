@@ -43,6 +43,8 @@ CLIP: Final = 3.0
 PRIOR_EXCEEDANCES: Final = 50.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
+# Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
+SEGMENTS_PER_TICK: Final = 12
 # A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
 # which the monitor has to say.
 MOST: Final = 4.0
@@ -81,6 +83,7 @@ class RecentNoise:
         self.thresholds: Array = self._least
         self.limits: list[float] = self._least.tolist()
         self.revision = 0
+        self._under_way: _Shaping | None = None
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
 
@@ -110,7 +113,21 @@ class RecentNoise:
             segments: confirmed ticks of the leg as it is.
             coefficients: (p, J) of the model in force.
         """
-        self.whiten = self._shaped(segments, coefficients)
+        self.begin_refresh(segments, coefficients)
+        while self._under_way is not None:
+            self.go_on()
+
+    def begin_refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
+        """Begin to do so; some segments a tick, with :meth:`go_on`.  What was begun is dropped."""
+        self._under_way = _Shaping(self._noise.whiten, tuple(segments), coefficients)
+
+    def go_on(self) -> None:
+        """A tick's share of what was begun, if anything was."""
+        shaping = self._under_way
+        if shaping is None or not shaping.advance(SEGMENTS_PER_TICK):
+            return
+        self._under_way = None
+        self.whiten = shaping.turned()
         often, wide = self.tail_factors
         tails = tuple(
             dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
@@ -143,14 +160,41 @@ class RecentNoise:
         if len(known) == len(values):
             self._ticks, self._above, self._excess = known
 
-    def _shaped(self, segments: Sequence[Segment], coefficients: Array) -> Array:
-        """(contexts, windows, J, J) the baseline's whitening, turned and stretched by S."""
-        if not segments:
-            return self._noise.whiten
-        theta = np.concatenate([s.theta for s in segments])
-        target = np.concatenate([s.target for s in segments])
-        where = np.concatenate([s.context for s in segments])
-        z = np.matvec(self._noise.whiten[where, 0], target - theta @ coefficients)
+
+class _Shaping:
+    """A baseline's whitening, turned and stretched by the scatter of confirmed ticks; on the way.
+
+    Args:
+        whiten: (contexts, windows, J, J) the baseline's.
+        segments: of confirmed ticks.
+        coefficients: (p, J) of the model whose residuals they are.
+    """
+
+    def __init__(self, whiten: Array, segments: tuple[Segment, ...], coefficients: Array) -> None:
+        self._whiten = whiten
+        self._segments = segments
+        self._coefficients = coefficients
+        self._done = 0
+        self._residuals: list[Array] = []  # whitened
+
+    def advance(self, most: int) -> bool:
+        """Take in so many segments; True when all were taken in before."""
+        part = self._segments[self._done : self._done + most]
+        if not part:
+            return True
+        self._done += len(part)
+        theta = np.concatenate([s.theta for s in part])
+        target = np.concatenate([s.target for s in part])
+        where = np.concatenate([s.context for s in part])
+        off = target - theta @ self._coefficients
+        self._residuals.append(np.matvec(self._whiten[where, 0], off))
+        return False
+
+    def turned(self) -> Array:
+        """(contexts, windows, J, J), of the segments taken in."""
+        if not self._residuals:
+            return self._whiten
+        z = np.concatenate(self._residuals)
         joints = z.shape[1]
         size = np.sqrt(np.square(z).mean(axis=1))
         usual = max(float(np.median(size)), 1e-12)
@@ -160,4 +204,4 @@ class RecentNoise:
         shape = scatter + SHRINK_TICKS * mean * np.eye(joints)
         shape *= joints / np.trace(shape)
         turned = np.linalg.inv(np.linalg.cholesky(shape))
-        return np.asarray(turned @ self._noise.whiten)
+        return np.asarray(turned @ self._whiten)
