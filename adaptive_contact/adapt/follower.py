@@ -143,8 +143,8 @@ class Follower:
 
     @property
     def changed(self) -> bool:
-        """Whether the leg has changed since the model in force was fitted."""
-        return self._champion.loosened
+        """Whether the leg has changed since the model in force was fitted, by what is heard."""
+        return self._champion.loosened or self.level_in_force > 1.0
 
     @property
     def level_in_force(self) -> float:
