@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.score.contacts import Contacts, contacts_of
 from adaptive_contact.score.outcome import (
-    COUNTED,
     ROWS,
     Events,
     LegOutcome,
@@ -40,8 +39,6 @@ LATE_SAMPLES: Final = 3
 HEADLINE_M_S: Final = 0.2
 SLOW_M_S: Final = 0.1
 CREEP_M_S: Final = 0.02
-
-_COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
 
 
 def match(stream: LegStream, events: Events) -> LegOutcome:
@@ -74,7 +71,7 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     in_swing = swings.of_tick >= 0
     tick_swing = swings.of_tick[in_swing]
     tick_loaded = _loaded(t_ns[in_swing], tick_swing, contacts, contact_swing)
-    counted = _COUNTED_CODES[touches.row]
+    counted = touches.counted
     alarms = free[~taken]
     return LegOutcome(
         leg=stream.leg,

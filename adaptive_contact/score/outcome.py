@@ -48,6 +48,7 @@ ROWS: Final = tuple(Row)
 # Rows whose misses are errors of a swing.  The others are told apart because they may be beyond
 # any detector: too slow to be felt, along the surface, in the lift, too late.
 COUNTED: Final = frozenset({Row.HEADLINE, Row.MID, Row.SLOW, Row.SOFT, Row.UNKNOWN})
+_COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
 
 
 class Outcome(enum.StrEnum):
@@ -114,6 +115,12 @@ class TouchTable(NamedTuple):
     onset_error_ns: Times
     speed_m_s: Floats
     force_n: Floats
+
+    @property
+    def counted(self) -> Flags:
+        """(c,) whether to miss it is an error; the other rows may be beyond any detector."""
+        flags: Flags = _COUNTED_CODES[self.row]
+        return flags
 
 
 class SwingTable(NamedTuple):

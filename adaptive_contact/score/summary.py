@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.intervals import Interval, clopper_pearson, poisson_mean
-from adaptive_contact.score.outcome import COUNTED, ROWS, LegOutcome, Row, TouchTable
+from adaptive_contact.score.outcome import ROWS, LegOutcome, Row, TouchTable
 
 __all__ = ["Latency", "RowFigures", "Summary", "summarise"]
 
@@ -93,7 +93,6 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
         for code, name in enumerate(ROWS)
         if name is Row.HEADLINE or np.any(row == code)
     }
-    codes = [code for code, name in enumerate(ROWS) if name in COUNTED]
     found = int(np.sum(_column(touches, "found")))
     alarms = sum(len(outcome.alarms_ns) for outcome in outcomes)
     judged = sum(int(outcome.swings.judged.sum()) for outcome in outcomes)
@@ -102,7 +101,7 @@ def summarise(outcomes: Sequence[LegOutcome]) -> Summary:
     return Summary(
         legs=tuple(dict.fromkeys(outcome.leg for outcome in outcomes)),
         rows=rows,
-        counted=_figures(touches, np.isin(row, codes)),
+        counted=_figures(touches, _column(touches, "counted").astype(bool)),
         detections=found,
         false_alarms=alarms,
         precision=found / (found + alarms) if found + alarms else None,

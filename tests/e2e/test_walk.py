@@ -44,7 +44,8 @@ def test_a_walk_over_rough_ground_is_told_as_it_happens(
     assert view["service"]["rejects"] == {}
     assert view["service"]["callback_faults"] == 0
     for leg in view["legs"]:
-        assert leg["rejects"] == {}, leg
+        # A machine too busy to keep up drops samples, and counts them.
+        assert set(leg["rejects"]) <= {"overflow"}, leg
         assert leg["missed"] <= 0.05 * TICKS, leg
     assert recorder.stop() == 0
     assert service.stop() == 0, service.lines

@@ -31,7 +31,8 @@ def test_a_minute_is_broken_three_times_and_accounted_for(tmp_path: Path) -> Non
 
     found = judge(take, plan, robot)
     assert found.samples == 60 * 50 * len(robot.leg_ids)
-    assert (found.uncounted, found.inconsistent, found.rejects) == (0, 0, {})
+    assert (found.uncounted, found.inconsistent) == (0, 0)
+    assert set(found.rejects) <= {"overflow"}, "a machine too busy to keep up says so, no more"
     assert found.missed_samples > 0, "two routers were gone"
     # The service was killed without a word: what it goes on with is a save from before.
     assert sorted(found.state["restored"]) == sorted(robot.leg_ids)

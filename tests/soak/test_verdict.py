@@ -19,7 +19,9 @@ from .made import ROBOT
 
 
 def section(after: str = "begin", touches: int = 500, **fields: int) -> sections.Section:
-    counts = dict.fromkeys(("missed", "false_alarms", "releases", "wrong_releases"), 0)
+    counts = dict.fromkeys(
+        ("missed", "others", "others_missed", "false_alarms", "releases", "wrong_releases"), 0
+    )
     counts |= {"ticks": 10_000, **fields}
     return sections.Section(after=after, ramp=after == "ramp", touches=touches, **counts)
 
@@ -34,6 +36,8 @@ SOUND = verdict.Verdict(
     touches=6000,
     missed_touches=12,
     misses=[],
+    others=300,
+    others_missed=9,
     releases=6000,
     wrong_releases=0,
     wrong_released=[],

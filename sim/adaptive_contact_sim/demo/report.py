@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.errors import AdaptiveContactError
-from adaptive_contact.score import COUNTED, ROWS, LegOutcome, Summary
+from adaptive_contact.score import LegOutcome, Summary
 from adaptive_contact_sim.demo.settings import DemoSettings, drift_words
 from adaptive_contact_sim.demo.verdict import Verdict, others
 from adaptive_contact_sim.demo.words import outcome_words, percent, touches_words
@@ -162,9 +162,8 @@ def _marks(axes: Axes, verdict: Verdict, outcome: LegOutcome, y: float) -> None:
     """Found, missed and false, of one leg."""
     touches = outcome.touches
     when = _seconds(verdict, touches.onset_ns)
-    counted = np.isin(touches.row, [code for code, row in enumerate(ROWS) if row in COUNTED])
     _found(axes, when[touches.found], y)
-    _missed(axes, when[counted & ~touches.found], y)
+    _missed(axes, when[touches.counted & ~touches.found], y)
     # A little higher: a false alarm early in a swing often comes right before its missed touch.
     _false(axes, _seconds(verdict, outcome.alarms_ns), y + 0.3)
 

@@ -49,6 +49,7 @@ def _print(found: Verdict) -> None:
         f"{found.events} events, {found.events_lost} lost, {found.inconsistent} inconsistent; "
         f"outside windows and ramps: {found.false_alarms} false alarms in {found.judged_ticks} "
         f"swing ticks, {missed}",
+        f"of touches in rows that do not count, {found.others_missed} of {found.others} missed",
         f"releases: {found.wrong_releases} of {found.releases} of a leg that stood loaded",
         _arrived(found),
         f"refits: {found.refits}; state: {found.state}",

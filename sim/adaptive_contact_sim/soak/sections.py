@@ -22,6 +22,7 @@ __all__ = ["Section", "Span", "Window", "judge_sections", "spans_between", "wind
 
 _NS: Final = 1_000_000_000
 _AFTER_NS: Final = int(RECOVERY_S * _NS)
+_NONE: Final = np.zeros(0, dtype=bool)
 
 
 class Window(NamedTuple):
@@ -53,7 +54,9 @@ class Section:
         after: what was shaken before it.
         ramp: a drift is under way in it.
         ticks: swing leg-ticks judged.
-        touches, missed, false_alarms: of all legs.
+        touches, missed: of all legs, and of rows that count (docs/scoring.md).
+        others, others_missed: of the rows that do not.
+        false_alarms: of all legs.
         releases, wrong_releases: told, and told of a leg that stood loaded.
     """
 
@@ -62,6 +65,8 @@ class Section:
     ticks: int
     touches: int
     missed: int
+    others: int
+    others_missed: int
     false_alarms: int
     releases: int
     wrong_releases: int
@@ -116,15 +121,18 @@ def judge_sections(
         def inside(times_ns: Any, span: Span = span) -> Any:
             return (times_ns >= span.begin_ns) & (times_ns < span.end_ns)
 
+        here = [(o.touches, inside(o.touches.onset_ns)) for o in outcomes]
+        counted = np.concatenate([_NONE, *(touches.counted[within] for touches, within in here)])
+        hit = np.concatenate([_NONE, *(touches.found[within] for touches, within in here)])
         found.append(
             Section(
                 after=span.after,
                 ramp=span.ramp,
                 ticks=sum(int(o.swings.judged[inside(o.swings.start_ns)].sum()) for o in outcomes),
-                touches=sum(int(inside(o.touches.onset_ns).sum()) for o in outcomes),
-                missed=sum(
-                    int((inside(o.touches.onset_ns) & ~o.touches.found).sum()) for o in outcomes
-                ),
+                touches=int(np.sum(counted)),
+                missed=int(np.sum(counted & ~hit)),
+                others=int(np.sum(~counted)),
+                others_missed=int(np.sum(~counted & ~hit)),
                 false_alarms=sum(int(np.sum(inside(o.alarms_ns))) for o in outcomes),
                 releases=sum(int(np.sum(inside(one.t_ns))) for one in releases),
                 wrong_releases=sum(int(np.sum(inside(one.t_ns[one.wrong]))) for one in releases),

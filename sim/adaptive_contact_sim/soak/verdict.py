@@ -67,8 +67,9 @@ class Verdict:
         inconsistent: events that no sample bears out, or that came twice.
         false_alarms: ``contact: true`` outside of both while the leg touched nothing.
         alarms: leg and time of each false alarm outside the windows, s of the walk.
-        touches, missed_touches: outside of both.
-        misses: leg and time of each touch missed outside the windows, s of the walk.
+        touches, missed_touches: outside of both, of rows that count (docs/scoring.md).
+        misses: leg and time of each of them missed outside the windows, s of the walk.
+        others, others_missed: of the rows that do not: grazing, in the lift, too slow, too late.
         releases, wrong_releases: outside of both; a wrong one is ``contact: false`` of a leg that
             touched all along, and for more than 0.25 s after it.
         wrong_released: leg and time of each wrong one outside the windows, s of the walk.
@@ -104,6 +105,8 @@ class Verdict:
     touches: int
     missed_touches: int
     misses: list[tuple[str, float]]
+    others: int
+    others_missed: int
     releases: int
     wrong_releases: int
     wrong_released: list[tuple[str, float]]
@@ -187,9 +190,11 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
             (one.leg, _walked_s(at_ns, epoch_ns))
             for one in outcomes
             for at_ns in one.touches.onset_ns[
-                _outside(one.touches.onset_ns, edges) & ~one.touches.found
+                _outside(one.touches.onset_ns, edges) & one.touches.counted & ~one.touches.found
             ]
         ],
+        others=sum(one.others for one in settled),
+        others_missed=sum(one.others_missed for one in settled),
         releases=sum(one.releases for one in settled),
         wrong_releases=sum(one.wrong_releases for one in settled),
         wrong_released=[
