@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.adapt import Baseline, LearnerBank, LearnerMode
+from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactEvent, Reject
@@ -146,6 +147,27 @@ def test_it_is_followed_even_when_every_swing_ends_in_contact(
 ) -> None:
     full = run_changed(LearnerMode.FULL, robot, baseline, always=True)
     assert errors(full[85:]) <= 3
+
+
+def test_then_it_is_learned_to_the_end_of_its_descents(
+    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a leg that has changed, and but for what touches; before, the guard is kept."""
+    *arrays, touching = FakeLeg(seed=7).run(160, touch=lambda _: 16, change=changed)
+
+    def learned() -> tuple[np.ndarray, np.ndarray]:
+        learner = ContactLearner(robot, "rf", baseline)
+        play(learner, samples(*arrays))
+        ticks = np.array(learner.drain_confirmed()) // PERIOD
+        assert not touching[ticks].any()
+        late = ticks[(ticks % 28 == 15) | (ticks % 28 == 16)]  # the foot is stopped in the 17th
+        return late[late < 60 * 28], late[late >= 60 * 28]
+
+    before, after = learned()
+    monkeypatch.setattr(Follower, "changed", False)
+    guarded_before, guarded_after = learned()
+    assert len(before) == len(guarded_before) <= 2
+    assert len(after) > 2 * len(guarded_after) > 0
 
 
 def test_a_stream_of_contacts_does_not_blind_it(robot: Robot, baseline: Baseline) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from adaptive_contact.adapt.buffer import Segment
 from adaptive_contact.adapt.coldstart import prior_tails
-from adaptive_contact.adapt.recent import MOST, RecentNoise
+from adaptive_contact.adapt.recent import MOST, SEGMENTS_PER_TICK, RecentNoise
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.detect import WINDOWS, NoiseModel, Tail
 from adaptive_contact.detect.noise import CONTEXTS
@@ -84,6 +84,33 @@ def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseMode
     tied = SIGMA**2 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
     of.refresh(segments(tied, 40_000), COEFFICIENTS)
     assert shape(of, noise)[0, 1] == pytest.approx(0.8, abs=0.1)
+
+
+def test_a_few_segments_a_tick_come_to_the_same(noise: NoiseModel) -> None:
+    """And nothing moves before the last of them is in."""
+    free = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 4 * SEGMENTS_PER_TICK * 8 + 8)
+    whole, parts = recent(noise), recent(noise)
+    whole.refresh(free, COEFFICIENTS)
+    parts.begin_refresh(free, COEFFICIENTS)
+    ticks = 0
+    while parts.revision == 0:
+        np.testing.assert_array_equal(parts.whiten, noise.whiten)
+        parts.go_on()
+        ticks += 1
+    assert ticks == 6, "five with segments, and one to add up"
+    np.testing.assert_allclose(parts.whiten, whole.whiten, rtol=1e-12)
+    parts.go_on()
+    assert parts.revision == 1
+
+
+def test_what_was_begun_with_another_model_is_dropped(noise: NoiseModel) -> None:
+    free = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 800)
+    of = recent(noise)
+    of.begin_refresh(free, COEFFICIENTS)
+    of.go_on()
+    of.refresh([], COEFFICIENTS)
+    of.go_on()
+    np.testing.assert_array_equal(of.whiten, noise.whiten)
 
 
 def test_few_ticks_and_wild_ones_move_little(noise: NoiseModel) -> None:

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.ground import Push
 from adaptive_contact.adapt.segments import (
     FREE_LIFT_TICKS,
     GUARD_TICKS,
     LAST_TICKS,
+    MISSED_LEVEL,
+    PUSHED_SIGMA,
+    TOUCHING_TICKS,
     Row,
     SwingBook,
 )
@@ -76,6 +80,38 @@ def test_an_alarm_confirms_what_came_well_before_its_onset() -> None:
     swing(book, up=10, down=12)
     assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 19 - GUARD_TICKS + 1))
     assert book.resolve() == []
+
+
+ASIDE = np.array([7.0])
+
+
+def descent(levels: dict[int, float], pushes: dict[int, float | None]) -> SwingBook:
+    """A swing whose descent, ticks 11 to 22, misses by levels and shows pushes, 0 by default."""
+    book = SwingBook()
+    swing(book, up=10, down=0)
+    for tick in range(11, 23):
+        sigma = pushes.get(tick, 0.0)
+        push = None if sigma is None else Push(sigma, ASIDE)
+        missed = row(tick, lift=False, level=levels.get(tick, 9.0))._replace(push=push)
+        book.add(missed, tick, descending=True)
+    return book
+
+
+def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too() -> None:
+    """Nearer to the onset than the guard, but for the last tick, and only aside from a push."""
+    book = descent(levels={17: 0.9 * MISSED_LEVEL}, pushes={})
+    found = book.alarm(19 * PERIOD, PERIOD)
+    assert ticks(found) == [*range(11, 19 - GUARD_TICKS + 1), 18]
+    assert ticks(found)[-1] == 19 - TOUCHING_TICKS
+    guarded = [one for one in found if one.t_ns > (19 - GUARD_TICKS) * PERIOD]
+    assert all(one.target is ASIDE for one in guarded)
+    assert not any(one.target is ASIDE for one in found[: -len(guarded)])
+
+
+@pytest.mark.parametrize("pushed", [1.01 * PUSHED_SIGMA, None])
+def test_from_the_first_tick_that_may_be_pushed_nothing_is(pushed: float | None) -> None:
+    book = descent(levels={}, pushes={17: pushed})
+    assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 17))
 
 
 def test_an_alarm_in_the_lift_does_not_keep_the_lift_back() -> None:

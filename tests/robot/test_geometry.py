@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import foot, foot_point, inverse, link_angles
+from adaptive_contact.robot import foot, foot_point, height_gradient, inverse, link_angles
 
 LENGTHS = (0.052, 0.066, 0.138)
 AXES = ("yaw", "pitch", "pitch")
@@ -71,3 +71,16 @@ def test_the_place_of_one_posture_is_that_of_many(axes: tuple[str, ...]) -> None
     expected = foot(angles, lengths, axes)
     found = [foot_point(q, lengths.tolist(), axes) for q in angles.tolist()]
     np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [("yaw", "pitch", "pitch"), ("yaw", "pitch"), ("pitch", "yaw", "pitch"), ("pitch",), ("yaw",)],
+)
+def test_the_height_s_gradient_is_its_slope(axes: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(len(axes))
+    lengths = rng.uniform(0.02, 0.2, size=len(axes)).tolist()
+    step = 1e-6 * np.eye(len(axes))
+    for q in rng.uniform(-3.0, 3.0, size=(50, len(axes))):
+        slopes = (foot(q + step, lengths, axes) - foot(q - step, lengths, axes))[:, 2] / 2e-6
+        np.testing.assert_allclose(height_gradient(q.tolist(), lengths, axes), slopes, atol=1e-9)
