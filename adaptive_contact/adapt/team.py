@@ -52,7 +52,7 @@ class Team:
                 here[i] = (learner, sample)
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for i, (learner, sample) in here.items():
-            events[i] = learner.released(sample)
+            events[i] = self._of_one(learner, learner.released, sample)
         self._settle()
         for i in self._without:
             if i in here:
@@ -84,11 +84,17 @@ class Team:
     ) -> None:
         """One tick of a block: some of its rows, each with its place, learner and sample."""
         trackers = block.trackers
+        repaired = [
+            self._of_one(learner, trackers[row].repair, sample.measured, sample.valid)
+            for row, _, learner, sample in work
+        ]
+        # Who faulted begins anew, elsewhere.
+        work = [one for one, reading in zip(work, repaired, strict=True) if reading is not None]
+        readings = [reading for reading in repaired if reading is not None]
+        if not work:
+            return
         rows = [row for row, *_ in work]
-        block.take(
-            rows,
-            [trackers[row].repair(sample.measured, sample.valid) for row, _, _, sample in work],
-        )
+        block.take(rows, readings)
         seen = [self._of_one(learner, learner.observe, sample) for *_, learner, sample in work]
         judged = [row for row, can in zip(rows, seen, strict=True) if can]
         said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}

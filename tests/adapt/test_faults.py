@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -221,6 +222,41 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
         assert faulty.status.note == (
             "20 faults in learning, begun anew each time; last LinAlgError: not positive definite"
         )
+
+
+@pytest.mark.parametrize("where", ["repair", "released", "observe", "decide"])
+def test_a_fault_in_a_shared_block_takes_its_own_row_only(
+    two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """Two legs with models of one library; what the sound one tells is what it tells alone."""
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12, touch=lambda k: 16 if k % 2 else None)
+    stream = samples(measured, desired, swing)
+    both = dataclasses.replace(baseline, legs=dict.fromkeys(("rf", "lf"), baseline.legs["rf"]))
+    alone = ContactLearner(two_legs, "lf", both)
+    wanted = [(e.seq, e.contact) for sample in stream if (e := alone.update(sample)) is not None]
+    assert len(wanted) > 6
+
+    bank = LearnerBank(two_legs, both, shielded=True)
+    told = []
+    for k, sample in enumerate(stream):
+        learner = bank.learner("rf")
+        assert learner is not None
+        if k in (100, 101, 180):  # in the midst of a swing
+
+            def fail(*_: object) -> None:
+                raise ZeroDivisionError("division by zero")
+
+            assert learner.tracker is not None
+            monkeypatch.setattr(learner.tracker if where == "repair" else learner, where, fail)
+        told += bank.update({"rf": sample, "lf": sample})
+        monkeypatch.undo()
+    assert [(event.seq, event.contact) for event in told if event.leg == "lf"] == wanted
+    faulty = bank.learner("rf")
+    assert faulty is not None
+    # Begun anew, a leg has nothing to decide in the tick after.
+    faults = 2 if where == "decide" else 3
+    assert str(faulty.status.note).startswith(f"{faults} faults in learning")
+    assert any(event.leg == "rf" and event.seq > 200 for event in told), "it goes on"
 
 
 @pytest.fixture
