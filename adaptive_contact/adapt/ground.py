@@ -1,14 +1,14 @@
 r"""What ground can do to a foot, told from what it cannot.
 
 Ground pushes a foot up.  With joints that give alike, a force F on the foot moves them by
-:math:`c = J^\top F`; for an upright one that is the gradient of the foot's height.  With W the
-whitening of a tick, w the unit vector along W c and e its residual,
+:math:`J^\top F`; for an upright one that is the gradient g of the foot's height.  With W the
+whitening of a tick and r its residual,
 
-.. math:: u = w \cdot W e, \qquad e_\perp = e - c \, \frac{u}{|W c|}
+.. math:: q = \frac{W g}{|W g|} \cdot W r, \qquad r_\perp = r - g \, \frac{q}{|W g|}
 
-u is how many standard deviations the residual shows of such a push, :math:`e_\perp` what no
+q is how many standard deviations the residual shows of such a push, :math:`r_\perp` what no
 upright push accounts for.  A leg whose friction has changed is off in both; one that has just
-touched is off in u.
+touched is off in q.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ GUARD_TICKS: Final = 3
 TOUCHING_TICKS: Final = 1
 # In between, ticks that the model misses (a level above this)...
 MISSED_LEVEL: Final = 1.0
-# ...while the foot is pushed up by no more deviations than this, nor was it in any tick since.
+# ...up to the first in which the foot is pushed up by more deviations than this.
 PUSHED_SIGMA: Final = 1.0
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6

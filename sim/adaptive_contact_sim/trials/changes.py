@@ -22,7 +22,7 @@ from adaptive_contact_sim.trials.spec import Expect, Mark, Phase, Scenario, Stag
 
 __all__ = ["compound", "slow_changes", "steps"]
 
-# Steps of every kind that the simulator knows.  The first four are those of the design, section 9;
+# Steps of every kind that the simulator knows.  The first four walk, too;
 # values are at the far end of what is seen in the field, docs/simulator.md.
 STEPS: Final = {
     "friction4": ("all joints rub four times as much", What("friction", 4.0)),

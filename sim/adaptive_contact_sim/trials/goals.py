@@ -1,4 +1,4 @@
-"""What the full learner is held to (design, sections 8 and 9; issue 4), and whether it is met."""
+"""What the full learner is held to, and whether it is met."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _unpoisoned(_: Tree, full: Tree) -> list[Goal]:
 
 
 def _unharmed(_: Tree, full: Tree) -> list[Goal]:
-    return [_recall(full), Goal("harm (design, section 8)", 0.0, float(full["harmful"]))]
+    return [_recall(full), Goal("harm", 0.0, float(full["harmful"]))]
 
 
 def _start(_: Tree, full: Tree) -> list[Goal]:
@@ -141,7 +141,7 @@ def _start(_: Tree, full: Tree) -> list[Goal]:
     return [
         Goal("swings until valid, p95", VALID_SWINGS, start["swings_p95"]),
         Goal("recall lost once valid, points", RECALL_POINTS, lost),
-        Goal("harm once valid (design, section 8)", 0.0, float(start["harmful"])),
+        Goal("harm once valid", 0.0, float(start["harmful"])),
     ]
 
 
