@@ -62,6 +62,7 @@ class SlidingBuffer:
     rows: int = 0
     _segments: deque[Segment] = dataclasses.field(default_factory=deque)
     _held: int = 0  # rows
+    _of_source: int = 0  # segments, the newest: whose times are of the source in force
 
     @property
     def segments(self) -> list[Segment]:
@@ -91,6 +92,7 @@ class SlidingBuffer:
         context = np.array([row.context for row in rows])
         self._segments.append(Segment(theta, target, context, cell, era, rows[-1].t_ns))
         self._held += len(rows)
+        self._of_source += 1
         if len(self._segments) > self.limit and (
             self._held > self.rows or len(self._segments) > MOST_SEGMENTS
         ):
@@ -103,13 +105,19 @@ class SlidingBuffer:
         index = next((i for i, segment in enumerate(self._segments) if segment.era != newest), None)
         if index is None:
             index = next(i for i, s in enumerate(self._segments) if s.cell == fullest)
+        self._of_source -= index >= len(self._segments) - self._of_source
         self._held -= len(self._segments[index].target)
         del self._segments[index]
 
     def drop_since(self, t_ns: int) -> None:
-        """Drop the newest segments that reach to or beyond a time."""
-        while self._segments and self._segments[-1].t_ns >= t_ns:
+        """Drop the newest segments that reach to or beyond a time of the source in force."""
+        while self._of_source and self._segments[-1].t_ns >= t_ns:
             self._held -= len(self._segments.pop().target)
+            self._of_source -= 1
+
+    def new_source(self) -> None:
+        """The source began anew: times from before do not compare with its own."""
+        self._of_source = 0
 
     def factors(
         self, terms: int, joints: int, *, era: int, every: int = 5
@@ -143,8 +151,9 @@ class SlidingBuffer:
         """Take over saved segments, oldest first; beyond the limit, the newest."""
         self._segments = deque(segments[-MOST_SEGMENTS:])
         self._held = sum(len(segment.target) for segment in self._segments)
+        self._of_source = 0
 
     def clear(self) -> None:
         """Forget everything: the rows belong to another model's regressors."""
         self._segments.clear()
-        self._held = 0
+        self._held = self._of_source = 0

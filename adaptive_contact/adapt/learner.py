@@ -333,6 +333,8 @@ class ContactLearner:
             self._command = self._command_before = sample.desired
             if tracker is not None:
                 tracker.restart()
+            if self._follower is not None:
+                self._follower.buffer.new_source()
         elif (result.missed or paused) and tracker is not None:
             if result.missed < tracker.model.library.window.length and not paused:
                 tracker.bridge(np.array(sample.desired), result.missed)

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -27,7 +28,7 @@ from adaptive_contact.cli._options import (
     StateOption,
     ZenohConfigOption,
 )
-from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt import Baseline
@@ -105,11 +106,18 @@ def serve(
         service.log_figures()
     finally:
         refitter.close()
-        closed = link.close()
-    if not closed:
-        # A subscriber hangs on to the session, and the interpreter's own exit would wait for it.
-        sys.stdout.flush()
-        os._exit(0)
+        if not link.close():
+            _leave(sys.exception())
+
+
+def _leave(fault: BaseException | None) -> None:
+    """End where a subscriber hangs on to the session: the interpreter's own exit would wait."""
+    if isinstance(fault, AdaptiveContactError):
+        print(f"adaptive-contact: {fault}", file=sys.stderr)
+    elif fault is not None:
+        traceback.print_exception(fault)
+    sys.stdout.flush()
+    os._exit(0 if fault is None else 1)
 
 
 def _on_signal(stop: threading.Event) -> None:

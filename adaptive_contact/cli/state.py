@@ -121,8 +121,9 @@ def reset(
     if not yes:
         typer.confirm(f"forget {len(found)} files in {_folder(state)}?", abort=True)
     for folder in sorted({stored.path.parent for stored in found}):
-        store = StateStore.open(folder.parent, folder.name)
+        store = StateStore(folder)
         try:
+            store.reopen()
             if store.trouble is not None:
                 raise ConfigurationError(store.trouble)
             for stored in found:
@@ -143,17 +144,27 @@ def _folder(state: Path | None) -> Path:
 
 def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Stored]:
     """What is there; a file that cannot be read has neither robot nor leg, but a name."""
-    from adaptive_contact.service.state import Refused, list_states, robot_folder
+    from adaptive_contact.service.state import Refused, is_of_leg, list_states, robot_folder
 
     root = _folder(state)
-    if state is not None and not root.is_dir():
-        raise ConfigurationError(f"{root} is no folder; give the --state DIR of the service")
+    try:
+        next(root.iterdir(), None)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        if state is not None:  # of the default one: nothing has been kept yet
+            raise ConfigurationError(
+                f"{root} is no folder; give the --state DIR of the service"
+            ) from error
+    except OSError as error:
+        raise ConfigurationError(
+            f"{root} cannot be read ({(error.strerror or str(error)).lower()}); run as the "
+            "service's user, or give another --state DIR"
+        ) from error
     found = []
     for stored in list_states(root):
         record = stored.record
         if isinstance(record, Refused):
             of_robot = stored.path.parent == robot_folder(root, robot or "")
-            of_leg = stored.path.name.partition("-")[0] == leg
+            of_leg = leg is not None and is_of_leg(stored.path, leg)
         else:
             of_robot, of_leg = record.identity.robot == robot, record.identity.leg == leg
         if (robot is None or of_robot) and (leg is None or of_leg):
@@ -162,9 +173,14 @@ def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Store
 
 
 def _records(found: Iterable[Stored]) -> Iterable[Record]:
+    """The sound ones; of those that the service set aside, the learner knows why."""
     from adaptive_contact.service.state import Refused
 
-    return [stored.record for stored in found if not isinstance(stored.record, Refused)]
+    return [
+        stored.record
+        for stored in found
+        if not isinstance(stored.record, Refused) and stored.path.suffix != ".refused"
+    ]
 
 
 def _row(stored: Stored) -> dict[str, Any]:

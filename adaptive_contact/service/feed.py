@@ -15,6 +15,7 @@ from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
     ALL_TRUTH,
+    MAX_PAYLOAD_BYTES,
     ContactEvent,
     ContactTruth,
     LearnerStatus,
@@ -43,10 +44,16 @@ class Feed:
         self._alive = False
         self.unreadable = 0
         link.watch_tokens(SERVICE_TOKEN, self._token)
-        link.subscribe(SERVICE_STATUS, self._waiting.append, history=True)
-        link.subscribe(ALL_CONTACT, self._waiting.append, history=True)
-        link.subscribe(ALL_LEARNER, self._waiting.append)
-        link.subscribe(ALL_TRUTH, self._waiting.append)
+        link.subscribe(SERVICE_STATUS, self._hear, history=True)
+        link.subscribe(ALL_CONTACT, self._hear, history=True)
+        link.subscribe(ALL_LEARNER, self._hear)
+        link.subscribe(ALL_TRUTH, self._hear)
+
+    def _hear(self, received: Received) -> None:
+        if len(received.payload) <= MAX_PAYLOAD_BYTES:
+            self._waiting.append(received)
+        else:  # it would only be refused, and until then be kept
+            self.unreadable += 1
 
     def view(self, now_ns: int) -> View:
         """Take in what has arrived, and give what is known now; ``now_ns`` is monotonic."""

@@ -147,12 +147,12 @@ class Intake(Generic[R]):
                 self._overflow,
                 self._strangers,
                 self._stranger,
-                list(self._requests),
+                # One: an answer takes a millisecond, and samples wait meanwhile.
+                [self._requests.popleft()] if self._requests else [],
             )
             self._overflow = Counter()
             self._strangers = 0
             self._stranger = None
-            self._requests.clear()
         return round_
 
     def _queue(self, leg: str | None) -> deque[Raw] | None:

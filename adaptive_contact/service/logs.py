@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sys
+import threading
 from typing import Any, TextIO
 
 import structlog
 
 __all__ = ["configure_logs"]
+
+
+class _Lines:
+    """Writes lines, and never raises: a full disk must not end the service that tells of it.
+
+    Args:
+        stream: where to.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._turn = threading.Lock()
+
+    def msg(self, message: str) -> None:
+        """Write a line, if that can be done."""
+        with self._turn, contextlib.suppress(OSError, ValueError):  # full, gone, or closed
+            self._stream.write(f"{message}\n")
+            self._stream.flush()
+
+    debug = info = warning = error = critical = exception = msg
 
 
 def configure_logs(
@@ -35,11 +57,12 @@ def configure_logs(
         ]
     else:
         processors.append(structlog.dev.ConsoleRenderer(colors=stream.isatty(), pad_event_to=0))
+    lines = _Lines(stream)
     structlog.configure(
         processors=processors,
         wrapper_class=structlog.make_filtering_bound_logger(
             logging.getLevelNamesMapping()[level.upper()]
         ),
-        logger_factory=structlog.PrintLoggerFactory(stream),
+        logger_factory=lambda *_: lines,
         cache_logger_on_first_use=False,
     )

@@ -16,7 +16,6 @@ from typing import Final, NamedTuple, Protocol
 
 import structlog
 
-from adaptive_contact.errors import LinkError
 from adaptive_contact.service.meters import Brake
 from adaptive_contact.wire import Message
 
@@ -55,7 +54,7 @@ class Outbox:
             dropped, and the message with it; None where nothing is ever dropped.
 
     Attributes:
-        lost: messages dropped because the queue was full, or the link was closed.
+        lost: messages dropped because the queue was full, or that could not be put.
         slow: puts that took longer than a tenth of a second.
         cut_off: puts that blocked until the link of a subscriber was dropped: that one never got
             the event.
@@ -135,7 +134,7 @@ class Outbox:
         began_ns = self._putting_since_ns = time.monotonic_ns()
         try:
             letter.publisher.put(letter.message)
-        except LinkError:  # closed under it, at the end of the process
+        except Exception:  # the link was closed under it; whatever it is, the next must go out
             self.lost += 1
             return
         finally:

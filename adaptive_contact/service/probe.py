@@ -89,7 +89,7 @@ def _tcp(address: tuple[str, int], timeout_s: float) -> str | None:
     """None where the port accepts a connection, otherwise why not, with ``{}`` for its name."""
     try:
         socket.create_connection(address, timeout=timeout_s).close()
-    except socket.gaierror:
+    except (socket.gaierror, UnicodeError):  # unknown, or none that could be a name
         return f"the host name '{address[0]}' of {{}} is not known"
     except TimeoutError:
         return "no answer from {} (host off, or a firewall)"

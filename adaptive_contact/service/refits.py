@@ -16,11 +16,13 @@ import subprocess
 import sys
 import threading
 from collections import OrderedDict
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import structlog
 
+import adaptive_contact
 from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
 from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
 from adaptive_contact.identify import FitStatus
@@ -97,7 +99,13 @@ class ProcessRefitter:
                 if self._ending:
                     break
                 leg, job = self._waiting.popitem(last=False)
-            result = self._do(job)
+            try:
+                result = self._do(job)
+            except Exception as fault:  # no process could be started, say; the next may be
+                _log.warning("refit given up", leg=leg, job=job.number, why=str(fault))
+                self._end_process()
+                self.failures += 1
+                result = _failed(job)
             with self._changed:
                 if leg not in self._waiting:  # else it has been superseded
                     self._results[leg] = (job.number, result)
@@ -174,11 +182,16 @@ class WaitingRefitter(ProcessRefitter):
 
 
 def _start() -> subprocess.Popen[bytes]:
+    env = {**os.environ, **_ONE_THREAD}
+    home = Path(adaptive_contact.__file__).parents[1]
+    if home.name not in ("site-packages", "dist-packages"):  # run from a source tree
+        env["PYTHONPATH"] = os.pathsep.join(filter(None, (str(home), env.get("PYTHONPATH"))))
     return subprocess.Popen(
-        [sys.executable, "-m", _MODULE],
+        # Safe paths: the current folder, which may be anybody's, has nothing to say.
+        [sys.executable, "-P", "-m", _MODULE],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, **_ONE_THREAD},
+        env=env,
         start_new_session=True,  # a Ctrl-C is the service's to handle
     )
 

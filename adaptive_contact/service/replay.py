@@ -238,4 +238,7 @@ class WirePlayer:
         if not isinstance(run, int | None):
             return payload
         fields["run"] = self._base + self._runs.setdefault(run, len(self._runs))
-        return msgspec.json.encode(fields) if json else msgspec.msgpack.encode(fields)
+        try:
+            return msgspec.json.encode(fields) if json else msgspec.msgpack.encode(fields)
+        except (TypeError, ValueError, OverflowError):  # a type that samples do not have
+            return payload

@@ -13,7 +13,7 @@ from typing import Final
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.traffic import Received
-from adaptive_contact.wire import decode
+from adaptive_contact.wire import MAX_PAYLOAD_BYTES, decode
 
 __all__ = ["Rivals"]
 
@@ -36,7 +36,11 @@ class Rivals:
         self.instance = secrets.token_hex(4)
         self._heard: deque[Received] = deque(maxlen=4 * _REMEMBERED)
         self._seen: dict[str, tuple[int, ServiceStatus]] = {}
-        link.subscribe(SERVICE_STATUS, self._heard.append)
+        link.subscribe(SERVICE_STATUS, self._hear)
+
+    def _hear(self, received: Received) -> None:
+        if len(received.payload) <= MAX_PAYLOAD_BYTES:  # no service says more, and these are kept
+            self._heard.append(received)
 
     def note(self, now_ns: int) -> str | None:
         """One line where another service is there, otherwise None; ``now_ns`` is monotonic."""

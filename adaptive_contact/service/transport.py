@@ -64,6 +64,8 @@ DEFAULTS: Final[Mapping[str, object]] = {
     },
 }
 
+# An endpoint's options may hold a key.
+_ENDPOINT_TAIL: Final = re.compile(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<\[]+)[?#][^\s'\"]*")
 _SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 # Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
 _QUOTED_LINE: Final = re.compile(r"(?m)^\s*\d*\s*\|.*$")
@@ -100,15 +102,15 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     said = frozenset() if path is None else _said(path, config)
     for key, value in DEFAULTS.items():
         if key not in said:
-            config.insert_json5(key, json.dumps(value))
+            _insert(config, key, value)
     listen = settings.listen
     if settings.mode == "router" and not listen and "listen/endpoints" not in said:
         # Zenoh's own default listens on every interface; ours does not.
         listen = (DEFAULT_ENDPOINT,)
     for key, value in _overrides(settings, _with_free_ports(listen)).items():
-        config.insert_json5(key, json.dumps(value))
+        _insert(config, key, value)
     if settings.mode == "client" and not _endpoints(config, "connect", "client"):
-        config.insert_json5("connect/endpoints", json.dumps([DEFAULT_ENDPOINT]))
+        _insert(config, "connect/endpoints", [DEFAULT_ENDPOINT])
     facts = Facts(
         _endpoints(config, "listen", "router") if settings.mode == "router" else (),
         _endpoints(config, "connect", settings.mode),
@@ -133,9 +135,17 @@ def listen_failure(listen: tuple[str, ...], error: zenoh.ZError) -> str:
 
 def first_line(error: zenoh.ZError) -> str:
     """Zenoh's words without the source paths it appends, and without what it quotes of a file."""
-    text = _QUOTED_LINE.sub("", _QUOTED_VALUE.sub(r"\1", str(error)))
+    text = _ENDPOINT_TAIL.sub(r"\1…", str(error))
+    text = _QUOTED_LINE.sub("", _QUOTED_VALUE.sub(r"\1", text))
     text = _WHOLE.sub(r"\1", text)
     return _SOURCE_PATH.sub("", " ".join(text.split()))[:300]
+
+
+def _insert(config: zenoh.Config, key: str, value: object) -> None:
+    try:
+        config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError as error:
+        raise ConfigurationError(f"Zenoh takes no such {key}: {first_line(error)}") from error
 
 
 def _from_file(path: Path) -> zenoh.Config:
@@ -268,9 +278,10 @@ def _with_free_port(text: str) -> str:
         with socket.socket(family, socket.SOCK_STREAM) as bound:
             bound.bind((host, 0))
             port: int = bound.getsockname()[1]
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # a name that none can be, with two dots in a row
+        why = getattr(error, "strerror", None) or str(error)
         raise ConfigurationError(
-            f"cannot listen on {text}: {(error.strerror or str(error)).lower()}; "
+            f"cannot listen on {text}: {why.lower()}; "
             "give an address of this machine, such as tcp/127.0.0.1:0"
         ) from error
     head, _, tail = text.rpartition(":0")

@@ -155,6 +155,24 @@ def test_the_buffer_is_bounded_and_counts() -> None:
     assert buffer.counts.swings == 5
 
 
+def test_times_of_an_older_source_do_not_compare() -> None:
+    """A clock that was set back, and then a rate that is off: only what came since is dropped."""
+    buffer = SlidingBuffer(limit=10)
+    for n in range(14):
+        late = [row(1_000_000 + n, lift=True)] * 4
+        buffer.add(late, region=0, era=0)
+    buffer.new_source()
+    for n in range(3):
+        buffer.add([row(100 * n, lift=True)] * 4, region=0, era=0)
+    buffer.drop_since(90 * PERIOD)
+    assert len(buffer.segments) == 8
+    buffer.drop_since(0)
+    assert len(buffer.segments) == 7
+    buffer.drop_since(0)
+    assert len(buffer.segments) == 7
+    assert buffer.counts.lift_ticks == 28
+
+
 def test_a_monotonous_gait_does_not_push_out_the_rest() -> None:
     buffer = SlidingBuffer(limit=20)
     for region in range(4):

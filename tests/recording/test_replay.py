@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -210,6 +211,14 @@ def test_only_what_a_source_sends_goes_out(wire: Wire) -> None:
         assert [(s.run, s.seq) for s in samples if isinstance(s, ServoSample)] == [
             (1000, k) for k in range(20)
         ]
+
+
+@pytest.mark.e2e
+def test_what_no_sample_holds_goes_out_as_it_is(wire: Wire) -> None:
+    payload = msgpack.packb({"run": 1, "at": msgpack.Timestamp(1, 2)})
+    player = WirePlayer(wire.player, None, run=1000)
+    player.play([Record(servo_key("rf"), payload, MSGPACK, 0, 0)], threading.Event())
+    assert [heard.payload for heard in wire.wait_for(1)] == [payload]
 
 
 @pytest.mark.e2e

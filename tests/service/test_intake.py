@@ -84,8 +84,23 @@ def test_questions_are_bounded() -> None:
     intake: Intake[int] = Intake()
     taken = [intake.ask(n) for n in range(100)]
     assert taken == [True] * 64 + [False] * 36
-    assert intake.take(0.0).requests == list(range(64))
-    assert intake.ask(1)
+    assert intake.take(0.0).requests == [0]
+    assert intake.ask(64)
+    assert not intake.ask(65)
+
+
+def test_a_flood_of_questions_gets_one_answer_between_two_rounds_of_samples() -> None:
+    """And none of them is forgotten, nor waited for."""
+    intake: Intake[int] = Intake(["lf"])
+    for n in range(30):
+        intake.ask(n)
+    intake.offer(received("lf"))
+    first = intake.take(0.0)
+    assert (list(first.samples), first.requests) == (["lf"], [0])
+    began = time.monotonic()
+    assert [intake.take(5.0).requests for _ in range(29)] == [[n] for n in range(1, 30)]
+    assert time.monotonic() - began < 4.0
+    assert not intake.take(0.0)
 
 
 def test_a_waiting_worker_wakes_at_once() -> None:

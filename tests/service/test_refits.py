@@ -331,6 +331,39 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
         assert challenger.counts.last_reason == words
 
 
+def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
+    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_memory() -> subprocess.Popen[bytes]:
+        raise OSError(12, "Cannot allocate memory")
+
+    with monkeypatch.context() as short, capture_logs() as logs:
+        short.setattr(refits, "_start", no_memory)
+        refitter.submit(job("rf", 1))
+        lost = wait(refitter, "rf", 1)
+    assert isinstance(lost, RefitResult)
+    assert lost.status is FitStatus.LOST
+    assert refitter.failures == 1
+    assert [(line["event"], line["leg"]) for line in logs] == [("refit given up", "rf")]
+    refitter.submit(job("rf", 2))
+    found = wait(refitter, "rf", 2)
+    assert isinstance(found, RefitResult)
+    assert found.status is not FitStatus.LOST
+
+
+def test_the_current_folder_has_no_say_in_the_process(
+    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It may be anybody's, and what it imports there would run as the service's user."""
+    (tmp_path / "numpy.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nraise SystemExit(1)")
+    monkeypatch.chdir(tmp_path)
+    refitter.submit(job("rf", 1))
+    found = wait(refitter, "rf", 1)
+    assert isinstance(found, RefitResult)
+    assert found.status is not FitStatus.LOST
+    assert not (tmp_path / "ran").exists()
+
+
 def test_only_the_newest_job_of_a_leg_waits() -> None:
     refitter = ProcessRefitter()
     refitter._thread = object()  # type: ignore[assignment]  # nothing is done

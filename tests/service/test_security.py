@@ -193,6 +193,33 @@ def test_only_the_robot_moves_its_legs(
 
 
 @pytest.mark.e2e
+@pytest.mark.parametrize("everything", ["**", "robot/**"])  # of `doctor`, and of `record`
+def test_who_asks_for_everything_gets_what_he_may_see(
+    serve: Any,
+    join: Callable[..., Link],
+    files: Folder,
+    inbox: Any,
+    sample: Sample,
+    everything: str,
+) -> None:
+    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
+    endpoint = served.endpoint.replace("0.0.0.0", "127.0.0.1")
+    robot, gait = (join(endpoint, zenoh_config=files.robot) for _ in range(2))
+    viewer = join(endpoint, zenoh_config=files.viewer)
+    goals, seen = inbox(Command), inbox()
+    robot.subscribe(command_key("rf"), goals)
+    viewer.subscribe(everything, seen)
+    matched(gait, command_key("rf")).put(Command(desired=[0.1, 0.2, 0.3]))
+    goals.wait(1)
+    servo = matched(robot, servo_key("rf"))
+    kinds = {servo_key("rf"), contact_key("rf"), learner_key("rf"), SERVICE_STATUS}
+    servo.put(sample(1, contact=True))
+    seen.wait(lambda items: kinds <= {received.key for received in items})
+    assert command_key("rf") not in {received.key for received in seen.items}
+    assert served.stop() == 0
+
+
+@pytest.mark.e2e
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
 def test_zenohs_own_log_holds_no_key_of_an_endpoint(
     command: Any, certificates: Path, monkeypatch: pytest.MonkeyPatch

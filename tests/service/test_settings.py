@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.probe import Reach, probe
 from adaptive_contact.service.settings import (
     LinkSettings,
     client_settings,
@@ -13,6 +17,7 @@ from adaptive_contact.service.settings import (
     router_settings,
     tcp_address,
 )
+from adaptive_contact.service.transport import configure
 
 
 @pytest.mark.parametrize(
@@ -85,6 +90,31 @@ def test_loopback(locator: str, loopback: bool) -> None:
 def test_only_protocols_over_tcp_can_be_probed() -> None:
     assert tcp_address("tls/[::1]:7") == ("::1", 7)
     assert tcp_address("quic/a:7") is None
+
+
+@pytest.mark.parametrize("host", ["192.168..7", f"{'a' * 64}.local"])
+def test_a_name_that_none_can_be_is_one_line(host: str) -> None:
+    finding = probe((f"tcp/{host}:7447",))
+    assert finding.reach is Reach.UNREACHABLE
+    assert f"the host name '{host}' of tcp/{host}:7447 is not known" in finding.line
+    with pytest.raises(ConfigurationError, match="cannot listen on tcp/"):
+        configure(router_settings([f"tcp/{host}:0"], insecure=True))
+
+
+@pytest.mark.parametrize("make", [client_settings, router_settings])
+def test_an_endpoint_that_zenoh_refuses_is_one_line_without_its_key(
+    make: Callable[..., LinkSettings], tmp_path: Path
+) -> None:
+    secret = "tls/127.0.0.1:17998?#connect_private_key_base64=TOPSECRET"
+    with pytest.raises(ConfigurationError, match="Zenoh takes no such") as caught:
+        configure(make([secret]))
+    assert "TOPSECRET" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    file = tmp_path / "zenoh.json5"
+    file.write_text(f'{{connect: {{endpoints: ["{secret}"]}}}}')
+    with pytest.raises(ConfigurationError, match="not a usable Zenoh configuration") as caught:
+        configure(make(zenoh_config=file))
+    assert "TOPSECRET" not in str(caught.value)
 
 
 def test_settings_refuse_what_cannot_be() -> None:

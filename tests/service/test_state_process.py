@@ -264,6 +264,16 @@ def test_show_export_and_reset(
     (leg,) = json.loads(exported.read_text())["legs"]
     assert (leg["identity"]["leg"], leg["body"]["contacts"]) == ("rf", 2)
 
+    # What the learner refused is no state to go on from, whole as it may be.
+    whole = Path(rows[1]["file"])
+    aside = whole.with_suffix(".refused")
+    whole.rename(aside)
+    for before in folder.glob("*/*.before"):
+        before.unlink()
+    code, _, error = state("export", str(exported), "--state", str(folder))
+    assert (code, "nothing to export" in error) == (2, True)
+    aside.rename(whole)
+
     running = serve("--state", str(folder))
     code, _, error = state("reset", "--state", str(folder), "--yes")
     assert code == 2

@@ -222,6 +222,22 @@ def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch)
         assert (line["for_ms"], line["its_link"]) == (1000, link)
 
 
+def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
+    gate = Gate()
+    gate.open.set()
+
+    class Broken:
+        def put(self, message: Message) -> None:
+            raise TypeError("no such thing")
+
+    box = Outbox()
+    box.start()
+    box.post(Broken(), message(1), 0)
+    box.post(gate, message(2), 0)
+    box.close(5.0)
+    assert (box.lost, gate.got) == (1, [2])
+
+
 def test_what_is_held_up_now_is_told(
     router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -209,6 +209,22 @@ def test_a_snapshot_that_raises_is_counted_and_told(folder: Folder) -> None:
     assert {"event": "state not saved", "leg": "lf", "why": "of nothing"}.items() <= logs[0].items()
 
 
+def test_a_folder_that_is_anothers_is_not_written_to_at_the_end(folder: Folder) -> None:
+    """A service that stops has every leg saved, due or not: its own, where it has a folder."""
+    folder.save(5)
+    assert folder.keeper is not None
+    store = StateStore.open(folder.path, "mini")
+    with capture_logs():
+        second = StateKeeper(store, "mini", lambda _: "s")
+        desk = Desk(learner=Learner(6))
+        second.restore("rf", Learner(), "servo", 0)
+        desk.hear()
+        second.take(desk, 0)
+        second.close(5.0)
+    assert second.facts.saved == 0
+    assert folder.restored()[0] == 5
+
+
 def test_a_folder_that_becomes_free_is_used(folder: Folder) -> None:
     owner = StateStore.open(folder.path, "mini")
     store = StateStore.open(folder.path, "mini")

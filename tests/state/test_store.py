@@ -10,11 +10,13 @@ from typing import Any
 import msgspec
 import pytest
 
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.state import (
     Identity,
     Record,
     Refused,
     StateStore,
+    is_of_leg,
     list_states,
     robot_folder,
     store,
@@ -130,6 +132,9 @@ def test_one_service_at_a_time_saves(opened: StateStore, tmp_path: Path) -> None
     assert second.trouble is not None
     assert "in use by another service" in second.trouble
     assert versions(second) == [1]
+    with pytest.raises(OSError, match="in use by another service"):
+        second.save(record(2))
+    assert versions(opened) == [1]
     opened.close()
     third = StateStore.open(tmp_path, "mini")
     assert third.trouble is None
@@ -181,3 +186,22 @@ def test_the_default_folder_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setenv("XDG_STATE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert default_folder() == tmp_path / ".local/state/adaptive-contact"
+
+
+def test_who_has_no_home_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", nowhere)
+    with pytest.raises(ConfigurationError, match="give --state DIR, or --no-state"):
+        default_folder()
+
+
+@pytest.mark.parametrize("leg", ["rf", "front-left", "_x", "a.b"])
+def test_a_damaged_file_is_known_by_its_name(leg: str) -> None:
+    path = StateStore(Path("x")).path(Identity("mini", leg, "servo", "0123456789abcdef"))
+    assert is_of_leg(path, leg)
+    assert is_of_leg(path.with_suffix(".refused"), leg)
+    assert not is_of_leg(path, leg.partition("-")[0] + "y")
+    assert not is_of_leg(path, "front")

@@ -9,7 +9,13 @@ from __future__ import annotations
 from adaptive_contact.service.state.format import Identity, Record, Refused, pack, unpack
 from adaptive_contact.service.state.keeper import Keepable, StateFacts, StateKeeper
 from adaptive_contact.service.state.settings import default_folder, settings_digest
-from adaptive_contact.service.state.store import StateStore, Stored, list_states, robot_folder
+from adaptive_contact.service.state.store import (
+    StateStore,
+    Stored,
+    is_of_leg,
+    list_states,
+    robot_folder,
+)
 
 __all__ = [
     "Identity",
@@ -21,6 +27,7 @@ __all__ = [
     "StateStore",
     "Stored",
     "default_folder",
+    "is_of_leg",
     "list_states",
     "pack",
     "robot_folder",

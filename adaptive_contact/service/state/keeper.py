@@ -210,7 +210,9 @@ class StateKeeper:
         return desk.model_version != last.model_version or now_ns >= last.due_ns
 
     def take(self, desk: Kept, now_ns: int) -> None:
-        """Snapshot a leg, and leave the rest to the thread."""
+        """Snapshot a leg, and leave the rest to the thread; nothing where there is no folder."""
+        if self._store.trouble is not None:
+            return
         self._last[desk.leg] = _Last(
             now_ns + self._period_ns, desk.heard_samples, desk.model_version
         )

@@ -9,6 +9,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
 
 __all__ = ["default_folder", "settings_digest"]
@@ -17,11 +18,21 @@ _DIGEST_HEX: Final = 16
 
 
 def default_folder() -> Path:
-    """The user's own folder: ``$XDG_STATE_HOME/adaptive-contact``, or below ``~/.local/state``."""
+    """The user's own folder: ``$XDG_STATE_HOME/adaptive-contact``, or below ``~/.local/state``.
+
+    Raises:
+        ConfigurationError: the user has no home.
+    """
     base = os.environ.get("XDG_STATE_HOME", "")
     # The specification says to ignore a relative path.
-    root = Path(base) if Path(base).is_absolute() else Path.home() / ".local" / "state"
-    return root / "adaptive-contact"
+    if Path(base).is_absolute():
+        return Path(base) / "adaptive-contact"
+    try:
+        return Path.home() / ".local" / "state" / "adaptive-contact"
+    except RuntimeError as error:  # a container's user, say, with neither HOME nor an account
+        raise ConfigurationError(
+            "no home folder to keep state in ($HOME is not set); give --state DIR, or --no-state"
+        ) from error
 
 
 def settings_digest(robot: Robot, leg: str, baseline: str = "") -> str:

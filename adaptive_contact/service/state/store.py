@@ -8,6 +8,7 @@ the next save does not push the sound one before it out.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
@@ -25,7 +26,7 @@ from adaptive_contact.service.state.format import (
     unpack,
 )
 
-__all__ = ["StateStore", "Stored", "list_states", "robot_folder"]
+__all__ = ["StateStore", "Stored", "is_of_leg", "list_states", "robot_folder"]
 
 NEWEST: Final = ".state"
 BEFORE: Final = ".before"
@@ -129,8 +130,11 @@ class StateStore:
         """Write a record so that a crash at any instant leaves a whole one.
 
         Raises:
-            OSError: it could not be written; what was there before is still there.
+            OSError: it could not be written, or the folder is another's; what was there before is
+                still there.
         """
+        if self._lock is None:
+            raise OSError(errno.EBUSY, self.trouble or f"{self.folder} is not open")
         newest = self.path(record.identity)
         new = newest.with_suffix(_NEW)
         try:
@@ -145,6 +149,11 @@ class StateStore:
             with contextlib.suppress(OSError):
                 new.unlink(missing_ok=True)
             raise
+
+
+def is_of_leg(path: Path, leg: str) -> bool:
+    """Whether a file is a leg's by its name, which is all that a damaged one has."""
+    return path.stem.rsplit("-", 2)[0] == _plain(leg)  # a leg's id may hold a "-"
 
 
 def robot_folder(root: Path, robot: str) -> Path:

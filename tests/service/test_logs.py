@@ -1,0 +1,44 @@
+"""Log lines go where they can; where they cannot, the service goes on."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import structlog
+
+from adaptive_contact.service.logs import configure_logs
+
+
+@pytest.fixture(autouse=True)
+def as_before() -> Iterator[None]:
+    before = structlog.get_config()
+    yield
+    structlog.configure(**before)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_full_disk_ends_nobody(as_json: bool) -> None:
+    full = Path("/dev/full").open("w", buffering=1)  # noqa: SIM115 - what is closed badly
+    configure_logs(json=as_json, stream=full)
+    for level in ("info", "warning", "error", "critical"):
+        getattr(structlog.get_logger(), level)("disk is full", leg="rf")
+    try:
+        raise ValueError("once")
+    except ValueError:
+        structlog.get_logger().exception("a fault")
+    with pytest.raises(OSError, match="No space left"):
+        full.close()  # its buffer is full of lines
+
+
+def test_a_reader_that_is_gone_ends_nobody() -> None:
+    stream = io.StringIO()
+    configure_logs(json=True, stream=stream)
+    structlog.get_logger().warning("told", leg="rf")
+    assert json.loads(stream.getvalue())["message"] == "told"
+    stream.close()
+    structlog.get_logger().warning("not told")
