@@ -71,13 +71,14 @@ class LearnerBank:
             return known
         if not is_leg_id(leg) or len(self._learners) >= MAX_LEGS:
             return None
-        robot = self.robot
+        robot, baseline = self.robot, self.baseline
         if leg not in robot.leg_ids:
             if joints is None or not 1 <= joints <= 16:
                 return None
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
-        self._learners[leg] = ContactLearner(robot, leg, self.baseline, refitter=self._refitter)
+            baseline = None  # one of that name there would be of another leg
+        self._learners[leg] = ContactLearner(robot, leg, baseline, refitter=self._refitter)
         self._team = Team(tuple(self._learners.values()), shielded=self._shielded)
         return self._learners[leg]
 

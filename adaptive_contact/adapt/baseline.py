@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from adaptive_contact.detect import NoiseModel, Tail
 from adaptive_contact.detect.noise import CONTEXTS, WINDOWS
+from adaptive_contact.detect.tail import SHAPE_RANGE
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
 from adaptive_contact.identify import Domain, LegModel, Library, LibraryName, Window
-from adaptive_contact.robot import ROBOT_HOUR_TICKS, Leg, Robot
+from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 
 __all__ = [
     "FORMAT",
@@ -305,14 +306,6 @@ def leg_library_of(
     )
 
 
-def unlike(leg: Leg, known: LegBaseline) -> str | None:
-    """Why a leg's description does not fit what was learned, or None."""
-    joints = known.model.library.joints
-    if len(joints) != len(leg.joints):
-        return f"the baseline's leg has {len(joints)} joints, this one {len(leg.joints)}"
-    return None
-
-
 def _leg_file(known: LegBaseline) -> _LegFile:
     library = known.model.library
     return _LegFile(
@@ -354,7 +347,8 @@ def _baseline(file: _File) -> Baseline:
         raise IdentificationError(f"it has {len(file.tails)} tails; expected {len(WINDOWS)}")
     for tail in file.tails:
         sound = all(math.isfinite(x) for x in (tail.level, tail.scale, tail.shape))
-        if not (sound and tail.scale > 0 and 0 < tail.rate < 1):
+        usual = SHAPE_RANGE[0] <= tail.shape <= SHAPE_RANGE[1] and tail.ticks >= 0
+        if not (sound and usual and tail.scale > 0 and 0 < tail.rate < 1):
             raise IdentificationError("a tail is implausible; learn it anew")
     tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
     return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
@@ -376,6 +370,8 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     shape = (CONTEXTS, len(WINDOWS), joints, joints)
     covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
     ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
+    if not (np.isfinite(ticks).all() and (ticks >= 0).all() and ticks.sum() > 0):
+        raise IdentificationError(f"leg '{leg}': ticks are not counts, or none; learn it anew")
     scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")

@@ -152,8 +152,3 @@ class SlidingBuffer:
         self._segments = deque(segments[-MOST_SEGMENTS:])
         self._held = sum(len(segment.target) for segment in self._segments)
         self._of_source = 0
-
-    def clear(self) -> None:
-        """Forget everything: the rows belong to another model's regressors."""
-        self._segments.clear()
-        self._held = self._of_source = 0

@@ -154,18 +154,24 @@ class Challenger:
         """Whether there is a candidate that wants :meth:`compare`."""
         return self._candidate is not None
 
+    @property
+    def deciding(self) -> bool:
+        """Whether the row to come is the last of a trial."""
+        return len(self._off) + 1 >= (PROBATION_ROWS if self._probation else TRIAL_ROWS)
+
     def compare(self, row: Row, champion: Sequence[float], model: LegModel) -> LegModel | None:
         """Try the candidate on a row that neither has seen; the new model if it has won.
 
         Args:
             row: of a confirmed tick.
             champion: (J,) how far the model in force was off there, over the noise.
-            model: in force.
+            model: in force; asked for where :attr:`deciding`, any other will do elsewhere.
         """
         if self._candidate is None:
             return None
+        decided = self.deciding
         self._off.append((champion, row.target - row.theta @ self._candidate))
-        if len(self._off) < (PROBATION_ROWS if self._probation else TRIAL_ROWS):
+        if not decided:
             return None
         coefficients, self._candidate = self._candidate, None
         of_champion = np.square([champion for champion, _ in self._off])
@@ -177,11 +183,11 @@ class Challenger:
         words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
         if self._probation:
             self._probation = False
-            if errors < PROMOTE_ERRORS:
+            if not errors >= PROMOTE_ERRORS:  # NaN is not
                 return None
             self.rolled_back(f"the model before is {words}")
             return model.moved(coefficients, model.version + 1)
-        if errors < PROMOTE_ERRORS:
+        if not errors >= PROMOTE_ERRORS:
             self._refuse(words)
             return None
         known = self.contacts.found(model.coefficients)

@@ -210,8 +210,19 @@ class Follower:
         self._queue = deque(row for row in self._queue if row.t_ns < since_ns)
         self._doubted = [row for row in self._doubted if row.t_ns < since_ns]
         self.buffer.drop_since(since_ns)
+        self.monitor.distrust(since_ns)
+        self._recent.drop_refresh()
         while self.confirmed_ns and self.confirmed_ns[-1] >= since_ns:
             self.confirmed_ns.pop()
+
+    def new_source(self) -> None:
+        """The source began anew: times from before do not compare with its own."""
+        while self._queue:
+            self._learn(self._queue.popleft())
+        self._doubted.clear()
+        self.confirmed_ns.clear()
+        self.buffer.new_source()
+        self.monitor.distrust(0)
 
     def touched(self, ticks: Sequence[Touch]) -> None:
         """A contact was reported; while the leg is known, it is one to try candidates on."""
@@ -341,7 +352,10 @@ class Follower:
         """Learn a row, and let a candidate, if there is one, be tried on it."""
         innovations = self._champion.learn(row)
         if self._challenger.trying:
-            self._promote(self._challenger.compare(row, innovations, self._champion.as_made))
+            # Made anew for the row that decides only: it stands by as it was when it was displaced.
+            champion = self._champion
+            model = champion.model if self._challenger.deciding else champion.as_made
+            self._promote(self._challenger.compare(row, innovations, model))
 
     def _compare(self, row: Row) -> None:
         """Let a candidate be tried on a row that is not learned."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from adaptive_contact.adapt.baseline import Baseline, LegBaseline, leg_of_tree, leg_tree, unlike
+from adaptive_contact.adapt.baseline import Baseline, LegBaseline, leg_of_tree, leg_tree
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.detector import LegDetector
 from adaptive_contact.adapt.follower import Follower, LearnerMode
@@ -166,8 +166,8 @@ class Knowledge:
         if known is None:
             self.note = f"the baseline has no leg '{self._leg.id}': fit one that has"
             return None
-        self.note = unlike(self._leg, known)
-        return None if self.note else known
+        self.note = None
+        return known
 
     def _begin(self, known: LegBaseline, tails: tuple[Tail, ...], version: int = 0) -> None:
         """Detect and follow from here on."""

@@ -1,12 +1,8 @@
 """The learner of one leg: samples in, contact events out.
 
 :class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
-state machine.  A :class:`~adaptive_contact.adapt.team.Team` takes several learners one tick
-further and evaluates their libraries and statistics together, which is what makes six legs cost
-little more than one.
-
-Recursive updates and refits have their place after the event: what a resolved swing confirms as
-free is learned there, a few rows per tick.
+state machine; a :class:`~adaptive_contact.adapt.team.Team` takes several one tick further, so that
+six cost little more than one.  Recursive updates and refits come after the event.
 """
 
 from __future__ import annotations
@@ -87,8 +83,7 @@ class ContactLearner:
         self._owes_release = False
         self._tally = Tally()
         self._t_ns = 0
-        self._command: list[float] = [0.0] * len(self.leg.joints)  # in force, and before it
-        self._command_before = self._command
+        self._command = self._command_before = [0.0] * len(self.leg.joints)  # in force, and before
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
@@ -210,7 +205,7 @@ class ContactLearner:
         """Check a sample; True if it is to be judged and learned from."""
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
-            self._tally.rejects[result] += 1
+            self.count(result)
             return False
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
@@ -247,7 +242,10 @@ class ContactLearner:
             if self._follower is not None:
                 self._follower.distrust(self._rate.since_ns)
             return False
-        if not judged or self._swing.ticks < 2:
+        if not judged:
+            self._quarantine.hole()
+            return False
+        if self._swing.ticks < 2:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
         detector.place(self._command, self._command_before, self._swing.direction)
@@ -334,13 +332,15 @@ class ContactLearner:
             if tracker is not None:
                 tracker.restart()
             if self._follower is not None:
-                self._follower.buffer.new_source()
+                self._follower.new_source()
         elif (result.missed or paused) and tracker is not None:
             if result.missed < tracker.model.library.window.length and not paused:
+                self._quarantine.hole()
                 tracker.bridge(np.array(sample.desired), result.missed)
             else:
                 tracker.restart()
                 self._quarantine.break_off()
+                self._state.begin_swing()  # it may be another one, and the foot on the ground
 
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
@@ -352,7 +352,7 @@ class ContactLearner:
         if self._swing.ticks == 0:
             self._quarantine.resolve()
         elif self._swing.ticks == 1:
-            self._quarantine.begin(sample.t_ns)
+            self._quarantine.begin()
             self._state.begin_swing()
             if self.tracker is not None:
                 self.tracker.begin_swing()

@@ -175,6 +175,11 @@ class DriftMonitor:
         self._settle(level)
         return Heard(list(rows))
 
+    def distrust(self, since_ns: int) -> None:
+        """A lift in doubt that was heard at or after a time speaks for no change."""
+        if self._doubted_ns >= since_ns:
+            self._doubts, self._doubted = 0, []
+
     def look(self, level: float) -> None:
         """Take in the level of a tick after the lift: a doubt that it belies is taken back."""
         if self._swing_level is None or self._doubts != 1:

@@ -42,6 +42,8 @@ class Quarantine:
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
+        # Since the source began, or broke off: what began before that is no whole swing.
+        self._stood = False
 
     @property
     def follower(self) -> Follower | None:
@@ -61,25 +63,32 @@ class Quarantine:
         """Whether a leg that never was calm is judged from here on: its lift has been.
 
         The foot comes up for some ticks after its command came down; only then the lift has told
-        whether it is the leg that has changed.
+        whether it is the leg that has changed.  Where the swing was broken off none will tell.
         """
-        return self._swing.descending and (not self._gated or self._book.topped)
+        return self._swing.descending and (not self._gated or self._book.past_top)
 
     @property
     def _gated(self) -> bool:
         return self.follower is not None and self.follower.gated
 
-    def begin(self, t_ns: int) -> None:
+    def begin(self) -> None:
         """A swing begins."""
         self._open = True
         self._lift_judged = False
         self._touching.clear()
-        self._book.begin(t_ns)
+        self._book.begin()
+        if not (self._stood or self._swing.measures):  # its ticks do not tell lift from descent
+            self._book.discard()
         if self.follower is not None:
             self.follower.monitor.begin_swing()
 
+    def hole(self) -> None:
+        """Readings were lost, or were none."""
+        self._book.hole()
+
     def break_off(self) -> None:
         """What comes does not connect: the swing cannot be resolved, and is not learned."""
+        self._stood = False
         self._touching.clear()
         self._book.discard()
 
@@ -150,6 +159,7 @@ class Quarantine:
 
     def resolve(self) -> None:
         """The leg stands: the swing is over, without an alarm or with one that was dealt with."""
+        self._stood = True
         if not self._open or self.follower is None:
             return
         self._open = False

@@ -121,6 +121,10 @@ class RecentNoise:
         """Begin to do so; some segments a tick, with :meth:`go_on`.  What was begun is dropped."""
         self._under_way = _Shaping(self._noise.whiten, tuple(segments), coefficients)
 
+    def drop_refresh(self) -> None:
+        """What was begun is of ticks that were dropped since."""
+        self._under_way = None
+
     def go_on(self) -> None:
         """A tick's share of what was begun, if anything was."""
         shaping = self._under_way

@@ -95,19 +95,22 @@ class Refitter(Protocol):
 
 
 class InlineRefitter:
-    """Does a job when its result is asked for."""
+    """Does a job when its result is asked for; one of each leg waits, the newest."""
 
     def __init__(self) -> None:
-        self._jobs: dict[tuple[str, int], Job] = {}
+        self._jobs: dict[str, Job] = {}
 
     def submit(self, job: Job) -> None:
         """Keep the job."""
-        self._jobs[job.leg, job.number] = job
+        self._jobs[job.leg] = job
 
     def collect(self, leg: str, number: int) -> object | None:
         """Do it."""
-        job = self._jobs.pop((leg, number), None)
-        return None if job is None else job.run()
+        job = self._jobs.get(leg)
+        if job is None or job.number != number:
+            return None
+        del self._jobs[leg]
+        return job.run()
 
 
 def refit(job: RefitJob) -> RefitResult:

@@ -38,6 +38,9 @@ TOUCHING_TICKS: Final = 1
 MISSED_LEVEL: Final = 1.0
 # ...up to the first in which the foot is pushed up by more deviations than this.
 PUSHED_SIGMA: Final = 1.0
+# A touch that began before a hole in the readings is told after it, with an onset up to so many
+# ticks behind the last one before: the statistic's windows begin anew.
+HOLE_TICKS: Final = 8
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6
 # A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
@@ -57,8 +60,8 @@ class Row(NamedTuple):
         lift: the foot was rising.
         calm: the leg had been found free before.
         cleared: the foot had left the ground before, by its height; only then it is learned.
-        push: what it shows of a push from the ground, of a leg that has changed; None for nobody
-            asked.
+        push: what it shows of a push from the ground, where the leg has changed, its geometry is
+            known and the foot does not rise; None elsewhere.
     """
 
     theta: Array
@@ -77,13 +80,13 @@ class Row(NamedTuple):
 class SwingBook:
     """The ticks of the swing in hand."""
 
-    start_ns: int = 0
     _lift: list[Row] = dataclasses.field(default_factory=list)
     _descent: list[Row] = dataclasses.field(default_factory=list)
     _commanded: int = 0  # rows of the lift whose command went up, too
     _topped: bool = False
     _closed: bool = False  # to the descent
     _broken: bool = False  # to everything
+    _hole_ns: int | None = None  # the last tick of the descent before a hole in its readings
 
     @property
     def past_top(self) -> bool:
@@ -95,17 +98,22 @@ class SwingBook:
         """Whether the foot has been past the top of this swing; who cannot know says yes."""
         return self._topped or self._broken
 
-    def begin(self, t_ns: int) -> None:
+    def begin(self) -> None:
         """A swing begins."""
-        self.start_ns = t_ns
+        self._hole_ns = None
         self._lift, self._descent = [], []
         self._commanded = 0
         self._topped = self._closed = self._broken = False
 
     def discard(self) -> None:
         """The stream broke off: what cannot be resolved is not learned."""
-        self.begin(0)
+        self.begin()
         self._broken = True
+
+    def hole(self) -> None:
+        """Readings were lost, or were none; what went on meanwhile shows in no residual."""
+        if self._descent:
+            self._hole_ns = self._descent[-1].t_ns
 
     def add(self, row: Row, ticks: int, *, descending: bool) -> None:
         """Enter a tick.
@@ -128,7 +136,8 @@ class SwingBook:
             return
         self._topped = True
         if not self._closed:
-            self._descent.append(row)
+            # What rises after the top is a bounce, or noise, and no lift.
+            self._descent.append(row._replace(lift=False) if row.lift else row)
             del self._descent[:-MAX_ROWS]
 
     def take_lift(self) -> list[Row] | None:
@@ -147,13 +156,16 @@ class SwingBook:
         Returns:
             Rows of the descent that are confirmed; the rest of the swing is not entered.
         """
+        near_ns = onset_ns - TOUCHING_TICKS * period_ns
+        if self._hole_ns is not None and onset_ns - self._hole_ns <= HOLE_TICKS * period_ns:
+            onset_ns, near_ns = self._hole_ns, 0
         last = onset_ns - GUARD_TICKS * period_ns
         # A foot on its way up while its command comes down lags behind, or has been kicked up.
         up, late = self._lift[: self._commanded], self._lift[self._commanded :]
         limit = LET_GO_RATIO * max([1.0, *(row.level for row in up)])
         self._lift = up + [row for row in late if row.t_ns <= last or row.level <= limit]
         rows = [row for row in self._descent if row.t_ns <= last]
-        rows += _not_pushed(self._descent[len(rows) :], onset_ns - TOUCHING_TICKS * period_ns)
+        rows += _not_pushed(self._descent[len(rows) :], near_ns)
         self._descent, self._closed = [], True
         return rows
 

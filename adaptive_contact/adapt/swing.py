@@ -94,6 +94,11 @@ class SwingWatch:
         return self._phase is None
 
     @property
+    def measures(self) -> bool:
+        """Whether the foot's height is known; without geometry, time stands for it."""
+        return self._leg.lengths_m is not None
+
+    @property
     def descending(self) -> bool:
         """Whether the command in force is past the lift; without geometry, the time says so."""
         if self._leg.lengths_m is None:

@@ -223,21 +223,29 @@ class Tracker:
 
         Plain floats decide, as nearly every reading is good.
         """
-        self._sound, self._bad = True, False
+        substituted, self._sound, self._bad = self._bad, True, False
         last, self._last = self._last, measured
         if self.filled == 0 or last is None:
             return measured
         steps = [abs(new - old) for new, old in zip(measured, last, strict=True)]
+        # A joint moves from where it was taken to be: a reading that was none is no such place.
+        jumps = steps
+        if substituted:
+            accepted = self.measured[0].tolist()
+            jumps = [abs(new - old) for new, old in zip(measured, accepted, strict=True)]
+        missing = None
+        if valid is not None and not all(valid):
+            missing = ~np.array(valid, dtype=bool)
+            jumps = [jump if good else 0.0 for jump, good in zip(jumps, valid, strict=True)]
         bad = None
-        if max(steps) > self._max_step:
+        if max(jumps) > self._max_step:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
                 return measured
-            bad = np.array(steps) > self._max_step
+            bad = np.array(jumps) > self._max_step
         else:
             self._impossible = 0
-        missing = None if valid is None or all(valid) else ~np.array(valid, dtype=bool)
         if self.predicted and not all(steps) and self._doubtful(steps):
             stale = self._stale_joints(np.array(measured), np.array(steps), missing)
             if stale.any():

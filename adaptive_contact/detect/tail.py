@@ -69,8 +69,10 @@ class Tail:
         if count < 1.0:  # a prior, not an estimate
             return self
         k = -self.shape
-        variance = (1 + k) * (2 + k) ** 2 * (1 + k + 2 * k**2) / ((1 + 2 * k) * (3 + 2 * k))
-        spread = (variance / (count + PRIOR_EXCEEDANCES)) ** 0.5 if k > -0.5 else 0.0
+        spread = 0.0
+        if k > -0.5:  # else there is no such variance
+            variance = (1 + k) * (2 + k) ** 2 * (1 + k + 2 * k**2) / ((1 + 2 * k) * (3 + 2 * k))
+            spread = (variance / (count + PRIOR_EXCEEDANCES)) ** 0.5
         shape = min(self.shape + CONFIDENCE_DEVIATIONS * spread, SHAPE_RANGE[1])
         mean = self.scale / (1.0 - self.shape)
         return dataclasses.replace(self, shape=shape, scale=mean * (1.0 - shape))

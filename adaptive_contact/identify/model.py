@@ -26,7 +26,7 @@ class LegModel:
     Attributes:
         library: the terms.
         coefficients: (p, J), zero outside the support.
-        version: 0 for a baseline, +1 with every accepted refit.
+        version: 0 for a baseline, 1 once it moves, +1 with every model that takes its place.
     """
 
     library: Library

@@ -41,6 +41,7 @@ class FakeLeg:
         *,
         touch: Callable[[int], int | None] = lambda _: None,
         change: Callable[[int], float] = lambda _: 1.0,
+        pressed: int = 0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Swings of 10 ticks up, 14 down, 4 of stance.
 
@@ -48,6 +49,7 @@ class FakeLeg:
             swings: how many.
             touch: the tick of a swing at which the leg is stopped, None for none.
             change: factor on the gain, by swing.
+            pressed: ticks of a swing for which the foot is held by the stance before.
 
         Returns:
             measured, desired (n, 3) rad, swing (n,), touching (n,).
@@ -66,7 +68,7 @@ class FakeLeg:
             for tick, point in enumerate([*up, *down, end, end, end, end]):
                 desired = inverse(point, LENGTHS)
                 measured = np.round((q + rng.normal(size=3) * self.noise) / 0.005) * 0.005
-                held = stop is not None and tick >= stop
+                held = tick < pressed or (stop is not None and tick >= stop)
                 # The reading comes first: a stop in this tick shows in the next.
                 touching = stop is not None and tick > stop
                 out.append((measured, desired, tick < 24, touching))

@@ -14,8 +14,9 @@ from adaptive_contact.adapt.challenger import (
     REFIT_EVERY_SWINGS,
     Challenger,
 )
+from adaptive_contact.adapt.coldstart import ColdJob
 from adaptive_contact.adapt.contacts import MOST, StoredContacts, Touch
-from adaptive_contact.adapt.refit import RefitResult
+from adaptive_contact.adapt.refit import InlineRefitter, RefitResult
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import FitStatus, LegModel
 
@@ -108,6 +109,27 @@ def test_a_candidate_that_explains_contacts_away_is_refused(model: LegModel) -> 
     assert "misses 20 of 20 stored contacts" in (challenger.counts.last_reason or "")
     # On free ticks alone it would have won.
     assert tried(model, candidate, contacts=0)[1].version == 1
+
+
+def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
+    challenger._candidate = np.zeros_like(model.coefficients)
+    rng = np.random.default_rng(0)
+    while challenger.trying:
+        asked = challenger.deciding
+        new = row(rng, model.library.size, truth=0.06)
+        assert challenger.compare(new, [float("nan")] * 3, model) is None
+    assert asked, "for the model as it is, in the row that decides"
+    assert challenger.counts.refused == 1
+
+
+def test_in_line_one_job_of_a_leg_waits() -> None:
+    refitter = InlineRefitter()
+    for number in range(5):
+        refitter.submit(ColdJob("rf", number, [], None, None, 0.0))  # type: ignore[arg-type]
+    refitter.submit(ColdJob("lf", 0, [], None, None, 0.0))  # type: ignore[arg-type]
+    assert {leg: job.number for leg, job in refitter._jobs.items()} == {"rf": 4, "lf": 0}
+    assert refitter.collect("rf", 3) is None
 
 
 def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -245,6 +246,26 @@ def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -
     assert after.count("hit") >= 47
     frozen = play(ContactLearner(robot, "rf", baseline, mode=LearnerMode.FROZEN), stream)
     assert outcomes(frozen, range(140, 240), stops).count("alarm") > 20, "it was worth following"
+
+
+@pytest.mark.parametrize(("seed", "at", "stop"), [(7, 8, 16), (6, 10, 18), (8, 6, 14)])
+def test_a_source_that_begins_within_a_swing_teaches_nothing_of_it(
+    baseline: Baseline, seed: int, at: int, stop: int
+) -> None:
+    """Without lengths its ticks stand for its lift, and those before are not known."""
+    stops: list[int | None] = [stop] * 40
+    *arrays, touching = FakeLeg(seed=seed).run(40, touch=lambda n: stops[n])
+    stream = samples(*arrays)
+    learner = ContactLearner(without_lengths(), "rf", baseline)
+    play(learner, stream[: 28 * 20])
+    learner.drain_confirmed()
+    again = [msgspec.structs.replace(s, run=1) for s in stream[28 * 20 + at :]]
+    events = play(learner, again)
+    ticks = np.array(learner.drain_confirmed()) // 20_000_000
+    assert len(ticks) > 30
+    assert not touching[ticks].any()
+    assert ticks.min() >= 28 * 21
+    assert outcomes(events, range(22, 40), stops).count("hit") >= 17
 
 
 def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:

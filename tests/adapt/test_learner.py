@@ -261,6 +261,21 @@ def test_gaps_and_missing_readings_are_bridged(robot: Robot, baseline: Baseline)
     assert learner.status.missed == lost[kept[0] : kept[-1]].sum()
 
 
+@pytest.mark.parametrize("back", [0, 2, 4])
+def test_after_a_long_gap_a_foot_on_the_ground_is_not_taken_for_free(
+    robot: Robot, baseline: Baseline, back: int
+) -> None:
+    """From one swing into the next one's lift, with a foot that lets go in its seventh tick."""
+    held = samples(*FakeLeg(seed=13).run(60, pressed=7)[:3])
+    whole = play(ContactLearner(robot, "rf", baseline), held)
+    assert not [event for event in whole if event.contact]
+    for swing in range(20, 40):
+        learner = ContactLearner(robot, "rf", baseline)
+        gone = range(28 * swing + 14, 28 * (swing + 1) + back)
+        told = play(learner, [s for s in held[: 28 * (swing + 2)] if s.seq not in gone])
+        assert not [event for event in told if event.contact], swing
+
+
 def test_after_a_long_gap_nothing_is_said_until_the_window_is_full(
     robot: Robot, baseline: Baseline
 ) -> None:
@@ -386,6 +401,18 @@ def test_rejects_are_told_by_reason(robot: Robot, baseline: Baseline) -> None:
     learner.update(stream[5])
     learner.update(msgspec.structs.replace(stream[-1], t_ns=2**62, seq=2**40, measured=[0.0]))
     assert learner.status.rejects == {"malformed": 3, "time_backwards": 1, "wrong_joints": 1}
+
+
+def test_a_leg_that_the_baseline_has_and_the_description_lacks_is_a_stranger(
+    robot: Robot, baseline: Baseline
+) -> None:
+    both = dataclasses.replace(baseline, legs={**baseline.legs, "rr": baseline.legs["rf"]})
+    bank = LearnerBank(robot, both, shielded=True)
+    (sample,) = samples(*FakeLeg(seed=1).run(1)[:3])[:1]
+    assert bank.update({"rf": sample, "rr": sample}) == []
+    stranger = bank.learner("rr")
+    assert stranger is not None
+    assert stranger.status.status == "learning"
 
 
 def test_a_stranger_gets_a_learner_and_a_bank_is_bounded(robot: Robot, baseline: Baseline) -> None:

@@ -113,6 +113,14 @@ def test_what_was_begun_with_another_model_is_dropped(noise: NoiseModel) -> None
     np.testing.assert_array_equal(of.whiten, noise.whiten)
 
 
+def test_what_was_begun_with_ticks_that_were_dropped_is_dropped(noise: NoiseModel) -> None:
+    of = recent(noise)
+    of.begin_refresh(segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 80), COEFFICIENTS)
+    of.drop_refresh()
+    of.go_on()
+    assert of.revision == 0
+
+
 def test_few_ticks_and_wild_ones_move_little(noise: NoiseModel) -> None:
     of = recent(noise)
     few = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 16)

@@ -10,6 +10,7 @@ from adaptive_contact.adapt.ground import Push
 from adaptive_contact.adapt.segments import (
     FREE_LIFT_TICKS,
     GUARD_TICKS,
+    HOLE_TICKS,
     LAST_TICKS,
     MISSED_LEVEL,
     PUSHED_SIGMA,
@@ -34,7 +35,7 @@ def ticks(rows: list[Row] | None) -> list[int]:
 
 def swing(book: SwingBook, *, up: int, down: int, **fields: object) -> list[int]:
     """Enter a swing; the ticks of the lift it released."""
-    book.begin(0)
+    book.begin()
     released: list[int] = []
     for tick in range(1, up + down + 1):
         lift = tick <= up
@@ -55,7 +56,7 @@ def test_a_calm_leg_confirms_its_whole_lift() -> None:
 
 def test_a_foot_that_lets_go_late_is_seen() -> None:
     book = SwingBook()
-    book.begin(0)
+    book.begin()
     for tick in range(1, 15):
         level = 200.0 if tick < 11 else 1.0
         book.add(row(tick, lift=True, level=level), tick, descending=False)
@@ -114,9 +115,33 @@ def test_from_the_first_tick_that_may_be_pushed_nothing_is(pushed: float | None)
     assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 17))
 
 
+@pytest.mark.parametrize("after", [1, 4, 9])
+def test_after_a_hole_the_guard_counts_from_what_came_before_it(after: int) -> None:
+    """A touch that began before it is told after it, with an onset behind it."""
+    book = SwingBook()
+    swing(book, up=10, down=6)
+    book.hole()  # after tick 16
+    for tick in range(19, 30):
+        missed = row(tick, lift=False, level=9.0)._replace(push=Push(0.0, ASIDE))
+        book.add(missed, tick, descending=True)
+    found = ticks(book.alarm((16 + after) * PERIOD, PERIOD))
+    if after <= HOLE_TICKS:
+        assert found == list(range(11, 16 - GUARD_TICKS + 1))
+    else:
+        assert found == [*range(11, 17), *range(19, 16 + after - TOUCHING_TICKS + 1)]
+
+
+def test_what_rises_in_a_descent_is_no_lift() -> None:
+    book = SwingBook()
+    swing(book, up=10, down=0)
+    for tick in range(11, 25):
+        book.add(row(tick, lift=tick in (12, 13)), tick, descending=True)
+    assert not any(one.lift for one in book.resolve())
+
+
 def test_an_alarm_in_the_lift_does_not_keep_the_lift_back() -> None:
     book = SwingBook()
-    book.begin(0)
+    book.begin()
     for tick in range(1, 13):
         book.add(row(tick, lift=True), tick, descending=False)
         if tick == 6:
@@ -128,7 +153,7 @@ def test_an_alarm_in_the_lift_does_not_keep_the_lift_back() -> None:
 
 def test_a_foot_that_is_held_confirms_nothing() -> None:
     book = SwingBook()
-    book.begin(0)
+    book.begin()
     for tick in range(1, 12):  # commanded up, not moving up
         book.add(row(tick, lift=False), tick, descending=False)
     assert book.take_lift() is None
@@ -211,7 +236,7 @@ def test_an_empty_segment_is_none(n: int) -> None:
 def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg() -> None:
     """An obstacle hit on the way down throws the foot up again."""
     book = SwingBook()
-    book.begin(0)
+    book.begin()
     for tick in range(1, 16):
         level = 300.0 if tick > 13 else 3.0
         book.add(row(tick, lift=True, calm=True, level=level), tick, descending=tick > 10)
@@ -219,7 +244,7 @@ def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg() -> None:
     book.add(row(16, lift=False), 16, descending=True)
     assert ticks(book.take_lift()) == list(range(1, 14))
     # An alarm in the lift itself is of the model's making, and closes nothing.
-    book.begin(0)
+    book.begin()
     for tick in range(1, 11):
         book.add(row(tick, lift=True, calm=True), tick, descending=False)
     book.alarm(6 * PERIOD, PERIOD)

@@ -63,3 +63,46 @@ def test_a_joint_that_stops_while_another_is_held_back_waits_one_tick(tracker: T
         stopped[2] -= 0.02 * tick  # four steps short, again and again: this is ground
         residual = move(tracker, stopped)
     assert abs(residual[1]) > 1.5 * abs(STEP[1])
+
+
+FAULT = -np.pi  # what some buses say for "no answer"
+
+
+def test_an_impossible_reading_that_lasts_is_bad_for_three_ticks_and_then_a_new_truth(
+    tracker: Tracker,
+) -> None:
+    """As long as it is bad, it is measured against where the joint was, not against itself."""
+    at = 5 * STEP
+    for tick in (1, 2, 3):
+        wild = at + tick * STEP
+        wild[1] = FAULT
+        np.testing.assert_allclose(move(tracker, wild), 0.0, atol=1e-12)
+        assert tracker.substituted
+        assert tracker.usable > 0
+    wild = at + 4 * STEP
+    wild[1] = FAULT
+    tracker.observe(wild.tolist(), None)
+    assert tracker.usable == 0, "begun anew: nothing is judged by it before the window is full"
+    assert not tracker.full
+
+
+def test_a_horn_that_slips_is_begun_anew_from(tracker: Tracker) -> None:
+    at = 5 * STEP
+    slipped = np.array([0.0, 0.6, 0.0])
+    for tick in (1, 2, 3):
+        np.testing.assert_allclose(move(tracker, at + tick * STEP + slipped), 0.0, atol=1e-12)
+    tracker.observe((at + 4 * STEP + slipped).tolist(), None)
+    assert tracker.usable == 0
+
+
+def test_a_good_reading_after_one_known_to_be_bad_is_good(tracker: Tracker) -> None:
+    """However far from it; every other one may be bad for ever."""
+    at = 5 * STEP
+    for tick in range(1, 21):
+        reading = at + tick * STEP
+        valid = None
+        if tick % 2:
+            reading[1], valid = FAULT, [True, False, True]
+        np.testing.assert_allclose(move(tracker, reading, valid), 0.0, atol=1e-12)
+        assert tracker.substituted is bool(tick % 2)
+        assert tracker.usable > 0
