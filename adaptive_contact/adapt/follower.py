@@ -248,9 +248,10 @@ class Follower:
         Args:
             budget: rows at most.
         """
-        if self._queue:
-            for _ in range(min(self._share(budget), len(self._queue))):
-                self._learn(self._queue.popleft())
+        for _ in range(self._share(budget)):
+            if not self._queue:  # a model that falls takes the rows that wait with it
+                break
+            self._learn(self._queue.popleft())
         self._challenger.tick()
         self._recent.domain = self._challenger.domain
         self._recent.go_on()

@@ -42,8 +42,6 @@ class Quarantine:
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
-        # Since the source began, or broke off: what began before that is no whole swing.
-        self._stood = False
 
     @property
     def follower(self) -> Follower | None:
@@ -65,7 +63,8 @@ class Quarantine:
         The foot comes up for some ticks after its command came down; only then the lift has told
         whether it is the leg that has changed.  Where the swing was broken off none will tell.
         """
-        return self._swing.descending and (not self._gated or self._book.past_top)
+        told = self._book.past_top if self._gated else not self._book.broken
+        return self._swing.descending and told
 
     @property
     def _gated(self) -> bool:
@@ -77,7 +76,8 @@ class Quarantine:
         self._lift_judged = False
         self._touching.clear()
         self._book.begin()
-        if not (self._stood or self._swing.measures):  # its ticks do not tell lift from descent
+        # By its ticks alone nobody can tell its lift from its descent.
+        if not (self._swing.whole or self._swing.measures):
             self._book.discard()
         if self.follower is not None:
             self.follower.monitor.begin_swing()
@@ -88,7 +88,7 @@ class Quarantine:
 
     def break_off(self) -> None:
         """What comes does not connect: the swing cannot be resolved, and is not learned."""
-        self._stood = False
+        self._swing.interrupt()
         self._touching.clear()
         self._book.discard()
 
@@ -159,7 +159,6 @@ class Quarantine:
 
     def resolve(self) -> None:
         """The leg stands: the swing is over, without an alarm or with one that was dealt with."""
-        self._stood = True
         if not self._open or self.follower is None:
             return
         self._open = False

@@ -39,7 +39,7 @@ MISSED_LEVEL: Final = 1.0
 # ...up to the first in which the foot is pushed up by more deviations than this.
 PUSHED_SIGMA: Final = 1.0
 # A touch that began before a hole in the readings is told after it, with an onset up to so many
-# ticks behind the last one before: the statistic's windows begin anew.
+# ticks behind its end: the statistic's windows begin anew.
 HOLE_TICKS: Final = 8
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6
@@ -92,6 +92,11 @@ class SwingBook:
     def past_top(self) -> bool:
         """Whether the foot is known to be past the top of this swing."""
         return self._topped and not self._broken
+
+    @property
+    def broken(self) -> bool:
+        """Whether the swing was broken off."""
+        return self._broken
 
     @property
     def topped(self) -> bool:
@@ -157,8 +162,11 @@ class SwingBook:
             Rows of the descent that are confirmed; the rest of the swing is not entered.
         """
         near_ns = onset_ns - TOUCHING_TICKS * period_ns
-        if self._hole_ns is not None and onset_ns - self._hole_ns <= HOLE_TICKS * period_ns:
-            onset_ns, near_ns = self._hole_ns, 0
+        if self._hole_ns is not None:
+            hole_ns = self._hole_ns
+            after_ns = next((row.t_ns for row in self._descent if row.t_ns > hole_ns), onset_ns)
+            if onset_ns - after_ns <= HOLE_TICKS * period_ns:
+                onset_ns, near_ns = hole_ns, 0
         last = onset_ns - GUARD_TICKS * period_ns
         # A foot on its way up while its command comes down lags behind, or has been kicked up.
         up, late = self._lift[: self._commanded], self._lift[self._commanded :]

@@ -61,6 +61,7 @@ class SwingWatch:
         held: the foot does not follow its command: something holds it, or it has no strength.
         came: share of its command's way that the foot went in the last lift that told.
         untold: samples whose phase could not be told.
+        whole: the swing in hand began after a stance that was seen, and went on without a break.
     """
 
     def __init__(self, leg: Leg) -> None:
@@ -71,6 +72,8 @@ class SwingWatch:
         self.held = False
         self.came = 1.0
         self.untold = 0
+        self.whole = False
+        self._stood = False  # since the source began, or broke off
         self._leg = leg
         self._axes = leg.joint_axes
         self._phase = None if leg.lengths_m is None else PhaseTracker()
@@ -158,8 +161,13 @@ class SwingWatch:
         self.held = self.came < (FREE_SHARE if self.held else HELD_SHARE)
         return self.held
 
+    def interrupt(self) -> None:
+        """What comes does not connect to what was: it may be another swing already."""
+        self.whole = self._stood = False
+
     def restart(self) -> None:
         """The source started anew."""
+        self.interrupt()
         self.ticks = 0
         self._surface, self._touch = -math.inf, None
         self._heights.clear()
@@ -179,10 +187,14 @@ class SwingWatch:
         self._told = sample.phase is not None
         if phase is None:
             self.untold += 1
-        if self.ticks and phase != "swing":
-            self._lengths.append(self.ticks)
+        if phase != "swing":
+            self._stood = True
+            if self.ticks and self.whole:
+                self._lengths.append(self.ticks)
         # Between swings nobody asks for places, and four in five ticks lie there.
         self.ticks = self.ticks + 1 if phase == "swing" else 0
+        if self.ticks == 1:
+            self.whole = self._stood
         if self.ticks and self._leg.lengths_m is not None:
             if self.ticks == 1:
                 self._commanded = self._place(self._last_desired or sample.desired)

@@ -92,6 +92,7 @@ class Tracker:
         self._stale = self._none_stale  # ticks in a row for which a joint has been doubted
         self._last: Sequence[float] | None = None
         self._impossible = 0
+        self._refused: Mask = np.zeros(joints, dtype=bool)
         self._unsure = 0
 
     def move(self, home: Block, row: int) -> None:
@@ -243,9 +244,9 @@ class Tracker:
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
                 return measured
-            bad = np.array(jumps) > self._max_step
-        else:
-            self._impossible = 0
+            bad = self._refused = np.array(jumps) > self._max_step
+        elif self._impossible and (missing is None or not (missing & self._refused).any()):
+            self._impossible = 0  # whoever was refused has brought a reading to believe
         if self.predicted and not all(steps) and self._doubtful(steps):
             stale = self._stale_joints(np.array(measured), np.array(steps), missing)
             if stale.any():

@@ -112,12 +112,15 @@ def serve(
 
 def _leave(fault: BaseException | None) -> None:
     """End where a subscriber hangs on to the session: the interpreter's own exit would wait."""
-    if isinstance(fault, AdaptiveContactError):
-        print(f"adaptive-contact: {fault}", file=sys.stderr)
-    elif fault is not None:
-        traceback.print_exception(fault)
-    sys.stdout.flush()
-    os._exit(0 if fault is None else 1)
+    expected = isinstance(fault, AdaptiveContactError)
+    try:
+        if expected:
+            print(f"adaptive-contact: {fault}", file=sys.stderr)
+        elif fault is not None:
+            traceback.print_exception(fault)
+        sys.stdout.flush()
+    finally:  # also where nothing can be written any more
+        os._exit(0 if fault is None else 2 if expected else 1)
 
 
 def _on_signal(stop: threading.Event) -> None:

@@ -65,7 +65,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
 }
 
 # An endpoint's options may hold a key.
-_ENDPOINT_TAIL: Final = re.compile(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<\[]+)[?#][^\s'\"]*")
+_ENDPOINT_TAIL: Final = re.compile(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<]+)[?#][^\"\n]*")
 _SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 # Zenoh quotes the line it cannot read, or the value it does not want: either may be a password.
 _QUOTED_LINE: Final = re.compile(r"(?m)^\s*\d*\s*\|.*$")

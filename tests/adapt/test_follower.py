@@ -268,6 +268,34 @@ def test_a_source_that_begins_within_a_swing_teaches_nothing_of_it(
     assert outcomes(events, range(22, 40), stops).count("hit") >= 17
 
 
+def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_are(
+    baseline: Baseline,
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(30)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(without_lengths(), "rf", baseline)
+    play(learner, stream[: 28 * 20])
+    for part, run in ((stream[28 * 20 + 18 : 28 * 22], 1), (stream[28 * 23 + 18 :], 1)):
+        play(learner, [msgspec.structs.replace(s, run=run) for s in part])
+        assert learner.status.note is None
+
+
+def test_a_model_that_falls_in_the_midst_of_a_tick_takes_the_rows_that_wait_with_it(
+    follower: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p = follower.model.library.size
+    follower._queue.extend(rows_of(np.zeros((30, p)), np.zeros((30, 3))))
+    learned = []
+
+    def falls(row: Row) -> None:
+        learned.append(row)
+        follower._queue.clear()
+
+    monkeypatch.setattr(follower, "_learn", falls)
+    follower.tick(3)
+    assert len(learned) == 1
+
+
 def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:
     learner = ContactLearner(without_lengths(), "rf", baseline)
     measured, desired, swing, _ = FakeLeg(seed=6).run(20)

@@ -115,20 +115,22 @@ def test_from_the_first_tick_that_may_be_pushed_nothing_is(pushed: float | None)
     assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 17))
 
 
-@pytest.mark.parametrize("after", [1, 4, 9])
-def test_after_a_hole_the_guard_counts_from_what_came_before_it(after: int) -> None:
+@pytest.mark.parametrize("hole", [2, 12])
+@pytest.mark.parametrize("after", [0, HOLE_TICKS, HOLE_TICKS + 1])
+def test_after_a_hole_the_guard_counts_from_what_came_before_it(hole: int, after: int) -> None:
     """A touch that began before it is told after it, with an onset behind it."""
     book = SwingBook()
     swing(book, up=10, down=6)
     book.hole()  # after tick 16
-    for tick in range(19, 30):
+    first = 17 + hole
+    for tick in range(first, first + 11):
         missed = row(tick, lift=False, level=9.0)._replace(push=Push(0.0, ASIDE))
         book.add(missed, tick, descending=True)
-    found = ticks(book.alarm((16 + after) * PERIOD, PERIOD))
+    found = ticks(book.alarm((first + after) * PERIOD, PERIOD))
     if after <= HOLE_TICKS:
         assert found == list(range(11, 16 - GUARD_TICKS + 1))
     else:
-        assert found == [*range(11, 17), *range(19, 16 + after - TOUCHING_TICKS + 1)]
+        assert found == [*range(11, 17), *range(first, first + after - TOUCHING_TICKS + 1)]
 
 
 def test_what_rises_in_a_descent_is_no_lift() -> None:

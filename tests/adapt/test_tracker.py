@@ -106,3 +106,19 @@ def test_a_good_reading_after_one_known_to_be_bad_is_good(tracker: Tracker) -> N
         np.testing.assert_allclose(move(tracker, reading, valid), 0.0, atol=1e-12)
         assert tracker.substituted is bool(tick % 2)
         assert tracker.usable > 0
+
+
+def test_a_joint_that_is_elsewhere_is_believed_beside_readings_known_to_be_bad(
+    tracker: Tracker,
+) -> None:
+    """Every third of its readings is flagged; the others say the same, again and again."""
+    at = 5 * STEP
+    slipped = np.array([0.0, 0.8, 0.0])
+    begun_anew = []
+    for tick in range(1, 10):
+        valid = [True, False, True] if tick % 3 == 0 else None
+        move(tracker, at + tick * STEP + slipped, valid)
+        if not tracker.full:
+            begun_anew.append(tick)
+    assert begun_anew
+    assert begun_anew[0] == 5, "the fourth reading that says so"

@@ -102,10 +102,11 @@ def test_a_name_that_none_can_be_is_one_line(host: str) -> None:
 
 
 @pytest.mark.parametrize("make", [client_settings, router_settings])
+@pytest.mark.parametrize("host", ["127.0.0.1", "[::1]"])
 def test_an_endpoint_that_zenoh_refuses_is_one_line_without_its_key(
-    make: Callable[..., LinkSettings], tmp_path: Path
+    make: Callable[..., LinkSettings], host: str, tmp_path: Path
 ) -> None:
-    secret = "tls/127.0.0.1:17998?#connect_private_key_base64=TOPSECRET"
+    secret = f"tls/{host}:17998?#connect_private_key_base64=it's TOPSECRET"
     with pytest.raises(ConfigurationError, match="Zenoh takes no such") as caught:
         configure(make([secret]))
     assert "TOPSECRET" not in str(caught.value)
