@@ -3,7 +3,7 @@
 An event is put reliably, so a subscriber that hangs holds the put up (a quarter of a second,
 then Zenoh drops its link, and with it the event).  The learners must not wait for that: the worker
 only appends, and what cannot be sent for so long that the queue is full is dropped, oldest first,
-and counted.  Each put that was slow is logged, for the watchdog sees only those that go on.
+and counted.  Each put that was slow, or failed, is logged: the watchdog sees only those that go on.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Final, NamedTuple, Protocol
 
 import structlog
 
+from adaptive_contact.errors import LinkError
 from adaptive_contact.service.meters import Brake
 from adaptive_contact.wire import Message
 
@@ -134,8 +135,8 @@ class Outbox:
         began_ns = self._putting_since_ns = time.monotonic_ns()
         try:
             letter.publisher.put(letter.message)
-        except Exception:  # the link was closed under it; whatever it is, the next must go out
-            self.lost += 1
+        except Exception as fault:  # a closed link, or a fault of ours: the next must go out
+            self._unsent(fault)
             return
         finally:
             self._putting_since_ns = None
@@ -143,6 +144,14 @@ class Outbox:
         self._latencies.append(done_ns - letter.arrival_ns)
         if done_ns - began_ns > SLOW_PUT_NS:
             self._slow(done_ns, done_ns - began_ns)
+
+    def _unsent(self, fault: Exception) -> None:
+        self.lost += 1
+        kind = type(fault).__name__
+        why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
+        times = self._brake.passes(kind, time.monotonic_ns())
+        if times is not None:
+            _log.warning("contact events lost", why=why, times=times)
 
     def _slow(self, now_ns: int, took_ns: int) -> None:
         self.slow += 1

@@ -102,7 +102,8 @@ class ProcessRefitter:
             try:
                 result = self._do(job)
             except Exception as fault:  # no process could be started, say; the next may be
-                _log.warning("refit given up", leg=leg, job=job.number, why=str(fault))
+                why = f"{type(fault).__name__}: {fault}"
+                _log.warning("refit given up", leg=leg, job=job.number, why=why)
                 self._end_process()
                 self.failures += 1
                 result = _failed(job)

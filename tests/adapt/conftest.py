@@ -8,12 +8,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.training import Stretch, learn
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.robot.geometry import inverse
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire import ContactEvent, ServoSample
 
+PERIOD = 20_000_000
 LENGTHS = (0.052, 0.066, 0.138)
 TOML = """
 [robot]
@@ -102,3 +104,20 @@ def samples(measured: np.ndarray, desired: np.ndarray, swing: np.ndarray) -> lis
             zip(measured.tolist(), desired.tolist(), swing.tolist(), strict=True)
         )
     ]
+
+
+def play(learner: ContactLearner, stream: list[ServoSample]) -> list[ContactEvent]:
+    return [event for s in stream if (event := learner.update(s)) is not None]
+
+
+def outcome(events: list[ContactEvent], first: int, stop: int | None) -> str:
+    """Of the swing whose first sample is ``first``: hit, miss, alarm or clean."""
+    inside = [e.seq - first for e in events if e.contact and first <= e.seq < first + 24]
+    if stop is None:
+        return "alarm" if inside else "clean"
+    early = [tick for tick in inside if tick <= stop]
+    return "alarm" if early else "hit" if inside else "miss"
+
+
+def outcomes(events: list[ContactEvent], swings: range, stops: list[int | None]) -> list[str]:
+    return [outcome(events, 28 * n, stops[n]) for n in swings]

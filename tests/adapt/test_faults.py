@@ -18,15 +18,14 @@ from adaptive_contact.adapt.segments import Row
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
-from .conftest import FakeLeg, samples
+from .conftest import PERIOD, FakeLeg, samples
 
 TICKS = 28  # of a swing and its stance
-PERIOD_NS = 20_000_000
 
 
 def confirmed(learner: ContactLearner) -> list[int]:
     """Ticks confirmed since the last call."""
-    return [t_ns // PERIOD_NS for t_ns in learner.drain_confirmed()]
+    return [t_ns // PERIOD for t_ns in learner.drain_confirmed()]
 
 
 def without_femur(sample: ServoSample) -> ServoSample:
@@ -93,7 +92,7 @@ def test_no_prediction_is_learned_as_if_it_had_been_read(robot: Robot, baseline:
     for k, sample in enumerate(samples(measured, desired, swing)):
         learner.update(without_femur(sample) if bad[k] else sample)
     assert len(taken) > 500
-    assert not any(bad[row.t_ns // PERIOD_NS] for row in taken)
+    assert not any(bad[row.t_ns // PERIOD] for row in taken)
 
 
 @pytest.mark.parametrize("at", range(6, 16))
@@ -104,7 +103,7 @@ def test_a_rate_that_changes_in_mid_swing_leaves_nothing_in_the_buffer(
     measured, desired, swing, _ = FakeLeg(seed=4).run(40)
     late_ns, stream = 0, []
     for sample in samples(measured, desired, swing):
-        late_ns += PERIOD_NS // 5 if sample.seq >= first else 0
+        late_ns += PERIOD // 5 if sample.seq >= first else 0
         stream.append(msgspec.structs.replace(sample, t_ns=sample.t_ns + late_ns))
     learner = ContactLearner(robot, "rf", baseline)
     for sample in stream:

@@ -13,9 +13,8 @@ from adaptive_contact.adapt.stream import RESET_SAMPLES
 from adaptive_contact.identify import stack
 from adaptive_contact.robot import Robot
 
-from .conftest import FakeLeg, samples
+from .conftest import PERIOD, FakeLeg, samples
 
-PERIOD = 20_000_000
 SWING = 28  # ticks, with its stance
 # Ticks of the last swing of the first source, which has confirmed its lift and not its descent.
 BROKEN_OFF = 15

@@ -19,7 +19,7 @@ from adaptive_contact.adapt.segments import (
     SwingBook,
 )
 
-PERIOD = 20_000_000
+from .conftest import PERIOD
 
 
 def row(

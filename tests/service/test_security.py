@@ -63,6 +63,26 @@ def files(tmp_path: Path) -> Folder:
     return Folder(*(tmp_path / f"{name}.json5" for name in Folder._fields))
 
 
+class Guarded:
+    """The service with the documented set, open to other machines, and its users."""
+
+    def __init__(self, served: Any, join: Callable[..., Link], files: Folder) -> None:
+        self.served = served
+        self.endpoint: str = served.endpoint.replace("0.0.0.0", "127.0.0.1")
+        self._join = join
+        self._files = files
+
+    def user(self, name: str) -> Link:
+        """A session of a user's own, by the user's file."""
+        return self._join(self.endpoint, zenoh_config=getattr(self._files, name))
+
+
+@pytest.fixture
+def guarded(serve: Any, join: Callable[..., Link], files: Folder) -> Guarded:
+    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
+    return Guarded(served, join, files)
+
+
 @pytest.fixture
 def certificates(tmp_path: Path) -> Path:
     """A folder with those of the document: a CA's, the service's and a client's."""
@@ -95,20 +115,13 @@ def matched(link: Link, key: str) -> Any:
 
 @pytest.mark.e2e
 def test_only_the_service_publishes_contacts_and_statuses(
-    serve: Any,
-    join: Callable[..., Link],
-    files: Folder,
-    inbox: Any,
-    sample: Sample,
+    guarded: Guarded, files: Folder, inbox: Any, sample: Sample
 ) -> None:
-    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
-    endpoint = served.endpoint.replace("0.0.0.0", "127.0.0.1")
     for config in (None, files.stranger):
         with pytest.raises(NoRouterError, match="user and password"):
-            Link.open(client_settings([endpoint], wait=False, zenoh_config=config))
+            Link.open(client_settings([guarded.endpoint], wait=False, zenoh_config=config))
 
-    robot = join(endpoint, zenoh_config=files.robot)
-    viewer = join(endpoint, zenoh_config=files.viewer)
+    robot, viewer = guarded.user("robot"), guarded.user("viewer")
     contacts, plain, statuses = inbox(ContactEvent), inbox(ContactEvent), inbox(LearnerStatus)
     viewer.subscribe(ALL_CONTACT, contacts, history=True)
     robot.subscribe(ALL_CONTACT, plain)
@@ -138,7 +151,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
         noise_floor=[],
     )
     # (From sessions of their own: within a session everybody hears himself, without a router.)
-    liars = [join(endpoint, zenoh_config=config) for config in (files.robot, files.viewer)]
+    liars = [guarded.user(name) for name in ("robot", "viewer")]
     for liar in liars:
         liar.publisher(contact_key("rf"), reliable=True).put(forged)
         liar.publisher(contact_key("rf"), reliable=True, history=1).put(forged)
@@ -152,7 +165,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
     servo.put(sample(2))
     assert [e.seq for e in contacts.wait(2)] == [1, 2]
     late = inbox(ContactEvent)
-    join(endpoint, zenoh_config=files.viewer).subscribe(ALL_CONTACT, late, history=True)
+    guarded.user("viewer").subscribe(ALL_CONTACT, late, history=True)
     assert [e.seq for e in late.wait(1)] == [2]
     statuses.wait(lambda items: any(status.ticks == 2 for status in items))
     assert all(status.model_version == 3 for status in statuses.items)
@@ -163,19 +176,14 @@ def test_only_the_service_publishes_contacts_and_statuses(
     assert report.error is None
     assert leg_token("zz") not in viewer.alive("robot/leg/*")
 
-    assert served.stop() == 0
-    log = served.log.read_text()
+    assert guarded.served.stop() == 0
+    log = guarded.served.log.read_text()
     assert not [secret for secret in SECRETS if secret in log]
 
 
 @pytest.mark.e2e
-def test_only_the_robot_moves_its_legs(
-    serve: Any, join: Callable[..., Link], files: Folder, inbox: Any
-) -> None:
-    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
-    endpoint = served.endpoint.replace("0.0.0.0", "127.0.0.1")
-    bridge, gait = (join(endpoint, zenoh_config=files.robot) for _ in range(2))
-    viewer = join(endpoint, zenoh_config=files.viewer)
+def test_only_the_robot_moves_its_legs(guarded: Guarded, inbox: Any) -> None:
+    bridge, gait, viewer = (guarded.user(name) for name in ("robot", "robot", "viewer"))
     goals, seen = inbox(Command), inbox(Command)
     bridge.subscribe(command_key("rf"), goals)
     viewer.subscribe(command_key("rf"), seen)
@@ -189,23 +197,15 @@ def test_only_the_robot_moves_its_legs(
     assert [c.desired[0] for c in goals.wait(2)] == [0.1, 0.4]
     # What a viewer hears of himself never went through the router.
     assert [c.desired[0] for c in seen.items] == [0.9]
-    assert served.stop() == 0
+    assert guarded.served.stop() == 0
 
 
 @pytest.mark.e2e
 @pytest.mark.parametrize("everything", ["**", "robot/**"])  # of `doctor`, and of `record`
 def test_who_asks_for_everything_gets_what_he_may_see(
-    serve: Any,
-    join: Callable[..., Link],
-    files: Folder,
-    inbox: Any,
-    sample: Sample,
-    everything: str,
+    guarded: Guarded, inbox: Any, sample: Sample, everything: str
 ) -> None:
-    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(files.service))
-    endpoint = served.endpoint.replace("0.0.0.0", "127.0.0.1")
-    robot, gait = (join(endpoint, zenoh_config=files.robot) for _ in range(2))
-    viewer = join(endpoint, zenoh_config=files.viewer)
+    robot, gait, viewer = (guarded.user(name) for name in ("robot", "robot", "viewer"))
     goals, seen = inbox(Command), inbox()
     robot.subscribe(command_key("rf"), goals)
     viewer.subscribe(everything, seen)
@@ -216,7 +216,7 @@ def test_who_asks_for_everything_gets_what_he_may_see(
     servo.put(sample(1, contact=True))
     seen.wait(lambda items: kinds <= {received.key for received in items})
     assert command_key("rf") not in {received.key for received in seen.items}
-    assert served.stop() == 0
+    assert guarded.served.stop() == 0
 
 
 @pytest.mark.e2e

@@ -217,9 +217,10 @@ def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch)
             box.post(Slow(), message(1), now[0])
             box.post(Closed(), message(2), now[0])
         assert (box.slow, box.lost, box.cut_off, box.latencies()) == (1, 1, cut_off, [S])
-        (line,) = logs
-        assert line["event"] == "a subscriber that hangs held up contact events"
-        assert (line["for_ms"], line["its_link"]) == (1000, link)
+        held, lost = logs
+        assert held["event"] == "a subscriber that hangs held up contact events"
+        assert (held["for_ms"], held["its_link"]) == (1000, link)
+        assert (lost["event"], lost["why"], lost["times"]) == ("contact events lost", "closed", 1)
 
 
 def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
@@ -231,11 +232,15 @@ def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
             raise TypeError("no such thing")
 
     box = Outbox()
-    box.start()
-    box.post(Broken(), message(1), 0)
-    box.post(gate, message(2), 0)
-    box.close(5.0)
-    assert (box.lost, gate.got) == (1, [2])
+    with capture_logs() as logs:
+        box.start()
+        for n in (1, 2):
+            box.post(Broken(), message(n), 0)
+        box.post(gate, message(3), 0)
+        box.close(5.0)
+    assert (box.lost, gate.got) == (2, [3])
+    (line,) = logs  # braked: the next within a while would say how often
+    assert (line["event"], line["why"]) == ("contact events lost", "TypeError: no such thing")
 
 
 def test_what_is_held_up_now_is_told(

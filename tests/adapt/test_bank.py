@@ -1,0 +1,36 @@
+"""A bank of learners: known legs, strangers, and its bound."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from adaptive_contact import ServoSample
+from adaptive_contact.adapt import Baseline, LearnerBank
+from adaptive_contact.robot import Robot
+
+from .conftest import FakeLeg, samples
+
+
+def test_a_leg_that_the_baseline_has_and_the_description_lacks_is_a_stranger(
+    robot: Robot, baseline: Baseline
+) -> None:
+    both = dataclasses.replace(baseline, legs={**baseline.legs, "rr": baseline.legs["rf"]})
+    bank = LearnerBank(robot, both, shielded=True)
+    (sample,) = samples(*FakeLeg(seed=1).run(1)[:3])[:1]
+    assert bank.update({"rf": sample, "rr": sample}) == []
+    stranger = bank.learner("rr")
+    assert stranger is not None
+    assert stranger.status.status == "learning"
+
+
+def test_a_stranger_gets_a_learner_and_a_bank_is_bounded(robot: Robot, baseline: Baseline) -> None:
+    bank = LearnerBank(robot, baseline)
+    sample = ServoSample(t_ns=1, seq=1, measured=[0.0, 0.1], desired=[0.0, 0.1], phase="swing")
+    assert bank.update({"tail": sample}) == []
+    stranger = bank.learner("tail")
+    assert stranger is not None
+    assert stranger.status.status == "learning"
+    assert bank.learner("a*", 2) is None
+    for n in range(100):
+        bank.learner(f"leg{n}", 2)
+    assert len(bank.legs) == 32
