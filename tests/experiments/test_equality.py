@@ -31,6 +31,8 @@ from adaptive_contact_sim.experiments.stlsq import paper_fit
 # largest, which PySINDy's unbiased refit cuts off; the smaller keeps full rank in its eyes.
 PAPER = PAPER_WINDOW
 SMALL = Window(past_measured=1, past_desired=1, preview=1)
+# Of a coefficient that is zero but for rounding.
+ROUNDING = 1e-11
 
 
 class OurLibrary(BaseFeatureLibrary):
@@ -182,7 +184,9 @@ def test_the_papers_fit_equals_discrete_sindy_with_its_own_library(
     )  # fmt: skip
     expected = in_our_order(coefficients, state.shape[1] + control.shape[1])
     assert (expected != 0).any()
-    np.testing.assert_array_equal(fit.coefficients != 0, expected != 0)
+    differ = (fit.coefficients != 0) != (expected != 0)
+    # A delayed state is a copy of another: of its other terms the refit leaves rounding, or zero.
+    assert np.abs(fit.coefficients - expected)[differ].max(initial=0.0) < ROUNDING
     np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
 
 
