@@ -1,9 +1,8 @@
 """The sliding buffer of confirmed free ticks.
 
 Newest segments first, with a quota per direction and region of the workspace, so that a
-monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows
-(robust weights need them); they are compressed where a refit is done, in the worker's process.
-Evicting is dropping.
+monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows:
+covariances are made anew from residuals under the model in force.  Evicting is dropping.
 """
 
 from __future__ import annotations
@@ -110,10 +109,15 @@ class SlidingBuffer:
         del self._segments[index]
 
     def drop_since(self, t_ns: int) -> None:
-        """Drop the newest segments that reach to or beyond a time of the source in force."""
-        while self._of_source and self._segments[-1].t_ns >= t_ns:
-            self._held -= len(self._segments.pop().target)
-            self._of_source -= 1
+        """Drop segments that reach to or beyond a time of the source in force.
+
+        They are not in order: a descent that waited comes after the lift that confirmed it.
+        """
+        own = [self._segments.pop() for _ in range(self._of_source)]
+        kept = [segment for segment in reversed(own) if segment.t_ns < t_ns]
+        self._segments.extend(kept)
+        self._of_source = len(kept)
+        self._held = sum(len(segment.target) for segment in self._segments)
 
     def new_source(self) -> None:
         """The source began anew: times from before do not compare with its own."""

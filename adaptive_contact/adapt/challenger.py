@@ -89,11 +89,13 @@ class Challenger:
         self._off: list[tuple[Sequence[float], Array]] = []
         self._tally = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
         self._reason: str | None = None
+        self._wait: str | None = None
 
     @property
     def counts(self) -> RefitCounts:
         """For the status."""
-        return RefitCounts(**self._tally, last_reason=self._reason)
+        reasons = "; ".join(filter(None, (self._reason, self._wait))) or None
+        return RefitCounts(**self._tally, last_reason=reasons)
 
     def swing_done(
         self, model: LegModel, buffer: SlidingBuffer, era: int, *, learned: bool = True
@@ -115,13 +117,13 @@ class Challenger:
         p, joints = model.coefficients.shape
         fit, held_out = buffer.factors(p, joints, era=era)
         if fit.rows < MIN_ROWS_PER_TERM * p:
-            self._reason = (
+            self._wait = (
                 f"waiting: {fit.rows:.0f} free ticks of the leg as it is to fit to, "
                 f"{MIN_ROWS_PER_TERM * p} are needed"
             )
             return
         self._swings = self._ticks = 0
-        self._early = False
+        self._early, self._wait = False, None
         self._jobs += 1
         prior = self._prior(model)
         self._refitter.submit(

@@ -38,6 +38,9 @@ GOOD_SHARE: Final = 0.35
 STILL_QUANTA: Final = 2.0
 # A cold start remembers this many samples: ten minutes at 50 Hz.
 MAX_SAMPLES: Final = 30_000
+FIRST_ROOM: Final = 500
+# A run of fewer is not learned from.
+LEAST_SAMPLES: Final = 11
 # Shape of a tail fitted to few ticks is worthless; the pooled one of the shipped baselines is 0 to
 # 0.1, and the heavier end costs a third more threshold.
 PRIOR_SHAPE: Final = 0.1
@@ -113,34 +116,49 @@ class ColdStart:
     """
 
     def __init__(self, leg: Leg, library: Library, quantum_rad: float) -> None:
-        self.swings = 0
+        self.swings = self.samples = 0
         self._leg = leg
         self._library = library
         self._quantum = quantum_rad
-        self.samples = 0
-        self._runs: list[list[tuple[list[float], list[float], bool, bool]]] = [[]]
+        # In arrays that grow: made in the tick that hands a job in, they would hold up all legs.
+        self._angles = np.zeros((FIRST_ROOM, 2, len(leg.joints)))  # measured and desired
+        self._flags = np.zeros((FIRST_ROOM, 2), dtype=bool)  # swing and sound
+        self._starts = [0]  # of samples without a gap
+        self._swung = False  # the sample before, of the same run
         self._next_try = FIRST_TRY_SWINGS
         self._jobs = 0
         self._pending: int | None = None
 
     def interrupt(self) -> None:
         """The stream broke off here."""
-        if self._runs[-1]:
-            self._runs.append([])
+        if self._starts[-1] < self.samples:
+            self._starts.append(self.samples)
+        self._swung = False
 
     def add(self, measured: list[float], desired: list[float], *, swing: bool, sound: bool) -> None:
         """Take in a sample."""
-        run = self._runs[-1]
-        if run and run[-1][2] and not swing:
-            self.swings += 1
-        run.append((measured, desired, swing, sound))
+        self.swings += self._swung and not swing
+        self._swung = swing
+        if self.samples == len(self._flags):
+            self._make_room()
+        self._angles[self.samples] = measured, desired
+        self._flags[self.samples] = swing, sound
         self.samples += 1
-        while self.samples > MAX_SAMPLES:
-            if len(self._runs) > 1 and not self._runs[0]:
-                self._runs.pop(0)
-            else:
-                self.samples -= len(self._runs[0][: MAX_SAMPLES // 10])
-                del self._runs[0][: MAX_SAMPLES // 10]
+
+    def _make_room(self) -> None:
+        """For the next sample: twice as much, or what the oldest tenth leaves."""
+        if self.samples < MAX_SAMPLES:
+            more = min(self.samples, MAX_SAMPLES - self.samples)
+            self._angles = np.concatenate([self._angles, np.zeros_like(self._angles[:more])])
+            self._flags = np.concatenate([self._flags, np.zeros_like(self._flags[:more])])
+            return
+        gone = MAX_SAMPLES // 10
+        self.samples -= gone
+        for held in (self._angles, self._flags):
+            held[: self.samples] = held[gone:].copy()
+        moved = [start - gone for start in self._starts]
+        # The run that begins before what is left begins with it.
+        self._starts = [0, *(start for start in moved if start > 0)]
 
     def poll(self, refitter: Refitter) -> ColdResult | None:
         """Hand in a fit when it is time; its result, once, when it is there."""
@@ -163,10 +181,15 @@ class ColdStart:
             return None
         self._next_try = self.swings + TRY_EVERY
         self._jobs += 1
-        stretches = tuple(self._stretch(run) for run in self._runs if len(run) > 10)
+        ends = [*self._starts[1:], self.samples]
+        stretches = tuple(
+            self._stretch(begin, end)
+            for begin, end in zip(self._starts, ends, strict=True)
+            if end - begin >= LEAST_SAMPLES
+        )
         return ColdJob(self._leg.id, self._jobs, self._leg, self._library, stretches, self._quantum)
 
-    def _stretch(self, run: list[tuple[list[float], list[float], bool, bool]]) -> Stretch:
-        measured, desired, swing, sound = zip(*run, strict=True)
-        mask = np.array(swing)
-        return Stretch(np.array(measured), np.array(desired), mask, cautious(mask), np.array(sound))
+    def _stretch(self, begin: int, end: int) -> Stretch:
+        measured, desired = self._angles[begin:end].transpose(1, 0, 2).copy()
+        swing, sound = self._flags[begin:end].T.copy()
+        return Stretch(measured, desired, swing, cautious(swing), sound)

@@ -212,8 +212,9 @@ class Follower:
         self.buffer.drop_since(since_ns)
         self.monitor.distrust(since_ns)
         self._recent.drop_refresh()
-        while self.confirmed_ns and self.confirmed_ns[-1] >= since_ns:
-            self.confirmed_ns.pop()
+        # Not in order: a descent that waited is confirmed with the lift that comes after it.
+        kept = [t_ns for t_ns in self.confirmed_ns if t_ns < since_ns]
+        self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
 
     def new_source(self) -> None:
         """The source began anew: times from before do not compare with its own."""
@@ -277,6 +278,7 @@ class Follower:
             "level": self.monitor.level,
             "status": self.monitor.status,
             "held": self.monitor.held,
+            "heard": list(self.monitor.heard),
             "era": self._era,
             "refits": self._challenger.snapshot(),
             "recent": self._recent.snapshot(),
@@ -294,7 +296,7 @@ class Follower:
             self._champion.restore(state, saved.get("factor"))
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
-        self.monitor.resume(state.level, state.status, held=state.held)
+        self.monitor.resume(state.level, state.status, held=state.held, heard=state.heard)
         self._era = state.era
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(state.segments)

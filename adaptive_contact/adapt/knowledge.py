@@ -65,7 +65,7 @@ class Knowledge:
         self.cold: ColdStart | None = None
         self.origin = None if baseline is None else baseline.origin
         self.note: str | None = None
-        self._started_cold = False
+        self._started_cold = self._unfit = False
         self._known = self._choose(baseline)
         if self._known is not None:
             assert baseline is not None
@@ -113,14 +113,18 @@ class Knowledge:
         """The baseline was never this leg's: start cold, and say so."""
         self._known = self.follower = self.detector = None
         self.origin = None
-        self._started_cold = False
+        self._started_cold, self._unfit = False, True
         self.note = "the baseline does not fit this leg: learning it anew"
         self._start_cold()
 
-    def snapshot(self) -> dict[str, Any] | None:
-        """What has been learned, as a tree that msgpack can write; None without a model."""
+    def snapshot(self) -> dict[str, Any]:
+        """What has been learned, as a tree that msgpack can write.
+
+        Without a model that is what became of the baseline; the swings of a cold start are not
+        kept, as the next twenty bring as much.
+        """
         if self.follower is None:
-            return None
+            return {"unfit": self._unfit}
         tree: dict[str, Any] = {"follower": self.follower.snapshot()}
         if self._started_cold:  # no file holds what it started from
             assert self._known is not None
@@ -142,6 +146,10 @@ class Knowledge:
     # -- private -------------------------------------------------------------------------------
 
     def _restore(self, saved: dict[str, Any]) -> str | None:
+        if isinstance(saved.get("unfit"), bool):
+            if saved["unfit"] and self.follower is not None:
+                self.forget()
+            return None
         inner, start = saved.get("follower"), saved.get("start")
         if not isinstance(inner, dict):
             return self._refused("it holds no model")

@@ -175,13 +175,10 @@ class ContactLearner:
         threshold = float(detector.thresholds[0])
         return report_of(self.leg, follower.model, threshold, self._knowledge.origin)
 
-    def snapshot(self) -> dict[str, Any] | None:
-        """What has been learned, as a tree that msgpack can write; None without a model."""
-        learned = self._knowledge.snapshot()
-        if learned is None:
-            return None
+    def snapshot(self) -> dict[str, Any]:
+        """What has been learned and counted, as a tree that msgpack can write."""
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
-        return {**learned, **self._tally.snapshot(), **stream}
+        return {**self._knowledge.snapshot(), **self._tally.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.

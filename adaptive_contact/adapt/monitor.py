@@ -121,8 +121,17 @@ class DriftMonitor:
 
     @property
     def unfit(self) -> bool:
-        """Whether the baseline was never this leg's: its first lifts were all far off."""
-        return self._lifts_far >= UNFIT_LIFTS and self._lifts_far == self._lifts
+        """Whether the baseline was never this leg's: its first lifts were all far off.
+
+        Not while something may hold the foot: a leg that starts on a leash is this leg all the
+        same, and a cold start would learn it with its leash.
+        """
+        return not self.held and self._lifts_far >= UNFIT_LIFTS and self._lifts_far == self._lifts
+
+    @property
+    def heard(self) -> tuple[int, int]:
+        """Lifts so far, and how many of them were far off; to be saved."""
+        return self._lifts, self._lifts_far
 
     @property
     def note(self) -> str | None:
@@ -168,7 +177,7 @@ class DriftMonitor:
             return Heard([])
         if level > _doubt_limit(self._joints * len(kept)) * self.level:
             return self._doubt(list(rows), level, t_ns)
-        self._doubts, self._doubted = 0, []
+        self._drop_doubts()
         self._follow_level(level)
         if self._crept():
             return self._changed(list(rows), t_ns)
@@ -178,7 +187,7 @@ class DriftMonitor:
     def distrust(self, since_ns: int) -> None:
         """A lift in doubt that was heard at or after a time speaks for no change."""
         if self._doubted_ns >= since_ns:
-            self._doubts, self._doubted = 0, []
+            self._drop_doubts()
 
     def look(self, level: float) -> None:
         """Take in the level of a tick after the lift: a doubt that it belies is taken back."""
@@ -189,7 +198,7 @@ class DriftMonitor:
             return
         if sum(self._since_doubt) < TAKE_BACK_LEVEL * TAKE_BACK_TICKS * self.level:
             self._swing_level = None
-            self._doubts, self._doubted = 0, []
+            self._drop_doubts()
             self._trusted = True
 
     def foot_held(self, *, held: bool, came: float) -> None:
@@ -213,13 +222,16 @@ class DriftMonitor:
         """Whether something holds the foot, as far as can be told: nothing of it is learned."""
         return self._held_swings >= HELD_SWINGS
 
-    def resume(self, level: float, status: Status, *, held: bool = False) -> None:
+    def resume(
+        self, level: float, status: Status, *, held: bool = False, heard: tuple[int, int] = (1, 0)
+    ) -> None:
         """Go on from a saved state; since when is of another clock, perhaps.
 
         Args:
             level: followed.
             status: what was thought of the leg.
             held: whether that was because of a foot that did not rise.
+            heard: as it was saved; the model is this leg's where it was not.
         """
         self.level, self.status, self._since_ns = level, status, None
         self._held_swings = HELD_SWINGS if held else 0
@@ -227,7 +239,10 @@ class DriftMonitor:
         adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
         self._swings_adapting = 0 if held else adapting.get(status, 0)
         self._swings_loose = LOOSEN_EVERY  # a doubt that comes now is of something new
-        self._lifts = 1  # the model is this leg's: it has been learned
+        self._lifts, self._lifts_far = heard
+
+    def _drop_doubts(self) -> None:
+        self._doubts, self._doubted = 0, []
 
     def _doubt(self, rows: list[Row], level: float, t_ns: int) -> Heard:
         self._swing_level = float(np.clip(level, *self._range))
@@ -266,6 +281,7 @@ class DriftMonitor:
         self._trusted = False
         if self.held:
             self.status = "ambiguous"
+            self._drop_doubts()  # of what held the foot, perhaps; they speak for no change after it
 
     def _no_hold(self) -> None:
         if not self.held:

@@ -98,7 +98,7 @@ class SavedState(NamedTuple):
         support: (p, J) of its recursion.
         segments: of the buffer, oldest first.
         version, era: of the model, and of the leg as it was.
-        level, status, held: of the monitor.
+        level, status, held, heard: of the monitor.
         loosened: whether the recursion was.
     """
 
@@ -110,6 +110,7 @@ class SavedState(NamedTuple):
     level: float
     status: Status
     held: bool
+    heard: tuple[int, int]
     loosened: bool
 
 
@@ -149,8 +150,18 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
         level=level,
         status=status,
         held=saved.get("held") is True,
+        heard=_heard(saved.get("heard")),
         loosened=bool(saved.get("loosened", False)),
     )
+
+
+def _heard(value: object) -> tuple[int, int]:
+    """Lifts and those far off; a state of before they were saved is of a leg that was learned."""
+    if isinstance(value, list | tuple) and len(value) == 2:
+        lifts, far = value
+        if isinstance(lifts, int) and isinstance(far, int) and 0 <= far <= lifts:
+            return lifts, far
+    return 1, 0
 
 
 def _segments(value: object, terms: int, joints: int, contexts: int) -> list[Segment]:

@@ -122,8 +122,7 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -
     with tempfile.TemporaryDirectory() as folder:
         store = StateStore.open(Path(folder), robot.name)
         for leg, learner in learners.items():
-            body = learner.snapshot()
-            if body is None:
+            if learner.model is None:
                 raise AdaptiveContactError(f"leg {leg} has no model to save")
             store.save(
                 Record(
@@ -133,7 +132,7 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -
                     model_version=learner.status.model_version,
                     run=None,
                     seq=None,
-                    body=body,
+                    body=learner.snapshot(),
                 )
             )
         store.close()

@@ -113,7 +113,7 @@ def test_only_so_many_samples_are_remembered_the_newest(
         cold.add([float(k)] * 3, [0.0] * 3, swing=k % 28 < SWING, sound=True)
         assert cold.samples <= 1000
     assert cold.samples > 850
-    assert len(cold._runs) <= 1000
+    assert len(cold._starts) <= 1000
     job = cold.job()
     assert job is not None
     if every != 7:  # too short to learn from

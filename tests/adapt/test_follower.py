@@ -25,8 +25,7 @@ from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import Domain, Factor
 from adaptive_contact.robot import Leg, Robot, parse_robot
 
-from .conftest import TOML, FakeLeg, samples
-from .test_learner import outcomes, play
+from .conftest import TOML, FakeLeg, outcomes, play, samples
 
 Array = NDArray[np.float64]
 
@@ -246,6 +245,53 @@ def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -
     assert after.count("hit") >= 47
     frozen = play(ContactLearner(robot, "rf", baseline, mode=LearnerMode.FROZEN), stream)
     assert outcomes(frozen, range(140, 240), stops).count("alarm") > 20, "it was worth following"
+
+
+def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
+    baseline: Baseline,
+) -> None:
+    """Mud that is washed off: more than the recursion follows at once."""
+    known = baseline.legs["rf"]
+    recent = RecentNoise(known.noise, baseline.tails, 1.0)
+    follower = Follower("rf", known, recent, LearnerMode.FULL, InlineRefitter())
+    rng = np.random.default_rng(1)
+    clean = known.model.coefficients
+
+    def walk(coefficients: Array, swings: int, first: int) -> None:
+        for number in range(first, first + swings):
+            theta = rng.normal(size=(8, len(clean))) * known.scale[:, None].T
+            target = theta @ coefficients
+            off = (target - theta @ follower.model.coefficients) / known.noise.rms
+            level = 1.0 + float(np.square(off).mean())
+            target += known.noise.rms * rng.normal(size=(8, 3))
+            swing(follower, rows_of(theta, target, level=level), number)
+
+    # Each of the terms that count has come to count for less.
+    walk(0.9 * clean, 40, 0)
+    muddy = follower.model.coefficients
+    assert np.abs(muddy - clean).max() > 0.03 * np.abs(clean).max()
+    walk(clean, 6, 40)
+    assert follower.refits.rolled_back >= 1
+    assert "rolled back: the baseline fits 3 lifts better" in (follower.refits.last_reason or "")
+
+
+def test_what_came_at_another_rate_is_dropped_wherever_it_lies(follower: Follower) -> None:
+    """A descent that waits for the next lift is confirmed after it, and is older."""
+    p = follower.model.library.size
+
+    def rows(t_ns: int) -> list[Row]:
+        return rows_of(np.zeros((4, p)), np.zeros((4, 3)), t_ns=t_ns)
+
+    for first_ns in (100, 300, 200):
+        follower._confirm(rows(first_ns), 0)
+    follower.distrust(250)
+    assert sorted(follower.confirmed_ns) == [100, 101, 102, 103, 200, 201, 202, 203]
+    assert [segment.t_ns for segment in follower.buffer.segments] == [103, 203]
+    follower.new_source()
+    follower.distrust(0)
+    assert len(follower.buffer.segments) == 2, "of another clock"
+    follower.buffer.add(rows(50), 0, 0)
+    assert follower.buffer._held == 12
 
 
 @pytest.mark.parametrize(("seed", "at", "stop"), [(7, 8, 16), (6, 10, 18), (8, 6, 14)])

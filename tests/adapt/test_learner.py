@@ -199,6 +199,45 @@ def test_without_a_baseline_it_learns(robot: Robot) -> None:
     assert errors(told) <= 4
 
 
+def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(
+    robot: Robot, baseline: Baseline
+) -> None:
+    known = baseline.legs["rf"]
+    model = known.model.moved(0.0 * known.model.coefficients, 0)  # of one that never moves
+    of_another = dataclasses.replace(baseline, legs={"rf": dataclasses.replace(known, model=model)})
+    stream = samples(*FakeLeg(seed=11).run(100)[:3])
+    whole = ContactLearner(robot, "rf", of_another)
+    play(whole, stream[: 28 * 10])
+    assert whole.status.status == "learning"
+    assert whole.status.note == "the baseline does not fit this leg: learning it anew"
+    for swings in (1, 2, 10):  # before the third lift has told, and after
+        before = ContactLearner(robot, "rf", of_another)
+        play(before, stream[: 28 * swings])
+        learner = ContactLearner(robot, "rf", of_another)
+        assert learner.restore(before.snapshot()) is None
+        play(learner, stream[28 * swings : 28 * 10])
+        assert learner.status.status == "learning"
+        assert learner.status.note == whole.status.note
+    play(whole, stream[28 * 10 :])
+    assert whole.status.status == "valid"
+    assert whole.status.note is None
+
+
+def test_swings_are_told_from_commands_and_geometry_as_well(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Samples that carry no phase: the same touches are found."""
+    stops = [16 if n % 2 else None for n in range(120)]
+    told = samples(*FakeLeg(seed=17).run(120, touch=lambda n: stops[n])[:3])
+    bare = [msgspec.structs.replace(sample, phase=None) for sample in told]
+    learner = ContactLearner(robot, "rf", baseline)
+    found = outcomes(play(learner, bare), range(1, 120), stops)
+    assert learner.status.note is None
+    assert found.count("alarm") <= 1
+    assert found.count("hit") >= 57
+    assert learner.drain_confirmed()
+
+
 def test_a_frozen_learner_without_a_baseline_stays_silent(robot: Robot) -> None:
     stream = samples(*FakeLeg(seed=12).run(60)[:3])
     learner = ContactLearner(robot, "rf", mode=LearnerMode.FROZEN)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -244,6 +246,49 @@ def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None
     for k in range(10):
         hear(later, 100.0, 1 + k)
     assert not later.unfit, "it fitted once: the leg has changed"
+
+
+@pytest.mark.parametrize("at", range(UNFIT_LIFTS + 1))
+def test_a_restart_does_not_make_a_wrong_baseline_right(at: int) -> None:
+    monitor = DriftMonitor(3)
+    for k in range(UNFIT_LIFTS):
+        if k == at:
+            before, monitor = monitor, DriftMonitor(3)
+            monitor.resume(before.level, before.status, held=before.held, heard=before.heard)
+        assert not monitor.unfit
+        hear(monitor, 99.0, k)
+    assert monitor.unfit
+
+
+def test_a_foot_on_a_leash_from_the_start_says_nothing_of_the_baseline() -> None:
+    """Its lifts are as far off as another leg's: for as long as nobody can tell, none is thrown."""
+    monitor = DriftMonitor(3)
+    for k in range(PATIENCE_SWINGS - 1):
+        hear(monitor, 120.0, k)
+        assert not monitor.unfit
+        assert k < 1 or monitor.status == "ambiguous"
+    leashed, another = copy.deepcopy(monitor), monitor
+    for k in range(RELEASE_SWINGS + 1):
+        hear(leashed, 1.0, PATIENCE_SWINGS + k)
+    assert leashed.status == "valid"
+    assert not leashed.unfit
+    hear(another, 120.0, PATIENCE_SWINGS)
+    assert another.unfit, "no foot is caught in the same way for so long and comes all its way"
+
+
+def test_a_doubt_of_before_a_hold_is_no_first_sign_of_a_change_after_it() -> None:
+    monitor = calmed()
+    hear(monitor, 60.0, 30)
+    for k in range(10):
+        hear(monitor, 150.0, 31 + k)
+    assert monitor.held
+    for k in range(RELEASE_SWINGS):
+        hear(monitor, 1.0, 41 + k)
+    assert not monitor.held
+    assert not hear(monitor, 15.0, 50).changed
+    heard = hear(monitor, 15.0, 51)
+    assert heard.changed
+    assert len(heard.rows) == 2 * len(lift(15.0)), "of the two lifts that were doubted"
 
 
 def test_a_saved_status_goes_on() -> None:

@@ -6,12 +6,14 @@ import copy
 from typing import Any
 
 import msgpack
+import msgspec
 import numpy as np
 import pytest
 
 from adaptive_contact.adapt import ContactLearner, shipped_baseline
 from adaptive_contact.adapt.coldstart import prior_tails
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact.wire import Reject, ServoSample
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,6 @@ def robot() -> Any:
 @pytest.fixture(scope="module")
 def saved(robot: Any) -> dict[str, Any]:
     snapshot = ContactLearner(robot, "rf", shipped_baseline(robot.name)).snapshot()
-    assert snapshot is not None
     return msgpack.unpackb(msgpack.packb(snapshot))  # as it comes back from a file
 
 
@@ -84,10 +85,23 @@ def test_another_leg_s_snapshot_is_refused(robot: Any, saved: dict[str, Any]) ->
     assert "another baseline" in line
 
 
-def test_without_a_baseline_there_is_nothing_to_save(robot: Any, saved: dict[str, Any]) -> None:
-    bare = ContactLearner(robot, "rf")
-    assert bare.snapshot() is None
-    assert "no baseline" in str(bare.restore(saved))
+def test_without_a_baseline_a_model_is_refused(robot: Any, saved: dict[str, Any]) -> None:
+    assert "no baseline" in str(ContactLearner(robot, "rf").restore(saved))
+
+
+def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
+    bare, again = ContactLearner(robot, "rf"), ContactLearner(robot, "rf")
+    sample = ServoSample(t_ns=1, seq=5, run=7, measured=[0.0] * 3, desired=[0.0] * 3)
+    bare.update(sample)
+    bare.update(msgspec.structs.replace(sample, t_ns=2, seq=9, run=8))
+    bare.update(msgspec.structs.replace(sample, t_ns=3, seq=12, run=8))
+    bare.count(Reject.MALFORMED, 3)
+    assert again.restore(msgpack.unpackb(msgpack.packb(bare.snapshot()))) is None
+    assert again.status.status == "learning"
+    assert (again.status.ticks, again.status.missed) == (3, 2)
+    assert again.status.rejects == {"malformed": 3}
+    again.update(sample)
+    assert again.status.rejects["other_publisher"] == 1, "the newer one still wins"
 
 
 def test_a_leg_started_cold_goes_on_where_it_was(robot: Any) -> None:
@@ -118,7 +132,6 @@ def test_a_leg_started_cold_goes_on_where_it_was(robot: Any) -> None:
 )
 def test_a_cold_start_s_snapshot_is_refused_whole(robot: Any, start: object, says: str) -> None:
     saved = learner(robot).snapshot()
-    assert saved is not None
     fresh = ContactLearner(robot, "rf", None)
     line = fresh.restore({**saved, "start": start})
     assert line is not None

@@ -21,7 +21,7 @@ from adaptive_contact_sim.trials.spec import Variant
 
 # Seeds of tests, apart from those that are tuned on or reported.
 SIZES = replace(
-    QUICK_SIZES, leg_runs=2, before_s=12.0, after_s=28.0, contact_swings=60, first_seed=9500
+    QUICK_SIZES, leg_runs=4, before_s=12.0, after_s=28.0, contact_swings=60, first_seed=9500
 )
 PAIR = (Variant.FROZEN, Variant.FULL)
 
