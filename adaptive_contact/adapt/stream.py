@@ -17,6 +17,9 @@ __all__ = ["Accepted", "RateWatch", "StreamGuard"]
 
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
+# No library looks further ahead than 20 ticks.  A payload holds tens of thousands of rows, and
+# every leg would wait while they are looked at.
+MAX_PREVIEW_TICKS: Final = 64
 MAX_TIME_NS: Final = 2**63 - 1
 MIN_RUN: Final = -(2**63)
 MAX_RUN: Final = 2**63 - 1
@@ -145,15 +148,16 @@ class StreamGuard:
             return Reject.WRONG_JOINTS
         if sample.valid is not None and len(sample.valid) != j:
             return Reject.WRONG_JOINTS
-        values = sample.measured + sample.desired
-        if sample.preview is not None:
-            for row in sample.preview:
-                if len(row) != j:
-                    return Reject.WRONG_JOINTS
-                values = values + row
-        for value in values:
-            if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
-                return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
+        preview = sample.preview or ()
+        if len(preview) > MAX_PREVIEW_TICKS:
+            return Reject.OUT_OF_RANGE
+        for row in preview:
+            if len(row) != j:
+                return Reject.WRONG_JOINTS
+        for row in (sample.measured, sample.desired, *preview):
+            for value in row:
+                if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
+                    return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
         if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
             return Reject.OUT_OF_RANGE
         # JSON holds integers of any size; what is kept on disk holds 64 bits.

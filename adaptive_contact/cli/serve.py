@@ -33,6 +33,7 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, Li
 if TYPE_CHECKING:
     from adaptive_contact.adapt import Baseline
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.link import Link
     from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.state import StateKeeper
 
@@ -101,7 +102,7 @@ def serve(
         service = Service(
             link, bank, robot, baseline=origin, now_ns=time.monotonic_ns(), keeper=keeper
         )
-        typer.echo(_ready_line(link.endpoints, settings.connect, robot, origin))
+        _tell(_ready_line(link, robot, origin))
         service.run(stop)
         service.log_figures()
     finally:
@@ -137,8 +138,9 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
     robot = shipped_robot() if config is None else load_robot(config)
     if baseline is not None:
         from adaptive_contact.adapt import load_baseline
+        from adaptive_contact.service.settings import shown_path
 
-        return robot, load_baseline(baseline), str(baseline)
+        return robot, load_baseline(baseline), shown_path(baseline)
     if config is not None:
         return robot, None, None
     from adaptive_contact.adapt import shipped_baseline
@@ -168,13 +170,14 @@ def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> Stat
     )
 
 
-def _ready_line(
-    listen: tuple[str, ...], connect: tuple[str, ...], robot: Robot, origin: str | None
-) -> str:
+def _ready_line(link: Link, robot: Robot, origin: str | None) -> str:
     from adaptive_contact.service.settings import shown
 
-    where = [f"listening on {', '.join(map(shown, listen))}"] if listen else []
-    where += [f"connected to {', '.join(map(shown, connect))}"] if connect else []
+    where = [f"listening on {', '.join(map(shown, link.endpoints))}"] if link.endpoints else []
+    if link.settings.mode == "client":  # let in by one of them, or there would be no link
+        where.append(f"connected to {' or '.join(map(shown, link.joins))}")
+    elif link.joins:  # whether they are there is told as it is found out
+        where.append(f"joining {', '.join(map(shown, link.joins))}")
     return (
         f"adaptive-contact: {' and '.join(where)}; robot {robot.name}, "
         f"legs {' '.join(robot.leg_ids)}; "
@@ -183,4 +186,14 @@ def _ready_line(
 
 
 def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)
+    _tell(f"adaptive-contact: {finding.line}; trying on", err=True)
+
+
+def _tell(line: str, *, err: bool = False) -> None:
+    """Print a line, if that can be done: a full disk must not end the service."""
+    try:
+        typer.echo(line, err=err)
+    except (OSError, ValueError):  # full, gone, or closed
+        if not err:
+            # What is left in the buffer would be tried again at the exit, and spoil its code.
+            sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - for as long as we live

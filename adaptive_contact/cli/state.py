@@ -14,6 +14,7 @@ import typer
 
 from adaptive_contact.cli._options import JsonOption, StateOption
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -49,7 +50,7 @@ def show(
         typer.echo(msgspec.json.format(msgspec.json.encode(rows), indent=2).decode())
         return
     if not found:
-        typer.echo(f"no state in {_folder(state)}")
+        typer.echo(f"no state in {shown_path(_folder(state))}")
         return
     from rich import box
     from rich.console import Console
@@ -65,7 +66,7 @@ def show(
         cells = (row["robot"], row["leg"], row["library"], row["settings"], row["model_version"])
         words = ["-" if cell is None else str(cell) for cell in cells]
         size = f"{row['bytes'] / 1000:.0f} kB"
-        table.add_row(*words, age, size, stored.path.suffix[1:], row["refused"] or "sound")
+        table.add_row(*words, age, size, _kind(stored.path), row["refused"] or "sound")
     Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
 
 
@@ -98,7 +99,7 @@ def export(
         raise ConfigurationError(
             f"{out}: cannot be written ({error.strerror}); give a file in a folder that is there"
         ) from error
-    typer.echo(f"wrote {len(legs)} legs to {out} ({out.stat().st_size / 1e6:.1f} MB)")
+    typer.echo(f"wrote {len(legs)} legs to {shown_path(out)} ({out.stat().st_size / 1e6:.1f} MB)")
 
 
 @app.command()
@@ -112,23 +113,25 @@ def reset(
 
     Refused while a service saves into the folder, for it would save again.
     """
-    from adaptive_contact.service.state import StateStore
+    from adaptive_contact.service.state import StateStore, list_rest
 
-    found = _found(state, robot, leg)
+    root = _folder(state)
+    found = [stored.path for stored in _found(state, robot, leg)]
+    found += [path for path in list_rest(root) if _is_named(path, root, robot, leg)]
     if not found:
-        typer.echo(f"nothing to forget in {_folder(state)}")
+        typer.echo(f"nothing to forget in {shown_path(root)}")
         return
     if not yes:
-        typer.confirm(f"forget {len(found)} files in {_folder(state)}?", abort=True)
-    for folder in sorted({stored.path.parent for stored in found}):
+        typer.confirm(f"forget {len(found)} files in {shown_path(root)}?", abort=True)
+    for folder in sorted({path.parent for path in found}):
         store = StateStore(folder)
         try:
             store.reopen()
             if store.trouble is not None:
                 raise ConfigurationError(store.trouble)
-            for stored in found:
-                if stored.path.parent == folder:
-                    stored.path.unlink(missing_ok=True)
+            for path in found:
+                if path.parent == folder:
+                    path.unlink(missing_ok=True)
         except OSError as error:
             raise ConfigurationError(f"{folder}: cannot be emptied ({error.strerror})") from error
         finally:
@@ -144,7 +147,7 @@ def _folder(state: Path | None) -> Path:
 
 def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Stored]:
     """What is there; a file that cannot be read has neither robot nor leg, but a name."""
-    from adaptive_contact.service.state import Refused, is_of_leg, list_states, robot_folder
+    from adaptive_contact.service.state import Refused, list_states
 
     root = _folder(state)
     try:
@@ -163,13 +166,26 @@ def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Store
     for stored in list_states(root):
         record = stored.record
         if isinstance(record, Refused):
-            of_robot = stored.path.parent == robot_folder(root, robot or "")
-            of_leg = leg is not None and is_of_leg(stored.path, leg)
+            wanted = _is_named(stored.path, root, robot, leg)
         else:
-            of_robot, of_leg = record.identity.robot == robot, record.identity.leg == leg
-        if (robot is None or of_robot) and (leg is None or of_leg):
+            wanted = robot in (None, record.identity.robot) and leg in (None, record.identity.leg)
+        if wanted:
             found.append(stored)
     return found
+
+
+def _is_named(path: Path, root: Path, robot: str | None, leg: str | None) -> bool:
+    """Whether a file is a robot's and a leg's by its name; None is any."""
+    from adaptive_contact.service.state import is_of_leg, robot_folder
+
+    of_robot = robot is None or path.parent == robot_folder(root, robot)
+    return of_robot and (leg is None or is_of_leg(path, leg))
+
+
+def _kind(path: Path) -> str:
+    """What kind of file it is: ``state``, ``before``, and which of them was refused."""
+    known = (".state", ".before", ".refused")
+    return "".join(suffix for suffix in path.suffixes[-2:] if suffix in known)[1:]
 
 
 def _records(found: Iterable[Stored]) -> Iterable[Record]:
@@ -188,7 +204,7 @@ def _row(stored: Stored) -> dict[str, Any]:
 
     record = stored.record
     row: dict[str, Any] = {
-        "file": str(stored.path),
+        "file": shown_path(stored.path),
         "bytes": stored.size,
         **dict.fromkeys(("robot", "leg", "library", "settings", "model_version", "age_s")),
         "refused": None,

@@ -32,7 +32,7 @@ from adaptive_contact.service.settings import (
     router_settings,
 )
 from adaptive_contact.service.traffic import Received, Reply
-from adaptive_contact.service.transport import Facts, configure, first_line, listen_failure
+from adaptive_contact.service.transport import Facts, configure, first_line, router_failure
 from adaptive_contact.wire import Message, encode
 
 __all__ = [
@@ -148,7 +148,12 @@ class Publisher:
 
 
 class Link:
-    """A session; made by :meth:`open`, closed by :meth:`close` or at the end of ``with``."""
+    """A session; made by :meth:`open`, closed by :meth:`close` or at the end of ``with``.
+
+    Attributes:
+        endpoints: where it listens.
+        joins: routers that it joins; a client is let in by one of them, a router need not be.
+    """
 
     def __init__(self, session: zenoh.Session, settings: LinkSettings, facts: Facts) -> None:
         self._session = session
@@ -157,7 +162,7 @@ class Link:
         self.settings = settings
         self.endpoints = facts.listen
         self.drop_after_ns = facts.drop_after_ns
-        self._connect = facts.connect
+        self.joins = facts.connect
 
     @classmethod
     def open(
@@ -180,7 +185,7 @@ class Link:
         Raises:
             NoRouterError: the router is unreachable or refuses, and ``wait`` is False or
                 ``stop`` was set.
-            LinkError: an address cannot be listened on.
+            LinkError: an address cannot be listened on, or be one of a router to join.
             ConfigurationError: the Zenoh configuration file cannot be used.
         """
         stop = stop or threading.Event()
@@ -193,7 +198,7 @@ class Link:
                     return cls(zenoh.open(config), settings, facts)
             except zenoh.ZError as error:
                 if settings.mode == "router":
-                    raise LinkError(listen_failure(facts.listen, error)) from error
+                    raise LinkError(router_failure(config, facts, error)) from error
             if not settings.wait:
                 raise NoRouterError(finding)
             if finding != told:
@@ -363,14 +368,15 @@ class Link:
         return tuple(str(zid) for zid in self._session.info.routers_zid())
 
     def is_connected(self) -> bool:
-        """Tell whether messages can pass: always for a router, else while one is joined."""
-        return self.settings.mode == "router" or bool(self.routers())
+        """Tell whether a router is joined; always for one that joins nobody."""
+        alone = self.settings.mode == "router" and not self.joins
+        return alone or bool(self.routers())
 
     def diagnose(self) -> Finding:
-        """What stands between this client and its router, at this moment."""
+        """What stands between this session and its router, at this moment."""
         if self.is_connected():
             return Finding(Reach.CONNECTED, "connected")
-        return probe(self._connect)
+        return probe(self.joins)
 
     @property
     def callback_faults(self) -> int:

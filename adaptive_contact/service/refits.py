@@ -85,11 +85,12 @@ class ProcessRefitter:
         with self._changed:
             self._ending = True
             self._changed.notify_all()
-        if self._process is not None:
-            self._process.kill()  # the thread notices, and reaps it
+        process = self._process  # looked at once: the thread may let go of it at any moment
+        if process is not None:
+            process.kill()  # the thread notices, and reaps it
         if self._thread is not None:
             self._thread.join(1.0)
-        elif self._process is not None:
+        elif process is not None:
             self._end_process()
 
     def _work(self) -> None:

@@ -7,7 +7,9 @@ relay for one another behind a hub (measured, ``docs/decisions``), so ``peer`` i
 from __future__ import annotations
 
 import ipaddress
+import os
 import re
+import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +26,11 @@ __all__ = [
     "client_settings",
     "endpoint",
     "is_loopback",
+    "is_multicast",
     "leg_token",
     "router_settings",
     "shown",
+    "shown_path",
     "tcp_address",
 ]
 
@@ -181,6 +185,11 @@ def shown(locator: str) -> str:
     return re.split(r"[?#]", locator, maxsplit=1)[0]
 
 
+def shown_path(path: Path) -> str:
+    """A path as it may be shown and sent: its bytes need be no UTF-8, those of a message must."""
+    return os.fsencode(path).decode(errors="replace")
+
+
 def tcp_address(locator: str) -> tuple[str, int] | None:
     """Host and port of an endpoint that runs over TCP, None for other protocols."""
     protocol, _, address = locator.partition("/")
@@ -205,6 +214,22 @@ def is_loopback(locator: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:  # a name: it may resolve to anything
         return False
+
+
+def is_multicast(locator: str) -> bool:
+    """Tell whether whoever is in a multicast group hears an endpoint, and is heard there.
+
+    Zenoh looks up what is no plain address, ``0xe00000e1`` or a name, and so does this.
+    """
+    protocol, _, address = locator.partition("/")
+    if protocol != "udp":  # multicast is spoken over nothing else
+        return False
+    host = re.split(r"[?#]", address, maxsplit=1)[0].rpartition(":")[0].strip("[]")
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError):  # no address: Zenoh cannot listen there either
+        return False
+    return any(ipaddress.ip_address(where[0]).is_multicast for *_, where in found)
 
 
 def leg_token(leg: str) -> str:

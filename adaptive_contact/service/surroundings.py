@@ -14,6 +14,7 @@ import structlog
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.meters import Brake
 from adaptive_contact.service.rivals import Rivals
+from adaptive_contact.service.settings import shown
 
 __all__ = ["Surroundings"]
 
@@ -39,6 +40,7 @@ class Surroundings:
         self._rivals = Rivals(link)
         self._brake = Brake()
         self._due_ns = now_ns
+        self._joined = link.is_connected()  # a router runs before it is let in, a client does not
         self._connected = True
 
     @property
@@ -51,15 +53,20 @@ class Surroundings:
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + _LOOK_NS
-        self.note = self._rivals.note(now_ns)
-        if self.note is not None and self._brake.passes("rival", now_ns) is not None:
-            _log.warning("not alone", why=self.note)
+        rival = self._rivals.note(now_ns)
+        if rival is not None and self._brake.passes("rival", now_ns) is not None:
+            _log.warning("not alone", why=rival)
         connected = self._link.is_connected()
+        where = " or ".join(map(shown, self._link.joins))
+        apart = None if connected else f"no router joined at {where}; trying on"
+        self.note = "; ".join(filter(None, (rival, apart))) or None
         if connected and not self._connected:
-            _log.info("router is back")
+            _log.info("router is back" if self._joined else "router joined")
         if not connected and (self._brake.passes("router", now_ns) is not None or self._connected):
             threading.Thread(target=self._say_why, name="why", daemon=True).start()
         self._connected = connected
+        self._joined |= connected
 
     def _say_why(self) -> None:
-        _log.warning("router lost, reconnecting", why=self._link.diagnose().line)
+        what = "router lost, reconnecting" if self._joined else "router not joined yet, trying on"
+        _log.warning(what, why=self._link.diagnose().line)

@@ -21,11 +21,12 @@ from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
     is_loopback,
+    is_multicast,
     shown,
     tcp_address,
 )
 
-__all__ = ["DEFAULTS", "MAX_MESSAGE_BYTES", "Facts", "configure", "first_line", "listen_failure"]
+__all__ = ["DEFAULTS", "MAX_MESSAGE_BYTES", "Facts", "configure", "first_line", "router_failure"]
 
 # Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
 # is Zenoh's own and cannot be interrupted.
@@ -122,15 +123,28 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     return config, facts
 
 
-def listen_failure(listen: tuple[str, ...], error: zenoh.ZError) -> str:
-    """Say in one line why a router could not be opened."""
-    where = ", ".join(shown(text) for text in listen)
+def router_failure(config: zenoh.Config, facts: Facts, error: zenoh.ZError) -> str:
+    """Say in one line why a router could not be opened, and which option is to be corrected."""
+    if facts.connect and _opens_alone(config):
+        where = ", ".join(map(shown, facts.connect))
+        return f"cannot join {where}: {first_line(error)}; give another router with --connect"
+    where = ", ".join(map(shown, facts.listen))
     if "Address already in use" in str(error):
         return (
             f"cannot listen on {where}: the address is in use, probably by another router; "
             "join it with --connect, or give a free one with --listen"
         )
     return f"cannot listen on {where}: {first_line(error)}"
+
+
+def _opens_alone(config: zenoh.Config) -> bool:
+    """Whether a router opens that joins nobody; Zenoh does not say which endpoint it refuses."""
+    _insert(config, "connect/endpoints", [])
+    try:
+        zenoh.open(config).close()
+    except zenoh.ZError:
+        return False
+    return True
 
 
 def first_line(error: zenoh.ZError) -> str:
@@ -195,13 +209,19 @@ def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
 def _check_door(config: zenoh.Config, text: str, users: bool) -> None:
     """Refuse an endpoint whose clients need not show who they are.
 
-    A user and password are asked for on any of them; mutual TLS only where TLS is spoken.  (Zenoh
-    takes a list of known public keys, too, but lets everybody in all the same.)
+    A user and password are asked for on any of them but multicast, where nobody is asked for
+    anything; mutual TLS only where TLS is spoken.  (Zenoh takes a list of known public keys, too,
+    but lets everybody in all the same.)
     """
     if "enable_mtls=" in text.partition("#")[2]:
         raise ConfigurationError(
             f"{shown(text)} says enable_mtls after '#', which would hold over the configuration "
             "file; say it in the file"
+        )
+    if is_multicast(text):
+        raise ConfigurationError(
+            f"listening on {shown(text)} is multicast, where Zenoh asks nobody for a password or a "
+            "certificate; give an address of this machine, or say --insecure"
         )
     if users:
         return

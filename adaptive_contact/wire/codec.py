@@ -1,7 +1,8 @@
 """Payload bytes to messages and back, msgpack or JSON.
 
 Decoding is two steps: ``msgpack`` (with limits on every length, so that a hostile payload
-cannot make it allocate) or JSON parse the bytes, then ``msgspec`` converts and checks types.
+cannot make it allocate) or JSON (whose values are no longer than their text, and whose lists and
+maps are counted first) parse the bytes, then ``msgspec`` converts and checks types.
 A payload that does not fit gives a :class:`Rejected` with the reason and the field, never an
 exception.
 """
@@ -32,6 +33,7 @@ JSON: Final = "application/json"
 
 # The largest honest payload is a ModelReport of a 3-joint leg, about 30 kB.
 MAX_PAYLOAD_BYTES: Final = 256 * 1024
+# Of a list or map in msgpack; of lists and maps together in JSON.  Ten times what that report has.
 _MAX_ITEMS: Final = 4096
 
 M = TypeVar("M", bound=Message)
@@ -108,6 +110,10 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
 def _parse(payload: bytes, encoding: str) -> object:
     try:
         if encoding.startswith(JSON):
+            nested = payload.count(b"[") + payload.count(b"{")
+            if nested > _MAX_ITEMS:
+                why = f"{nested} lists and maps, at most {_MAX_ITEMS}"
+                return Rejected(Reject.MALFORMED, why)
             return msgspec.json.decode(payload)
         return msgpack.unpackb(
             payload,

@@ -62,7 +62,8 @@ class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
         seq: control tick number, +1 per tick; a gap shows loss.
         measured: (J,) rad, read at the start of tick k.
         desired: (J,) rad, written right after that read, in force until tick k + 1.
-        preview: (M, J) rad, commands of the next M ticks, where the controller knows them.
+        preview: (M, J) rad, commands of the next M ticks (64 at most), where the controller knows
+            them.
         phase: the gait controller's word, where it gives one.
         valid: (J,) False for a servo that did not answer or a reading known to be stale.
         run: new at each start of the source; a new run clears the window and keeps the model.

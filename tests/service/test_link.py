@@ -276,6 +276,37 @@ def test_an_address_in_use_gets_one_line(router: Link) -> None:
         Link.open(router_settings([router.endpoints[0]]))
 
 
+def test_a_router_that_joins_another_is_connected_while_that_is_there() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+    def wait(link: Link, connected: bool) -> None:
+        until = time.monotonic() + 20
+        while link.is_connected() is not connected:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+
+    with Link.open(router_settings(["127.0.0.1:0"], [address])) as link:
+        assert not link.is_connected()
+        assert link.diagnose().reach is Reach.UNREACHABLE
+        for _ in range(2):
+            with Link.open(router_settings([address])):
+                wait(link, True)
+                assert link.diagnose().reach is Reach.CONNECTED
+            wait(link, False)
+
+
+def test_the_endpoint_that_cannot_be_is_named_with_its_option(router: Link) -> None:
+    wrong = "udp/224.0.0.225:7498"
+    with pytest.raises(LinkError, match=rf"^cannot join {wrong}: .* with --connect$") as caught:
+        Link.open(router_settings(["127.0.0.1:0"], [wrong]))
+    assert "listen" not in str(caught.value)
+    used = router.endpoints[0]
+    with pytest.raises(LinkError, match=f"cannot listen on {used}: the address is in use"):
+        Link.open(router_settings([used], [wrong]))
+
+
 def test_doors_stay_closed_unless_told() -> None:
     with pytest.raises(ConfigurationError, match="--insecure"):
         Link.open(router_settings(["0.0.0.0:0"]))

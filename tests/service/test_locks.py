@@ -9,6 +9,7 @@ import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import Link, NoRouterError, client_settings, router_settings
+from adaptive_contact.service.transport import configure
 
 
 @pytest.mark.e2e
@@ -60,6 +61,28 @@ def test_one_user_in_the_dictionary_is_a_lock(tmp_path: Path) -> None:
         endpoint = router.endpoints[0].replace("0.0.0.0", "127.0.0.1")
         with pytest.raises(NoRouterError, match="user and password"):
             Link.open(client_settings([endpoint], wait=False))
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("where", ["udp/224.0.0.225:7498", "udp/[ff02::225]:7498#iface=lo"])
+def test_multicast_is_a_door_without_a_lock_whatever_users_there_are(
+    tmp_path: Path, where: str
+) -> None:
+    users = tmp_path / "users"
+    users.write_text("robot:secret\n")
+    auth = f'transport: {{auth: {{usrpwd: {{dictionary_file: "{users}"}}}}}}'
+    config = tmp_path / "zenoh.json5"
+    config.write_text(f"{{{auth}}}")
+    listening = tmp_path / "listening.json5"
+    listening.write_text(f'{{listen: {{endpoints: ["tcp/127.0.0.1:0", "{where}"]}}, {auth}}}')
+    for settings in (
+        router_settings([where], zenoh_config=config),
+        router_settings(["127.0.0.1:0", where], zenoh_config=config),
+        router_settings(zenoh_config=listening),
+    ):
+        with pytest.raises(ConfigurationError, match="is multicast, where Zenoh asks nobody"):
+            configure(settings)
+    configure(router_settings([where], zenoh_config=config, insecure=True))
 
 
 @pytest.mark.e2e

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from structlog.testing import capture_logs
+from threadpoolctl import threadpool_info
 
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
@@ -95,6 +96,31 @@ class Deadly(RefitJob):
         raise AssertionError
 
 
+@dataclasses.dataclass(frozen=True)
+class Threads:
+    """Tells how many threads the process would compute in."""
+
+    leg: str
+    number: int
+
+    def run(self) -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+
+class Vanishing(ProcessRefitter):
+    """Its process is there when it is first looked at, and gone when it is looked at again."""
+
+    looks: Iterator[subprocess.Popen[bytes] | None] | None = None
+
+    @property  # type: ignore[override]
+    def _process(self) -> subprocess.Popen[bytes] | None:
+        return None if self.looks is None else next(self.looks, None)
+
+    @_process.setter
+    def _process(self, process: subprocess.Popen[bytes] | None) -> None:
+        """Nobody asks for what is put here."""
+
+
 class Giving:
     """Gives up every refit, as lost or with another status in its place."""
 
@@ -119,7 +145,7 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless, Large, Deadly):
+    for kind in (Stubborn, Endless, Large, Deadly, Threads):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=20.0)
@@ -284,6 +310,26 @@ def test_closing_does_not_wait_for_a_process_that_hangs(refitter: ProcessRefitte
     refitter.close()
     assert time.monotonic() - began < 5.0
     assert hanging.wait(5) == -signal.SIGKILL
+
+
+def test_closing_while_the_process_ends_is_no_fault() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        refitter = Vanishing()
+        refitter.looks = iter([process])
+        refitter.close()
+        assert process.wait(5) == -signal.SIGKILL
+
+
+def test_the_process_computes_in_one_thread(
+    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM"):
+        monkeypatch.setenv(f"{name}_NUM_THREADS", "2")
+    refitter.submit(Threads("rf", 1))
+    found = wait(refitter, "rf", 1)
+    assert isinstance(found, list)
+    assert found
+    assert set(found) == {1}
 
 
 def test_a_job_that_kills_its_process_twice_is_answered_as_failed(

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
-from adaptive_contact.service.link import Link, Publisher, router_settings
+from adaptive_contact.cli.serve import _say
+from adaptive_contact.service.link import Finding, Link, Publisher, Reach, router_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
@@ -195,6 +200,74 @@ def test_it_joins_a_router_waits_for_it_and_finds_it_again(
         matched(second.publisher(servo_key("lf"))).put(sample(2))
         assert again.wait(1)[0].contact is False
     assert served.stop() == 0
+
+
+def test_a_router_that_joins_another_says_only_what_it_knows(
+    serve: Any, join: Join, rig: ModuleType
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    served = serve("--listen", "127.0.0.1:0", "--connect", address)
+    assert f" and joining {address}; robot mini" in served.ready
+    own = join(served.endpoint.split(" and ")[0])
+    assert f"no router joined at {address}; trying on" in rig.watched(own, "no router joined")
+
+    def logged(line: str) -> None:
+        until = time.monotonic() + 30
+        while line not in served.log.read_text():
+            assert time.monotonic() < until, served.log.read_text()
+            time.sleep(0.02)
+
+    def well() -> None:
+        until = time.monotonic() + 30
+        while "no router joined" in rig.watched(own):
+            assert time.monotonic() < until
+            time.sleep(0.02)
+
+    logged("router not joined yet, trying on")
+    assert f"unreachable: nobody listens on {address}" in served.log.read_text()
+    other = Link.open(router_settings([address]))
+    logged("router joined")
+    well()
+    other.close()
+    logged("router lost, reconnecting")
+    rig.watched(own, "no router joined")
+    with Link.open(router_settings([address])) as again:
+        logged("router is back")
+        well()
+        assert again.is_connected(), "who joins nobody is always there"
+    assert served.stop() == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_for_its_lines_ends_nothing(
+    router: Link, inbox: Any, command: Any, config: Path, fake: ModuleType
+) -> None:
+    tokens = inbox()
+    router.watch_tokens("robot/service", tokens)
+    with Path("/dev/full").open("w") as full:
+        process = command(
+            *(str(fake.__file__), "--config", str(config), "--no-state"),
+            *("--connect", router.endpoints[0]),
+            stdout=full,
+            stderr=full,
+        )
+    assert tokens.wait(1)[0] == ("robot/service", True)
+    statuses = inbox(ServiceStatus)
+    router.subscribe(SERVICE_STATUS, statuses)
+    statuses.wait(2)  # it works on after the line that could not be written
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(5) == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_what_it_waits_for_goes_where_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    full = Path("/dev/full").open("w", buffering=1)  # noqa: SIM115 - what is closed badly
+    monkeypatch.setattr(sys, "stderr", full)
+    _say(Finding(Reach.UNREACHABLE, "nobody there"))
+    with contextlib.suppress(OSError):
+        full.close()
 
 
 def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:

@@ -14,6 +14,7 @@ from adaptive_contact.service.settings import (
     client_settings,
     endpoint,
     is_loopback,
+    is_multicast,
     router_settings,
     tcp_address,
 )
@@ -85,6 +86,24 @@ def test_the_service_listens_on_loopback_unless_it_only_joins() -> None:
 )
 def test_loopback(locator: str, loopback: bool) -> None:
     assert is_loopback(locator) is loopback
+
+
+@pytest.mark.parametrize(
+    ("locator", "multicast"),
+    [
+        ("udp/224.0.0.225:7498", True),
+        ("udp/239.255.0.1:7498?rel=0#iface=lo", True),
+        ("udp/[ff02::225]:7498#iface=lo", True),
+        ("udp/[ff02::225%lo]:7498", True),
+        ("udp/0xe00000e1:7498", True),  # 224.0.0.225, as Zenoh looks it up
+        ("udp/192.168.1.2:7498", False),
+        ("udp/[::]:7498", False),
+        ("udp/a..b:7498", False),
+        ("tcp/224.0.0.225:7498", False),
+    ],
+)
+def test_multicast(locator: str, multicast: bool) -> None:
+    assert is_multicast(locator) is multicast
 
 
 def test_only_protocols_over_tcp_can_be_probed() -> None:

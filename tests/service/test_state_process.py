@@ -18,6 +18,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+import adaptive_contact_models
+from adaptive_contact.cli.serve import _load
 from adaptive_contact.cli.state import app
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.link import Link
@@ -224,6 +226,36 @@ def test_an_older_version_is_refused_in_one_line_that_watch_shows(
     assert second.stop() == 0
 
 
+def test_a_path_that_is_no_text_is_shown_as_far_as_it_is(
+    serve: Any, join: Join, sample: Sample, inbox: Any, state: Any, tmp_path: Path
+) -> None:
+    folder = tmp_path / os.fsdecode(b"kept\xff")
+    shown = str(tmp_path / "kept\N{REPLACEMENT CHARACTER}")
+    served = serve("--state", str(folder))
+    link = join(served.endpoint)
+    kept = inbox(ServiceStatus)
+    link.subscribe(SERVICE_STATUS, kept, history=True)
+    assert kept.wait(2)[-1].state.folder == f"{shown}/mini"
+    feed(link, "rf", sample, 1, 4)
+    learner(link, inbox, "rf", lambda status: status.ticks == 4)
+    second = serve("--state", str(folder))
+    told = inbox(ServiceStatus)
+    join(second.endpoint).subscribe(SERVICE_STATUS, told, history=True)
+    assert f"{shown}/mini is in use by another service" in told.wait(2)[-1].note
+    assert second.stop() == served.stop() == 0
+    rows = json.loads(state("show", "--state", str(folder), "--json")[1])
+    assert rows
+    assert all(row["file"].startswith(f"{shown}/mini/rf-") for row in rows)
+    assert state("reset", "--state", str(folder), "--yes")[1] == f"forgot {len(rows)} files\n"
+    assert state("show", "--state", str(folder))[1] == f"no state in {shown}\n"
+
+    baseline = tmp_path / os.fsdecode(b"base\xff.json")
+    source = Path(adaptive_contact_models.__file__).parent / "hexapod" / "baseline.json"
+    baseline.write_bytes(source.read_bytes())
+    _, _, origin = _load(None, baseline)
+    assert origin == str(tmp_path / "base\N{REPLACEMENT CHARACTER}.json")
+
+
 def test_contradictory_options_get_one_line(serve: Any, tmp_path: Path) -> None:
     served = serve("--state", str(tmp_path), "--no-state", wait=False)
     assert served.process.wait(40) != 0
@@ -266,12 +298,14 @@ def test_show_export_and_reset(
 
     # What the learner refused is no state to go on from, whole as it may be.
     whole = Path(rows[1]["file"])
-    aside = whole.with_suffix(".refused")
+    aside = whole.with_name(f"{whole.name}.refused")
     whole.rename(aside)
     for before in folder.glob("*/*.before"):
         before.unlink()
     code, _, error = state("export", str(exported), "--state", str(folder))
     assert (code, "nothing to export" in error) == (2, True)
+    _, out, _ = state("show", "--state", str(folder), "--leg", "rf")
+    assert "state.refused" in out
     aside.rename(whole)
 
     running = serve("--state", str(folder))
@@ -279,7 +313,13 @@ def test_show_export_and_reset(
     assert code == 2
     assert "in use by another service" in error
     assert running.stop() == 0
+    # What saves that were killed have left; `.old` is all that was learned.
+    for path in (damaged, whole):
+        path.with_suffix(".new").write_bytes(b"half of a st")
+        path.with_suffix(".old").write_bytes(whole.read_bytes())
     code, out, _ = state("reset", "--state", str(folder), "--leg", "rf", "--yes")
     assert (code, out.startswith("forgot")) == (0, True)
+    assert not list(folder.glob("*/rf-*"))
+    assert {path.suffix for path in folder.glob("*/lf-*")} >= {".new", ".old"}
     left = json.loads(state("show", "--state", str(folder), "--json")[1])
     assert {Path(row["file"]).name.partition("-")[0] for row in left} == {"lf"}

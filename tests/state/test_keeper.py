@@ -47,6 +47,24 @@ def test_the_learners_own_refusal_is_told_and_it_starts_clean(folder: Folder) ->
     assert lines == ["state refused: of 3 joints"]
 
 
+def test_of_many_refusals_the_first_are_told_and_how_many_more(folder: Folder) -> None:
+    keeper = folder.open()
+    for number in range(6):
+        leg = f"l{number}"
+        desk = Desk(leg)
+        keeper.restore(leg, Learner(), "servo", 0)
+        desk.hear()
+        keeper.take(desk, 0)
+    assert keeper.flush(5.0)
+    keeper = folder.open()
+    for number in range(6):
+        keeper.restore(f"l{number}", Learner(joints=4), "servo", 0)
+        assert len(keeper.facts.refused) == min(number + 1, 5)
+    told = keeper.facts.refused
+    assert [line.endswith(": of 3 joints") for line in told] == [True] * 4 + [False]
+    assert told[-1] == "2 more, as the log says"
+
+
 def test_a_copy_from_another_robot_is_refused_in_one_line(folder: Folder, tmp_path: Path) -> None:
     folder.save(1)
     (file,) = folder.files

@@ -71,7 +71,22 @@ def test_a_damaged_newest_leaves_the_one_before_and_is_set_aside(opened: StateSt
     opened.save(record(3))
     opened.save(record(4))
     assert versions(opened) == [4, 3]
-    assert newest.with_suffix(".refused").is_file()
+    assert newest.with_name(f"{newest.name}.refused").is_file()
+
+
+def test_the_newest_and_the_one_before_are_set_aside_side_by_side(opened: StateStore) -> None:
+    opened.save(record(1))
+    opened.save(record(2))
+    for path, _ in list(opened.candidates(WHO)):
+        opened.set_aside(path)
+    assert versions(opened) == []
+    kept = list_states(opened.folder.parent)
+    name = opened.path(WHO).stem
+    assert {stored.path.name: stored.record.model_version for stored in kept} == {  # type: ignore[union-attr]
+        f"{name}.state.refused": 2,
+        f"{name}.before.refused": 1,
+    }
+    assert opened.others(WHO) == 0
 
 
 @pytest.mark.parametrize("step", ["write", "fsync", "replace_old", "replace_new"])
@@ -202,6 +217,7 @@ def test_who_has_no_home_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_damaged_file_is_known_by_its_name(leg: str) -> None:
     path = StateStore(Path("x")).path(Identity("mini", leg, "servo", "0123456789abcdef"))
     assert is_of_leg(path, leg)
-    assert is_of_leg(path.with_suffix(".refused"), leg)
+    for suffix in (".refused", ".state.refused", ".before.refused", ".old"):
+        assert is_of_leg(path.with_suffix(suffix), leg)
     assert not is_of_leg(path, leg.partition("-")[0] + "y")
     assert not is_of_leg(path, "front")

@@ -13,6 +13,7 @@ from adaptive_contact.service.state.store import (
     StateStore,
     Stored,
     is_of_leg,
+    list_rest,
     list_states,
     robot_folder,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "Stored",
     "default_folder",
     "is_of_leg",
+    "list_rest",
     "list_states",
     "pack",
     "robot_folder",

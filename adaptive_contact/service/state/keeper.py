@@ -51,7 +51,7 @@ class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         folder: where.
         restored: legs that went on from a saved state.
-        refused: one line for each state that was not used.
+        refused: one line for each state that was not used; of many, the first and how many more.
         saved: states written.
         failed: states that could not be written.
         error: why the last one could not, None when it could.
@@ -147,10 +147,11 @@ class StateKeeper:
     @property
     def facts(self) -> StateFacts:
         """How it goes."""
+        more = len(self._refused) - _TOLD
         return StateFacts(
-            folder=str(self._store.folder),
+            folder=self._store.shown,
             restored=self._restored,
-            refused=self._refused[:_TOLD],
+            refused=self._refused[:_TOLD] + ([f"{more} more, as the log says"] if more > 0 else []),
             saved=self._saved,
             failed=self._failed,
             error=None if self._error is None else self._error[:_ERROR_LINE],
@@ -317,7 +318,7 @@ class StateKeeper:
         why = (why or type(error).__name__).lower()
         with self._counting:
             self._failed += 1
-            self._error = f"{leg} not saved in {self._store.folder}: {why}"
+            self._error = f"{leg} not saved in {self._store.shown}: {why}"
             stands_for = self._brake.passes("failed", time.monotonic_ns())
         if stands_for is not None:
             _log.warning("state not saved", leg=leg, why=why, times=stands_for)

@@ -1,8 +1,8 @@
 """A folder of states: ``DIR/ROBOT/LEG-LIBRARY-SETTINGS.state``, and the one before each.
 
 A save writes a new file, syncs it, and renames: at every instant there is a whole state, the
-newest or the one before it.  A state that was refused is set aside under ``.refused``, so that
-the next save does not push the sound one before it out.
+newest or the one before it.  A state that was refused is set aside, ``.refused`` put after its
+name, so that the next save does not push the sound one before it out.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from adaptive_contact.service.settings import shown_path
 from adaptive_contact.service.state.format import (
     MAX_BYTES,
     Identity,
@@ -26,7 +27,7 @@ from adaptive_contact.service.state.format import (
     unpack,
 )
 
-__all__ = ["StateStore", "Stored", "is_of_leg", "list_states", "robot_folder"]
+__all__ = ["StateStore", "Stored", "is_of_leg", "list_rest", "list_states", "robot_folder"]
 
 NEWEST: Final = ".state"
 BEFORE: Final = ".before"
@@ -50,12 +51,14 @@ class StateStore:
 
     Attributes:
         folder: of this robot.
+        shown: the same, for people.
         trouble: one line on why nothing can be saved here, None when all is well.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.trouble: str | None = f"{folder} is not open"
+        self.shown = shown_path(folder)
+        self.trouble: str | None = f"{self.shown} is not open"
         self._lock: int | None = None
 
     @classmethod
@@ -77,14 +80,14 @@ class StateStore:
             folder.mkdir(parents=True, exist_ok=True)
             lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            self.trouble = _reason(error, folder)
+            self.trouble = _reason(error, self.shown)
             return False
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(lock)
             self.trouble = (
-                f"{folder} is in use by another service; stop that one, or give another --state"
+                f"{self.shown} is in use by another service; stop that one, or give another --state"
             )
             return False
         self._lock, self.trouble = lock, None
@@ -123,8 +126,8 @@ class StateStore:
     def set_aside(self, path: Path) -> None:
         """Take a refused state out of the way, keeping it for whoever wants to look."""
         with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
-            if self.trouble is None:
-                path.replace(path.with_suffix(REFUSED))
+            if self.trouble is None:  # the newest and the one before may both be refused
+                path.replace(path.with_name(f"{path.name}{REFUSED}"))
 
     def save(self, record: Record) -> None:
         """Write a record so that a crash at any instant leaves a whole one.
@@ -134,7 +137,7 @@ class StateStore:
                 still there.
         """
         if self._lock is None:
-            raise OSError(errno.EBUSY, self.trouble or f"{self.folder} is not open")
+            raise OSError(errno.EBUSY, self.trouble or f"{self.shown} is not open")
         newest = self.path(record.identity)
         new = newest.with_suffix(_NEW)
         try:
@@ -154,6 +157,11 @@ class StateStore:
 def is_of_leg(path: Path, leg: str) -> bool:
     """Whether a file is a leg's by its name, which is all that a damaged one has."""
     return path.stem.rsplit("-", 2)[0] == _plain(leg)  # a leg's id may hold a "-"
+
+
+def list_rest(root: Path) -> list[Path]:
+    """What saves that were killed have left below a folder; ``.old`` is a whole state."""
+    return sorted(path for path in root.glob("*/*") if path.suffix in (_NEW, _OLD))
 
 
 def robot_folder(root: Path, robot: str) -> Path:
@@ -204,7 +212,7 @@ def _read(path: Path, identity: Identity | None) -> Record | Refused | None:
     return unpack(data, identity)
 
 
-def _reason(error: OSError, folder: Path) -> str:
+def _reason(error: OSError, folder: str) -> str:
     what = (error.strerror or str(error)).lower()
     return f"{folder} cannot be written to ({what}); give another --state DIR, or --no-state"
 
