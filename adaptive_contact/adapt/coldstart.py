@@ -1,9 +1,10 @@
 """Learning a leg nobody has described: from nothing to a first model.
 
 Until there is a model there is no alarm to tell a contact by, so only the cautious part of each
-swing is taken (not its first ticks, not its last), and rows that no robust fit explains are left
-out.  As soon as there are enough, and then with every few swings more, a fit is tried; it is taken
-when its error on held-out swings is a small part of the motion.
+swing is taken (not its first ticks, not its last), and what touches there all the same is trimmed
+(:mod:`adaptive_contact.adapt.trimming`).  As soon as there are enough, and then with every few
+swings more, a fit is tried; it is taken when its error on held-out swings is a small part of the
+motion.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class ColdJob:
         """Fit, and say whether it is good."""
         try:
             known, figures, _ = learn_leg(
-                self.described, self.library, self.stretches, self.quantum_rad, None
+                self.described, self.library, self.stretches, self.quantum_rad, None, trim=True
             )
         except IdentificationError as error:
             return ColdResult(self.number, None, str(error))

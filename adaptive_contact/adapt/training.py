@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
+from adaptive_contact.adapt.trimming import inliers, untouched_rows
 from adaptive_contact.detect import context, fit_noise, fit_tail, lagged, stream_statistic
-from adaptive_contact.detect.noise import WINDOWS
+from adaptive_contact.detect.noise import MIN_TICKS, WINDOWS
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.identify import (
     Domain,
@@ -48,11 +49,10 @@ FOLD_SWINGS: Final = 10
 # λ in units of the residual's own root mean square: a term that moves the prediction by less
 # than a fiftieth of the noise cannot be told from nothing; one that moves it by its whole is law.
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+# Ticks for the noise of a first model: its level is followed from there, downwards as well.
+FEW_TICKS: Final = 200
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
-# Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
-# in a recording believed free, or a reading that is none.  Free ticks reach 6 in 10^6.
-OUTLIER_SIGMA: Final = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,6 +191,8 @@ def learn_leg(
     stretches: Sequence[Stretch],
     quantum_rad: float,
     threshold: float | None,
+    *,
+    trim: bool = False,
 ) -> tuple[LegBaseline, LegFigures, Array]:
     """Learn one leg.
 
@@ -200,6 +202,8 @@ def learn_leg(
         stretches: its samples.
         quantum_rad: position step of its servos.
         threshold: λ in units of the residual; chosen on held-out swings where None.
+        trim: leave out touches as well, where ticks are only believed to be free.  The tail of
+            the statistic goes with them, and must come from elsewhere.
 
     Returns:
         What is known then, how good it is, and (n, windows) of the statistic on free ticks.
@@ -208,12 +212,11 @@ def learn_leg(
         IdentificationError: there is too little to learn from.
     """
     rows = _rows(leg, library, stretches, quantum_rad)
-    if len(rows.target) < 4 * library.size:
-        raise IdentificationError(
-            f"leg '{leg.id}': {len(rows.target)} free swing ticks for {library.size} terms; "
-            f"expected at least {4 * library.size}: record more swings"
-        )
-    keep = _inliers(rows, library)
+    _check_enough(leg, library, len(rows.target))
+    keep = inliers(rows.theta, rows.target)
+    if trim:
+        keep[keep] = untouched_rows(rows.theta[keep], rows.target[keep], rows.position[keep])
+        _check_enough(leg, library, int(keep.sum()))
     outliers = int(np.count_nonzero(~keep))
     rows = dataclasses.replace(
         rows,
@@ -251,7 +254,7 @@ def learn_leg(
     residual = residuals[chosen][rows.judged]
     position, where = rows.position[rows.judged], rows.where[rows.judged]
     histories = _histories(residual, position)
-    noise = fit_noise(histories, where, quantum_rad)
+    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if trim else MIN_TICKS)
     motion = _histories(rows.target[rows.judged] - residual, position)
     usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
     values = stream_statistic(histories, motion, where, usable, noise)
@@ -270,6 +273,14 @@ def learn_leg(
     scale = whole.scale()
     known = LegBaseline(model, noise, scale, len(rows.target), Domain.of(whole, scale))
     return known, figures, values
+
+
+def _check_enough(leg: Leg, library: Library, ticks: int) -> None:
+    if ticks < 4 * library.size:
+        raise IdentificationError(
+            f"leg '{leg.id}': {ticks} free swing ticks for {library.size} terms; "
+            f"expected at least {4 * library.size}: record more swings"
+        )
 
 
 def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> _Rows:
@@ -318,21 +329,6 @@ def swing_ticks(swing: Mask) -> Ints:
     ticks = np.arange(len(swing))
     last_stance = np.maximum.accumulate(np.where(swing, -1, ticks))
     return np.asarray(np.where(swing, ticks - last_stance, 0))
-
-
-def _inliers(rows: _Rows, library: Library) -> Mask:
-    """Rows that a robust fit can explain; twice, as the first fit still carries the others."""
-    finite = np.isfinite(rows.theta).all(axis=1) & np.isfinite(rows.target).all(axis=1)
-    keep: Mask = np.asarray(finite)
-    for _ in range(2):
-        factor = _factor(rows, keep)
-        fit = fit_sparse(factor, FitSettings())
-        residual = rows.target - rows.theta @ fit.coefficients
-        # Median absolute deviation: the outliers must not set the scale they are judged by.
-        sigma = 1.4826 * np.median(np.abs(residual[keep]), axis=0)
-        near = np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, 1e-12)
-        keep = np.asarray(keep & near.all(axis=1))
-    return keep
 
 
 def _factor(rows: _Rows, mask: Mask) -> Factor:

@@ -107,25 +107,28 @@ class NoiseModel:
         return np.asarray(np.sqrt(weight @ diagonal))
 
 
-def fit_noise(residual: Array, where: Ints, quantum_rad: float) -> NoiseModel:
+def fit_noise(
+    residual: Array, where: Ints, quantum_rad: float, min_ticks: int = MIN_TICKS
+) -> NoiseModel:
     """Estimate the covariances from free ticks.
 
     Args:
         residual: (n, depth, J) rad, lag 0 first, NaN where a lag is missing; depth ≥ 3.
         where: (n,) context of each tick.
         quantum_rad: position step; no variance may fall below that of rounding to it.
+        min_ticks: that it takes.
 
     Returns:
         The noise model.
 
     Raises:
-        IdentificationError: fewer than :data:`MIN_TICKS` usable ticks.
+        IdentificationError: too few usable ticks.
     """
     usable = np.isfinite(residual[:, : WINDOWS[-1]]).all(axis=(1, 2))
     residual, where = residual[usable], where[usable]
-    if len(residual) < MIN_TICKS:
+    if len(residual) < min_ticks:
         raise IdentificationError(
-            f"noise: {len(residual)} free ticks; expected at least {MIN_TICKS}: record more swings"
+            f"noise: {len(residual)} free ticks; expected at least {min_ticks}: record more swings"
         )
     joints = residual.shape[-1]
     floor = np.eye(joints) * quantum_rad**2 / 12.0

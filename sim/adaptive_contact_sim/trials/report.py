@@ -53,6 +53,11 @@ everything runs, and prove nothing.**
 """,
 }
 
+_WHY: Final = """\
+What stands in the way of each, and what was tried, is in
+[decision 13](decisions/0013-what-is-missed-and-why.md).
+"""
+
 _METHOD: Final = """\
 ## How it is measured
 
@@ -85,7 +90,8 @@ Every recording is simulated once and replayed through five learners side by sid
   other: a single swing that it doubts minutes later is no part of how it began.
 - *Contact learned* is the share of the ticks a learner took for free on which the leg touched
   anything between the sample before and this one, by the simulator's truth. A foot that is caught
-  counts as touching for as long as it is held.
+  counts as touching for as long as it is held. The swings that a cold start makes its first
+  model of are not in it: decision 13 tells what these held.
 - In pose the three legs of a tripod move in a run, each with its own trials and obstacles, while
   the robot stands on the other three; runs take turns between the tripods and the workspaces, and
   about half of the swings meet an obstacle. A foot is caught of a leg that moves alone. In a walk
@@ -182,7 +188,7 @@ def _verdict(results: Tree) -> str:
         for name, goal in missed
     ]
     head = "| not met | figure of the full learner | at most | measured |\n|---|---|---|---|"
-    return "\n".join([text, head, *rows, ""])
+    return "\n".join([text, head, *rows, "", _WHY])
 
 
 def _names(pool: Tree) -> str:

@@ -1,0 +1,157 @@
+"""Rows to leave out of a fit: what is no noise, and what touched where nobody knows when.
+
+Where nobody knows when a leg touched, a tenth of the ticks may be of touches, and sixty terms
+fitted to four hundred ticks explain them away: residuals of ten deviations shrink to two or three,
+and no bound on the fit's own residuals finds them.  Least trimmed squares (Rousseeuw 1984, by the
+concentration steps of Rousseeuw and Van Driessen 1999) fits the ticks that go together best; the
+others are let in again as far as that model explains them.  And a foot that touches goes on
+touching: what stands out in the first half of a swing takes the ticks before it along, as the
+swing began in touch; in the second half, those after it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.identify import Factor, FitSettings, fit_sparse
+
+__all__ = ["inliers", "untouched_rows"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+# Rows further out than this many standard deviations, in whitened distance, are no noise: a touch
+# in a recording believed free, or a reading that is none.  Free ticks reach 6 in 10^6.
+OUTLIER_SIGMA: Final = 10.0
+# Share that the first fits are made of: three times the touches that a tenth would be may be among
+# the rest.
+CORE_SHARE: Final = 0.75
+STEPS: Final = 30  # of concentration
+ROUNDS: Final = 8  # of letting in
+SETTLED_SHARE: Final = 1e-3  # of the rows, that changed sides in the last step
+# A term is held at zero by so many rows of its typical size.
+RIDGE_ROWS: Final = 5.0
+# In any joint; free ticks go further out once in 700.
+MOST_SIGMA: Final = 3.5
+# Ticks beside one that stands out, in which a touch begins or ends.
+GUARD_TICKS: Final = 1
+# Of a normal distribution's deviation, what its inner three quarters show.
+CORE_DEVIATION: Final = 1.25
+
+
+def inliers(theta: Array, target: Array) -> Mask:
+    """Rows that a fit can explain; twice, as the first fit still carries the others.
+
+    Args:
+        theta: (n, p) regressors.
+        target: (n, J) rad, movements.
+    """
+    keep: Mask = np.asarray(np.isfinite(theta).all(axis=1) & np.isfinite(target).all(axis=1))
+    for _ in range(2):
+        factor = Factor(theta.shape[1], target.shape[1])
+        factor.add(theta[keep], target[keep])
+        residual = target - theta @ fit_sparse(factor, FitSettings()).coefficients
+        # Median absolute deviation: the outliers must not set the scale they are judged by.
+        sigma = 1.4826 * np.median(np.abs(residual[keep]), axis=0)
+        near = np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, 1e-12)
+        keep = np.asarray(keep & near.all(axis=1))
+    return keep
+
+
+def untouched_rows(theta: Array, target: Array, position: Ints) -> Mask:
+    """Find the rows that one linear model explains, swing by swing.
+
+    Args:
+        theta: (n, p) regressors, finite.
+        target: (n, J) rad, movements, finite.
+        position: (n,) tick of each, with gaps of at least 3 between swings.
+
+    Returns:
+        (n,) False for what stands out, and for what must have touched with it.
+    """
+    n, p = theta.shape
+    if n < p:
+        return np.ones(n, dtype=bool)
+    size = np.sqrt(np.square(theta).mean(axis=0))
+    rows = theta / np.where(size > 0.0, size, 1.0)
+    swing: Ints = np.cumsum(np.diff(position, prepend=position[0]) > 2, dtype=np.int64)
+    keep = _core(rows, target)
+    widen = CORE_DEVIATION
+    for _ in range(ROUNDS):
+        sigma = _deviations(rows, target, keep)
+        fits: Mask = np.asarray((sigma < MOST_SIGMA * widen).all(axis=1))
+        let_in = _with_their_touch(fits, swing)
+        widen = 1.0
+        if _settled(keep, let_in):
+            return let_in
+        keep = let_in
+    return keep
+
+
+def _core(rows: Array, target: Array) -> Mask:
+    """The ticks that go together best."""
+    n = len(rows)
+    keep = np.ones(n, dtype=bool)
+    for _ in range(STEPS):
+        residual = target - rows @ _fit(rows[keep], target[keep])
+        scale = np.maximum(np.median(np.abs(residual[keep]), axis=0), 1e-12)
+        distance = np.square(residual / scale).sum(axis=1)
+        best = np.zeros(n, dtype=bool)
+        best[np.argpartition(distance, int(CORE_SHARE * n))[: int(CORE_SHARE * n)]] = True
+        if _settled(keep, best):
+            return best
+        keep = best
+    return keep
+
+
+def _deviations(rows: Array, target: Array, keep: Mask) -> Array:
+    """(n, J) residuals over what they should be, by a fit to some rows.
+
+    Those of the rows fitted to are smaller than the noise, those of the others larger, both by
+    their leverage.
+    """
+    p = rows.shape[1]
+    coefficients = _fit(rows[keep], target[keep])
+    residual = target - rows @ coefficients
+    count = int(keep.sum())
+    # The ridge leaves about half of the terms free.
+    freedom = max(count - 0.5 * p, 0.5 * count, 1.0)
+    noise = np.sqrt(np.square(residual[keep]).sum(axis=0) / freedom)
+    lower = np.linalg.cholesky(_normal(rows[keep]))
+    leverage = np.square(np.linalg.solve(lower, rows.T)).sum(axis=0)
+    expected = np.where(keep, np.maximum(1.0 - leverage, 0.2), 1.0 + leverage)
+    deviations = np.abs(residual) / np.maximum(noise, 1e-12)
+    return np.asarray(deviations / np.sqrt(expected)[:, None])
+
+
+def _with_their_touch(fits: Mask, swing: Ints) -> Mask:
+    """Take out, with each row that stands out, those that touched before or after it."""
+    keep = np.ones(len(fits), dtype=bool)
+    edges = np.flatnonzero(np.diff(swing)) + 1
+    for begin, end in zip([0, *edges.tolist()], [*edges.tolist(), len(fits)], strict=True):
+        out = np.flatnonzero(~fits[begin:end])
+        half = (end - begin) / 2
+        early, late = out[out < half], out[out >= half]
+        if len(early):
+            keep[begin : begin + int(early[-1]) + 1 + GUARD_TICKS] = False
+        if len(late):
+            keep[begin + max(0, int(late[0]) - GUARD_TICKS) : end] = False
+    return keep
+
+
+def _fit(rows: Array, target: Array) -> Array:
+    return np.asarray(np.linalg.solve(_normal(rows), rows.T @ target))
+
+
+def _normal(rows: Array) -> Array:
+    normal: Array = rows.T @ rows
+    normal[np.diag_indices_from(normal)] += RIDGE_ROWS
+    return normal
+
+
+def _settled(before: Mask, after: Mask) -> bool:
+    return int(np.count_nonzero(before != after)) <= SETTLED_SHARE * len(before)

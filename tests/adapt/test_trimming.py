@@ -1,0 +1,104 @@
+"""What touches among ticks that are only believed free is found without a word of when."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from adaptive_contact.adapt.coldstart import ColdStart
+from adaptive_contact.adapt.trimming import GUARD_TICKS, untouched_rows
+from adaptive_contact.identify import leg_library
+from adaptive_contact.robot import Robot
+
+from .conftest import FakeLeg, samples
+
+Array = NDArray[np.float64]
+
+SWINGS, ROWS = 50, 12
+NOISE = 0.003
+
+
+def leg(
+    seed: int, pushed: dict[int, range], terms: int = 60
+) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Swings of a linear leg; some of their ticks are pushed by ten deviations or more."""
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(SWINGS * ROWS, terms)) * rng.uniform(0.1, 10.0, terms)
+    true = rng.normal(size=(terms, 3)) * 0.02 / np.abs(theta).mean(axis=0)[:, None]
+    target = theta @ true + NOISE * rng.normal(size=(len(theta), 3))
+    touching = np.zeros(len(theta), dtype=bool)
+    for swing, ticks in pushed.items():
+        rows = swing * ROWS + np.array(ticks)
+        touching[rows] = True
+        # As ground does, the same way each time: what a fit can explain away.
+        target[rows] += np.array([0.01, 0.03, -0.03]) * rng.uniform(0.5, 2.0, (len(rows), 1))
+    position = np.arange(len(theta)) + 10 * (np.arange(len(theta)) // ROWS)
+    return theta, target, position, touching
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_touches_are_found_and_free_ticks_stay(seed: int) -> None:
+    pushed = {n: range(8, 12) for n in range(0, SWINGS, 4)}
+    pushed |= {n: range(3) for n in range(1, SWINGS, 10)}
+    theta, target, position, touching = leg(seed, pushed)
+    keep = untouched_rows(theta, target, position)
+    assert np.count_nonzero(keep & touching) <= 0.03 * touching.sum()
+    assert np.count_nonzero(~keep & ~touching) <= 0.08 * np.count_nonzero(~touching)
+
+
+def test_a_tick_that_stands_out_takes_its_side_of_the_swing_along() -> None:
+    theta, target, position, _ = leg(7, {})
+    late, early = 20 * ROWS, 30 * ROWS
+    target[late + 9] += 0.2
+    target[early + 2] += 0.2
+    keep = untouched_rows(theta, target, position)
+    assert keep[late : late + 9 - GUARD_TICKS].all()
+    assert not keep[late + 9 - GUARD_TICKS : late + ROWS].any()
+    assert not keep[early : early + 3 + GUARD_TICKS].any()
+    assert keep[early + 3 + GUARD_TICKS : early + ROWS].all()
+
+
+def test_without_touches_nearly_all_is_kept() -> None:
+    theta, target, position, _ = leg(8, {})
+    assert untouched_rows(theta, target, position).mean() > 0.93
+
+
+def test_fewer_rows_than_terms_are_left_as_they_are() -> None:
+    theta, target, position, _ = leg(9, {})
+    assert untouched_rows(theta[:40], target[:40], position[:40]).all()
+    assert untouched_rows(theta[:0], target[:0], position[:0]).all()
+
+
+def test_a_column_of_zeros_harms_nothing() -> None:
+    theta, target, position, touching = leg(3, {n: range(8, 12) for n in range(0, SWINGS, 4)})
+    theta[:, 5] = 0.0
+    keep = untouched_rows(theta, target, position)
+    assert np.count_nonzero(keep & touching) <= 0.1 * touching.sum()
+
+
+def test_a_first_model_holds_no_touch(robot: Robot) -> None:
+    """Of a leg that is stopped in every other swing, well before its last ticks."""
+    free = samples(*FakeLeg(seed=31).run(60)[:3])
+    touched = samples(*FakeLeg(seed=30).run(80, touch=lambda n: 15 if n % 2 else None)[:3])
+    described = robot.leg("rf")
+    cold = ColdStart(described, leg_library(robot, described), robot.quantum("rf"))
+    for sample in touched:
+        swing = sample.phase == "swing"
+        cold.add(sample.measured, sample.desired, swing=swing, sound=True)
+    job = cold.job()
+    assert job is not None
+    known = job.run().known
+    assert known is not None
+    off = []
+    window = known.model.library.window
+    measured, desired = (
+        np.array([getattr(s, name) for s in free]) for name in ("measured", "desired")
+    )
+    for tick in range(window.length, len(free) - 1):
+        if free[tick + 1].phase == "swing":
+            past = measured[tick - window.past_measured : tick + 1][::-1]
+            commands = desired[tick - window.past_desired : tick + 1][::-1]
+            theta = known.model.library.evaluate(past[None], commands[None], np.zeros((1, 0, 3)))[0]
+            off.append(measured[tick + 1] - measured[tick] - theta @ known.model.coefficients)
+    assert np.sqrt(np.square(off).mean(axis=0)).max() < 0.0065
