@@ -151,13 +151,14 @@ class StreamGuard:
         preview = sample.preview or ()
         if len(preview) > MAX_PREVIEW_TICKS:
             return Reject.OUT_OF_RANGE
+        values = sample.measured + sample.desired
         for row in preview:
             if len(row) != j:
                 return Reject.WRONG_JOINTS
-        for row in (sample.measured, sample.desired, *preview):
-            for value in row:
-                if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
-                    return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
+            values += row
+        for value in values:
+            if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
+                return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
         if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
             return Reject.OUT_OF_RANGE
         # JSON holds integers of any size; what is kept on disk holds 64 bits.
