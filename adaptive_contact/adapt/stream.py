@@ -11,15 +11,12 @@ import math
 from collections import deque
 from typing import Any, Final, NamedTuple
 
-from adaptive_contact.wire import Reject, ServoSample
+from adaptive_contact.wire import MAX_PREVIEW_TICKS, Reject, ServoSample
 
 __all__ = ["Accepted", "RateWatch", "StreamGuard"]
 
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
-# No library looks further ahead than 20 ticks.  A payload holds tens of thousands of rows, and
-# every leg would wait while they are looked at.
-MAX_PREVIEW_TICKS: Final = 64
 MAX_TIME_NS: Final = 2**63 - 1
 MIN_RUN: Final = -(2**63)
 MAX_RUN: Final = 2**63 - 1

@@ -39,7 +39,8 @@ RIDGE_ROWS: Final = 5.0
 MOST_SIGMA: Final = 3.5
 # Ticks beside one that stands out, in which a touch begins or ends.
 GUARD_TICKS: Final = 1
-# Of a normal distribution's deviation, what its inner three quarters show.
+# The deviation of three normal joints, over that of the three quarters of their ticks that lie
+# nearest: (0.75 / P(χ²₅ < 4.1))^½, rounded.
 CORE_DEVIATION: Final = 1.25
 
 
@@ -115,14 +116,13 @@ def _deviations(rows: Array, target: Array, keep: Mask) -> Array:
     their leverage.
     """
     p = rows.shape[1]
-    coefficients = _fit(rows[keep], target[keep])
-    residual = target - rows @ coefficients
+    normal = _normal(rows[keep])
+    residual = target - rows @ np.linalg.solve(normal, rows[keep].T @ target[keep])
     count = int(keep.sum())
     # The ridge leaves about half of the terms free.
     freedom = max(count - 0.5 * p, 0.5 * count, 1.0)
     noise = np.sqrt(np.square(residual[keep]).sum(axis=0) / freedom)
-    lower = np.linalg.cholesky(_normal(rows[keep]))
-    leverage = np.square(np.linalg.solve(lower, rows.T)).sum(axis=0)
+    leverage = np.square(np.linalg.solve(np.linalg.cholesky(normal), rows.T)).sum(axis=0)
     expected = np.where(keep, np.maximum(1.0 - leverage, 0.2), 1.0 + leverage)
     deviations = np.abs(residual) / np.maximum(noise, 1e-12)
     return np.asarray(deviations / np.sqrt(expected)[:, None])

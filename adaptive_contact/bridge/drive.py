@@ -14,7 +14,7 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 from adaptive_contact.bridge.plan import LegPlan
-from adaptive_contact.wire import Command
+from adaptive_contact.wire import MAX_PREVIEW_TICKS, Command
 
 __all__ = ["HOLD_AFTER_NS", "Driver", "Mode", "complaint"]
 
@@ -153,7 +153,10 @@ def complaint(command: Command, joints: int) -> str | None:
         return f"desired has {len(command.desired)} values for {joints} joints"
     if not all(math.isfinite(x) for x in command.desired):
         return "desired is not finite"
-    for row in command.preview or ():
+    preview = command.preview or ()
+    if len(preview) > MAX_PREVIEW_TICKS:
+        return f"preview has {len(preview)} ticks; {MAX_PREVIEW_TICKS} at most"
+    for row in preview:
         if len(row) != joints or not all(math.isfinite(x) for x in row):
             return f"preview has a row that is not {joints} finite values"
     return None

@@ -1,4 +1,4 @@
-"""The Zenoh session.  Only this module and :mod:`transport` import zenoh.
+"""The Zenoh session.  Only this module, :mod:`transport` and :mod:`zenoh_log` import zenoh.
 
 Delivery, as measured on 1.10.2: streams go with DROP and without express; contact events are
 rare and must arrive, so they go express with BLOCK, ahead of the streams, and the last one is
@@ -11,8 +11,6 @@ subscription of the session.  A sink only enqueues.
 
 from __future__ import annotations
 
-import logging
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -33,6 +31,7 @@ from adaptive_contact.service.settings import (
 )
 from adaptive_contact.service.traffic import Received, Reply
 from adaptive_contact.service.transport import Facts, configure, first_line, router_failure
+from adaptive_contact.service.zenoh_log import callback_faults
 from adaptive_contact.wire import Message, encode
 
 __all__ = [
@@ -157,7 +156,7 @@ class Link:
 
     def __init__(self, session: zenoh.Session, settings: LinkSettings, facts: Facts) -> None:
         self._session = session
-        self._faults_before = _faults.count
+        self._faults_before = callback_faults()
         self._held: set[Declared] = set()
         self.settings = settings
         self.endpoints = facts.listen
@@ -381,24 +380,4 @@ class Link:
     @property
     def callback_faults(self) -> int:
         """Exceptions raised in callbacks since this link was opened (by any link here)."""
-        return _faults.count - self._faults_before
-
-
-class _CallbackFaults(logging.Handler):
-    """Counts exceptions in callbacks; Zenoh logs them and goes on."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.ERROR)
-        self.count = 0
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.count += 1
-
-
-_faults = _CallbackFaults()
-logging.getLogger("zenoh.handlers").addHandler(_faults)
-if "RUST_LOG" in os.environ:
-    # At debug the one part of Zenoh writes the whole configuration, passwords and all, the other
-    # whole endpoints, in which a key may stand.
-    os.environ["RUST_LOG"] += ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
-    zenoh.try_init_log_from_env()
+        return callback_faults() - self._faults_before

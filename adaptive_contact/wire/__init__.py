@@ -28,6 +28,7 @@ from adaptive_contact.wire.keys import (
     truth_key,
 )
 from adaptive_contact.wire.messages import (
+    MAX_PREVIEW_TICKS,
     VERSION,
     BufferCounts,
     Command,
@@ -55,6 +56,7 @@ __all__ = [
     "ALL_TRUTH",
     "JSON",
     "MAX_PAYLOAD_BYTES",
+    "MAX_PREVIEW_TICKS",
     "MSGPACK",
     "SIM_DRIFT",
     "VERSION",

@@ -12,6 +12,7 @@ from typing import Final, Literal
 import msgspec
 
 __all__ = [
+    "MAX_PREVIEW_TICKS",
     "VERSION",
     "BufferCounts",
     "Command",
@@ -33,6 +34,9 @@ __all__ = [
 ]
 
 VERSION: Final = 1
+# No library looks further ahead than 20 ticks.  A payload holds tens of thousands of rows, and
+# every leg would wait while they are looked at.
+MAX_PREVIEW_TICKS: Final = 64
 
 Phase = Literal["swing", "stance"]
 Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]
@@ -205,7 +209,7 @@ class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Command(Message, frozen=True, kw_only=True, omit_defaults=True):
-    """What a controller wants of a leg: (J,) rad, and optionally the next M ticks."""
+    """What a controller wants of a leg: (J,) rad, and optionally the next M ticks, 64 at most."""
 
     desired: list[float]
     preview: list[list[float]] | None = None

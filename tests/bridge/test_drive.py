@@ -157,6 +157,7 @@ def test_a_preview_is_limited_like_commands_and_belongs_to_one_tick() -> None:
     ("command", "words"),
     [
         (Command(desired=[0.0]), "1 values for 2"),
+        (Command(desired=[0.0] * 2, preview=[[0.0] * 2] * 65), "preview has 65 ticks; 64 at most"),
         (Command(desired=[0.0, float("nan")]), "not finite"),
         (Command(desired=[0.0, 0.0], preview=[[0.0]]), "preview"),
     ],

@@ -18,19 +18,12 @@ import pytest
 from structlog.testing import capture_logs
 from threadpoolctl import threadpool_info
 
-from adaptive_contact.adapt.buffer import SlidingBuffer
-from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
-from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
-from adaptive_contact.adapt.refit import InlineRefitter, Job, RefitJob, RefitResult, Refitter
-from adaptive_contact.adapt.segments import Row
-from adaptive_contact.identify import Factor, FitStatus, LegModel, Library
-from adaptive_contact.robot import Leg
+from adaptive_contact.adapt.refit import InlineRefitter, RefitJob, RefitResult, Refitter
+from adaptive_contact.identify import Factor, FitStatus
 from adaptive_contact.service import refits
-from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter, _failed
+from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
 
 pytestmark = pytest.mark.e2e
-
-WHY = "the process that fits died or took too long"
 
 # A worker that reads a job and hangs within its answer.
 HALF_AN_ANSWER = """
@@ -119,25 +112,6 @@ class Vanishing(ProcessRefitter):
     @_process.setter
     def _process(self, process: subprocess.Popen[bytes] | None) -> None:
         """Nobody asks for what is put here."""
-
-
-class Giving:
-    """Gives up every refit, as lost or with another status in its place."""
-
-    def __init__(self, up_with: FitStatus) -> None:
-        self._status = up_with
-        self._result: object = None
-
-    def submit(self, job: Job) -> None:
-        """Fail at once."""
-        result = _failed(job)
-        assert isinstance(result, RefitResult)
-        assert result.status is FitStatus.LOST
-        self._result = dataclasses.replace(result, status=self._status)
-
-    def collect(self, leg: str, number: int) -> object:
-        """The failure."""
-        return self._result
 
 
 @pytest.fixture
@@ -346,35 +320,6 @@ def test_a_job_that_kills_its_process_twice_is_answered_as_failed(
     again = wait(refitter, "rf", 2)
     assert isinstance(again, RefitResult)
     assert again.status is FitStatus.OK
-
-
-def test_a_cold_start_whose_process_died_says_so() -> None:
-    library = Library("linear", ("a", "b"), ("pitch", "pitch"))
-    cold = ColdJob("rf", 3, Leg("rf", ("a", "b")), library, (), 0.005)
-    assert _failed(cold) == ColdResult(3, None, f"lost: {WHY}")
-
-
-def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> None:
-    """Through the leg's own challenger, whose reason is what LearnerStatus carries."""
-    library = Library("linear", ("a", "b"), ("pitch", "pitch"))
-    p = library.size
-    rng = np.random.default_rng(0)
-    buffer = SlidingBuffer()
-    for k in range(40):
-        buffer.add(
-            [Row(rng.normal(size=p), np.zeros(2), 1.0, 1.0, 0, k, True, True, True)] * 12, 0, 0
-        )
-    for status, words in (
-        (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
-        (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
-    ):
-        challenger = Challenger("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
-        for _ in range(REFIT_EVERY_SWINGS):
-            challenger.swing_done(LegModel(library, np.zeros((p, 2))), buffer, 0)
-        for _ in range(REFIT_DUE_TICKS + 1):
-            challenger.tick()
-        assert challenger.counts.refused == 1
-        assert challenger.counts.last_reason == words
 
 
 def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(

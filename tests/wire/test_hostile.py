@@ -9,10 +9,11 @@ from collections.abc import Callable
 import msgpack
 import pytest
 
-from adaptive_contact.adapt.stream import MAX_PREVIEW_TICKS, Accepted, StreamGuard
+from adaptive_contact.adapt.stream import Accepted, StreamGuard
 from adaptive_contact.wire import (
     JSON,
     MAX_PAYLOAD_BYTES,
+    MAX_PREVIEW_TICKS,
     MSGPACK,
     Reject,
     Rejected,
