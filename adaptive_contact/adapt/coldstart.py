@@ -39,7 +39,7 @@ GOOD_SHARE: Final = 0.35
 STILL_QUANTA: Final = 2.0
 # A cold start remembers this many samples: ten minutes at 50 Hz.
 MAX_SAMPLES: Final = 30_000
-FIRST_ROOM: Final = 500
+FIRST_ROOM: Final = 500  # samples; doubled when they are full
 # A run of fewer is not learned from.
 LEAST_SAMPLES: Final = 11
 # Shape of a tail fitted to few ticks is worthless; the pooled one of the shipped baselines is 0 to
