@@ -90,7 +90,7 @@ class ColdJob:
         """Fit, and say whether it is good."""
         try:
             known, figures, _ = learn_leg(
-                self.described, self.library, self.stretches, self.quantum_rad, None, trim=True
+                self.described, self.library, self.stretches, self.quantum_rad, None, trim="always"
             )
         except IdentificationError as error:
             return ColdResult(self.number, None, str(error))
@@ -193,4 +193,4 @@ class ColdStart:
     def _stretch(self, begin: int, end: int) -> Stretch:
         measured, desired = self._angles[begin:end].transpose(1, 0, 2).copy()
         swing, sound = self._flags[begin:end].T.copy()
-        return Stretch(measured, desired, swing, cautious(swing), sound)
+        return Stretch(measured, desired, swing, cautious(swing), sound, certain=False)

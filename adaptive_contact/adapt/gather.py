@@ -112,6 +112,7 @@ class LegGatherer:
             swing=swing,
             free=mask,
             sound=np.array(sound),
+            certain=bool(self._truth) or free,
         )
 
     def _swing(self, run: list[ServoSample], desired: NDArray[np.float64]) -> Mask:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
-from adaptive_contact.adapt.trimming import inliers, untouched_rows
+from adaptive_contact.adapt.trimming import FreeRows, free_rows, inliers, untouched_rows
 from adaptive_contact.detect import context, fit_noise, fit_tail, lagged, stream_statistic
 from adaptive_contact.detect.noise import MIN_TICKS, WINDOWS
 from adaptive_contact.errors import IdentificationError
@@ -37,11 +37,13 @@ from adaptive_contact.identify import (
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.phase import directions
 
-__all__ = ["LegFigures", "Stretch", "Training", "learn", "learn_leg", "swing_ticks"]
+__all__ = ["LegFigures", "Stretch", "Training", "Trim", "learn", "learn_leg", "swing_ticks"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
+
+Trim = Literal["never", "if_touched", "always"]
 
 FOLDS: Final = 5
 # Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
@@ -65,6 +67,7 @@ class Stretch:
         swing: (n,) in swing.
         free: (n,) known, or believed, to touch nothing.
         sound: (n,) all readings of the tick are good.
+        certain: free is known; else it is believed, and some of it may have touched.
     """
 
     measured: Array
@@ -72,6 +75,7 @@ class Stretch:
     swing: Mask
     free: Mask
     sound: Mask
+    certain: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +85,7 @@ class LegFigures:
     Attributes:
         rows: free ticks used, and ``outliers`` left out of them.
         swings: they come from.
+        touched: of these, in which the foot touched, by what stands out; 0 where free is known.
         threshold: λ that was chosen, in units of the residual.
         sweep: λ to held-out root mean square, (J,) rad.
         held_out_rms: (J,) rad at that λ.
@@ -92,6 +97,7 @@ class LegFigures:
     rows: int
     outliers: int
     swings: int
+    touched: int
     threshold: float
     sweep: dict[float, tuple[float, ...]]
     held_out_rms: tuple[float, ...]
@@ -166,9 +172,10 @@ def learn(
             continue
         progress(leg.id)
         terms = leg_library(robot, leg, library, window)
+        trim: Trim = "never" if all(stretch.certain for stretch in stretches) else "if_touched"
         try:
             legs[leg.id], figures[leg.id], values = learn_leg(
-                leg, terms, stretches, robot.quantum(leg.id), threshold
+                leg, terms, stretches, robot.quantum(leg.id), threshold, trim=trim
             )
         except IdentificationError as error:  # a leg that only stood, perhaps
             skipped[leg.id] = str(error)
@@ -192,7 +199,7 @@ def learn_leg(
     quantum_rad: float,
     threshold: float | None,
     *,
-    trim: bool = False,
+    trim: Trim = "never",
 ) -> tuple[LegBaseline, LegFigures, Array]:
     """Learn one leg.
 
@@ -202,8 +209,9 @@ def learn_leg(
         stretches: its samples.
         quantum_rad: position step of its servos.
         threshold: λ in units of the residual; chosen on held-out swings where None.
-        trim: leave out touches as well, where ticks are only believed to be free.  The tail of
-            the statistic goes with them, and must come from elsewhere.
+        trim: leave out touches as well, where ticks are only believed to be free.  With
+            ``always``, as in so few that a touch is not easily told from them, the tail of the
+            statistic goes with it, and must come from elsewhere.
 
     Returns:
         What is known then, how good it is, and (n, windows) of the statistic on free ticks.
@@ -214,8 +222,11 @@ def learn_leg(
     rows = _rows(leg, library, stretches, quantum_rad)
     _check_enough(leg, library, len(rows.target))
     keep = inliers(rows.theta, rows.target)
-    if trim:
-        keep[keep] = untouched_rows(rows.theta[keep], rows.target[keep], rows.position[keep])
+    touched = 0
+    if trim != "never":
+        told = (rows.theta[keep], rows.target[keep], rows.position[keep])
+        free = FreeRows(untouched_rows(*told), 0) if trim == "always" else free_rows(*told)
+        keep[keep], touched = free
         _check_enough(leg, library, int(keep.sum()))
     outliers = int(np.count_nonzero(~keep))
     rows = dataclasses.replace(
@@ -254,7 +265,7 @@ def learn_leg(
     residual = residuals[chosen][rows.judged]
     position, where = rows.position[rows.judged], rows.where[rows.judged]
     histories = _histories(residual, position)
-    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if trim else MIN_TICKS)
+    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if trim == "always" else MIN_TICKS)
     motion = _histories(rows.target[rows.judged] - residual, position)
     usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
     values = stream_statistic(histories, motion, where, usable, noise)
@@ -262,6 +273,7 @@ def learn_leg(
         rows=len(rows.target),
         outliers=outliers,
         swings=rows.swings,
+        touched=touched,
         threshold=chosen,
         sweep={v: tuple(e.tolist()) for v, e in errors.items()},
         held_out_rms=tuple(errors[chosen].tolist()),

@@ -7,18 +7,21 @@ concentration steps of Rousseeuw and Van Driessen 1999) fits the ticks that go t
 others are let in again as far as that model explains them.  And a foot that touches goes on
 touching: what stands out in the first half of a swing takes the ticks before it along, as the
 swing began in touch; in the second half, those after it.
+
+That also cuts the tail off what is no touch, and a threshold is read from the tail.  So where there
+are ticks enough for one, the swings are asked first whether there is anything to leave out.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.identify import Factor, FitSettings, fit_sparse
 
-__all__ = ["inliers", "untouched_rows"]
+__all__ = ["FreeRows", "free_rows", "inliers", "untouched_rows"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,6 +40,11 @@ SETTLED_SHARE: Final = 1e-3  # of the rows, that changed sides in the last step
 RIDGE_ROWS: Final = 5.0
 # In any joint; free ticks go further out once in 700.
 MOST_SIGMA: Final = 3.5
+# No free tick goes this far out from the model of the others; one touch in ten stays within it.
+TOUCH_SIGMA: Final = 6.0
+# Where the foot touched in more than this share of the swings, the light touches that stay within
+# it are many enough to set the tail.
+MANY_SWINGS: Final = 0.01
 # Ticks beside one that stands out, in which a touch begins or ends.
 GUARD_TICKS: Final = 1
 # The deviation of three normal joints, over that of the three quarters of their ticks that lie
@@ -63,6 +71,39 @@ def inliers(theta: Array, target: Array) -> Mask:
     return keep
 
 
+class FreeRows(NamedTuple):
+    """Rows to learn from, where nobody knows whether the leg touched.
+
+    Attributes:
+        keep: (n,) False for what is left out.
+        touched: swings in which something is no noise.
+    """
+
+    keep: Mask
+    touched: int
+
+
+def free_rows(theta: Array, target: Array, position: Ints) -> FreeRows:
+    """Leave out what touched, if anything did, and else nothing: the noise keeps its tail.
+
+    Args:
+        theta: (n, p) regressors, finite.
+        target: (n, J) rad, movements, finite.
+        position: (n,) tick of each, with gaps of at least 3 between swings.
+    """
+    trimmed = untouched_rows(theta, target, position)
+    if len(theta) < theta.shape[1]:
+        return FreeRows(trimmed, 0)
+    swing = _swings(position)
+    near: Mask = np.asarray(
+        (_deviations(_scaled(theta), target, trimmed) < TOUCH_SIGMA).all(axis=1)
+    )
+    touched = len(np.unique(swing[~near]))
+    if touched > MANY_SWINGS * (int(swing[-1]) + 1):
+        return FreeRows(trimmed, touched)
+    return FreeRows(_with_their_touch(near, swing), touched)
+
+
 def untouched_rows(theta: Array, target: Array, position: Ints) -> Mask:
     """Find the rows that one linear model explains, swing by swing.
 
@@ -77,9 +118,8 @@ def untouched_rows(theta: Array, target: Array, position: Ints) -> Mask:
     n, p = theta.shape
     if n < p:
         return np.ones(n, dtype=bool)
-    size = np.sqrt(np.square(theta).mean(axis=0))
-    rows = theta / np.where(size > 0.0, size, 1.0)
-    swing: Ints = np.cumsum(np.diff(position, prepend=position[0]) > 2, dtype=np.int64)
+    rows = _scaled(theta)
+    swing = _swings(position)
     keep = _core(rows, target)
     widen = CORE_DEVIATION
     for _ in range(ROUNDS):
@@ -141,6 +181,17 @@ def _with_their_touch(fits: Mask, swing: Ints) -> Mask:
         if len(late):
             keep[begin + max(0, int(late[0]) - GUARD_TICKS) : end] = False
     return keep
+
+
+def _scaled(theta: Array) -> Array:
+    """Each regressor in units of its typical size."""
+    size = np.sqrt(np.square(theta).mean(axis=0))
+    return np.asarray(theta / np.where(size > 0.0, size, 1.0))
+
+
+def _swings(position: Ints) -> Ints:
+    """(n,) number of each row's swing, from 0."""
+    return np.cumsum(np.diff(position, prepend=position[:1]) > 2, dtype=np.int64)
 
 
 def _fit(rows: Array, target: Array) -> Array:

@@ -77,6 +77,14 @@ def fit(
         )
     for reason in training.skipped.values():
         typer.echo(f"adaptive-contact: left out: {reason}", err=True)
+    for leg_id, known in training.figures.items():
+        if known.touched:
+            typer.echo(
+                f"adaptive-contact: leg '{leg_id}': the foot seems to have touched in "
+                f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
+                "record free swings, or with truth, to learn from all of them",
+                err=True,
+            )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
         typer.echo(

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.coldstart import ColdStart
-from adaptive_contact.adapt.trimming import GUARD_TICKS, untouched_rows
+from adaptive_contact.adapt.trimming import GUARD_TICKS, free_rows, untouched_rows
 from adaptive_contact.identify import leg_library
 from adaptive_contact.robot import Robot
 
@@ -64,10 +64,45 @@ def test_without_touches_nearly_all_is_kept() -> None:
     assert untouched_rows(theta, target, position).mean() > 0.93
 
 
+def test_without_touches_the_noise_keeps_its_tail() -> None:
+    theta, target, position, _ = leg(8, {})
+    found = free_rows(theta, target, position)
+    assert found.keep.all()
+    assert found.touched == 0
+
+
+def test_one_touch_is_left_out_and_the_noise_keeps_its_tail() -> None:
+    theta, target, position, _ = leg(10, {})
+    wide = 30 * ROWS + 5
+    target[wide, 0] += 4.5 * NOISE  # noise, if rare; what always trims takes it for a touch
+    before = ~untouched_rows(theta, target, position)
+    repeated = np.tile(theta, (3, 1)), np.tile(target, (3, 1))
+    position = np.concatenate([position + n * 10_000 for n in range(3)])
+    touch = 20 * ROWS + np.arange(8, 12)
+    repeated[1][touch] += np.array([0.02, 0.06, -0.06])
+    found = free_rows(*repeated, position)
+    assert before[wide]
+    assert found.keep[wide]
+    assert not found.keep[touch].any()
+    assert found.touched == 1
+    assert np.count_nonzero(~found.keep) <= len(touch) + GUARD_TICKS
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_many_swings_touch_the_light_touches_go_with_them(seed: int) -> None:
+    pushed = {n: range(8, 12) for n in range(0, SWINGS, 4)}
+    theta, target, position, touching = leg(seed, pushed)
+    found = free_rows(theta, target, position)
+    assert (found.keep == untouched_rows(theta, target, position)).all()
+    assert abs(found.touched - len(pushed)) <= 2
+    assert np.count_nonzero(found.keep & touching) <= 0.03 * touching.sum()
+
+
 def test_fewer_rows_than_terms_are_left_as_they_are() -> None:
     theta, target, position, _ = leg(9, {})
     assert untouched_rows(theta[:40], target[:40], position[:40]).all()
     assert untouched_rows(theta[:0], target[:0], position[:0]).all()
+    assert free_rows(theta[:0], target[:0], position[:0]).touched == 0
 
 
 def test_a_column_of_zeros_harms_nothing() -> None:
