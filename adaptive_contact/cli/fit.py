@@ -25,7 +25,8 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="RECORDING...",
-            help="MCAP files with free swings; where they carry truth, touches are left out.",
+            help="MCAP files with free swings; touches are left out, by the truth where it is "
+            "recorded, else by what stands out.",
             show_default=False,
         ),
     ],

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.coldstart import ColdStart
+from adaptive_contact.adapt.gather import cautious
+from adaptive_contact.adapt.training import Stretch, learn
 from adaptive_contact.adapt.trimming import GUARD_TICKS, free_rows, untouched_rows
 from adaptive_contact.identify import leg_library
 from adaptive_contact.robot import Robot
@@ -110,6 +114,30 @@ def test_a_column_of_zeros_harms_nothing() -> None:
     theta[:, 5] = 0.0
     keep = untouched_rows(theta, target, position)
     assert np.count_nonzero(keep & touching) <= 0.1 * touching.sum()
+
+
+def test_a_baseline_of_swings_that_touched_is_as_good_as_one_of_free_swings(robot: Robot) -> None:
+    """Of the same leg, stopped in every other swing, with and without a word of when."""
+    measured, desired, swing, touching = FakeLeg(seed=5).run(
+        900, touch=lambda n: 15 if n % 2 else None
+    )
+    sound = np.ones(len(swing), dtype=bool)
+    pressed = touching.copy()
+    for later in (1, 2, 3):
+        pressed[later:] |= touching[:-later]
+    free = swing & ~pressed
+    told = learn(robot, {"rf": [Stretch(measured, desired, swing, free, sound)]}, origin="truth")
+    mask = cautious(swing)
+    assert np.count_nonzero(mask & touching) > 0.02 * np.count_nonzero(mask)
+    believed = Stretch(measured, desired, swing, mask, sound, certain=False)
+    found = learn(robot, {"rf": [believed]}, origin="no truth")
+    assert 350 <= found.figures["rf"].touched <= 550
+    assert (found.baseline.thresholds(1.0) < 2.0 * told.baseline.thresholds(1.0)).all()
+    worse = np.array(found.figures["rf"].held_out_rms) / told.figures["rf"].held_out_rms
+    assert worse.max() < 1.1
+    # As it would be if all were taken at their word.
+    taken = learn(robot, {"rf": [dataclasses.replace(believed, certain=True)]}, origin="all")
+    assert (taken.baseline.thresholds(1.0) > 3.0 * told.baseline.thresholds(1.0)).any()
 
 
 def test_a_first_model_holds_no_touch(robot: Robot) -> None:
