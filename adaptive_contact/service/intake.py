@@ -15,7 +15,7 @@ from typing import Final, Generic, TypeVar
 
 from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
-    MAX_PAYLOAD_BYTES,
+    MAX_SAMPLE_BYTES,
     Reject,
     Rejected,
     ServoSample,
@@ -104,7 +104,7 @@ class Intake(Generic[R]):
         size = len(received.payload)
         raw = Raw(
             # Not kept where it will be refused: 64 of them would hold 256 MB.
-            received.payload if size <= MAX_PAYLOAD_BYTES else b"",
+            received.payload if size <= MAX_SAMPLE_BYTES else b"",
             received.encoding,
             received.arrival_ns,
             size,
@@ -172,5 +172,5 @@ class Intake(Generic[R]):
 def read(raw: Raw) -> ServoSample | Rejected:
     """Decode a payload that waited; the worker's side of :meth:`Intake.offer`."""
     if raw.size > len(raw.payload):
-        return Rejected(Reject.TOO_LARGE, f"{raw.size} bytes, at most {MAX_PAYLOAD_BYTES}")
+        return Rejected(Reject.TOO_LARGE, f"{raw.size} bytes, at most {MAX_SAMPLE_BYTES}")
     return decode(raw.payload, ServoSample, raw.encoding)

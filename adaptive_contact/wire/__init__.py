@@ -5,6 +5,7 @@ from __future__ import annotations
 from adaptive_contact.wire.codec import (
     JSON,
     MAX_PAYLOAD_BYTES,
+    MAX_SAMPLE_BYTES,
     MSGPACK,
     Reject,
     Rejected,
@@ -57,6 +58,7 @@ __all__ = [
     "JSON",
     "MAX_PAYLOAD_BYTES",
     "MAX_PREVIEW_TICKS",
+    "MAX_SAMPLE_BYTES",
     "MSGPACK",
     "SIM_DRIFT",
     "VERSION",

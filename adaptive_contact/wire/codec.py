@@ -16,11 +16,12 @@ from typing import Final, NamedTuple, TypeVar
 import msgpack
 import msgspec
 
-from adaptive_contact.wire.messages import Message
+from adaptive_contact.wire.messages import Message, ServoSample
 
 __all__ = [
     "JSON",
     "MAX_PAYLOAD_BYTES",
+    "MAX_SAMPLE_BYTES",
     "MSGPACK",
     "Reject",
     "Rejected",
@@ -33,6 +34,9 @@ JSON: Final = "application/json"
 
 # The largest honest payload is a ModelReport of a 3-joint leg, about 30 kB.
 MAX_PAYLOAD_BYTES: Final = 256 * 1024
+# Samples come fifty times a second from every leg, and a hostile one costs half a microsecond per
+# byte.  The largest honest one, 16 joints with the longest preview as JSON, is 23 kB.
+MAX_SAMPLE_BYTES: Final = 32 * 1024
 # Of a list or map in msgpack; of lists and maps together in JSON.  Ten times what that report has.
 _MAX_ITEMS: Final = 4096
 
@@ -90,8 +94,9 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
     Returns:
         The message, or why it was refused.
     """
-    if len(payload) > MAX_PAYLOAD_BYTES:
-        return Rejected(Reject.TOO_LARGE, f"{len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
+    limit = MAX_SAMPLE_BYTES if kind is ServoSample else MAX_PAYLOAD_BYTES
+    if len(payload) > limit:
+        return Rejected(Reject.TOO_LARGE, f"{len(payload)} bytes, at most {limit}")
     parsed = _parse(payload, encoding)
     if isinstance(parsed, Rejected):
         return parsed

@@ -30,7 +30,7 @@ from adaptive_contact.service.state import Identity, Record, StateFacts, pack
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     JSON,
-    MAX_PAYLOAD_BYTES,
+    MAX_SAMPLE_BYTES,
     MSGPACK,
     Command,
     ContactEvent,
@@ -275,7 +275,7 @@ def fuzz(inputs: int, seed: int, say: Callable[[str], None]) -> Counter[str]:
                 else:
                     assert isinstance(answer, Reject), answer
                     found[f"sample {answer}"] += 1
-    oversized = read(Raw(b"", MSGPACK, 0, MAX_PAYLOAD_BYTES + 1))
+    oversized = read(Raw(b"", MSGPACK, 0, MAX_SAMPLE_BYTES + 1))
     assert isinstance(oversized, Rejected)
     return found
 

@@ -15,7 +15,7 @@ from adaptive_contact.service.intake import Intake, Raw, read
 from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     JSON,
-    MAX_PAYLOAD_BYTES,
+    MAX_SAMPLE_BYTES,
     MSGPACK,
     Reject,
     Rejected,
@@ -153,7 +153,7 @@ def test_both_encodings_are_read(encoding: str, sample: Callable[..., ServoSampl
 
 
 def test_huge_payloads_are_refused_and_not_kept() -> None:
-    huge = raw(bytes(MAX_PAYLOAD_BYTES + 1))
+    huge = raw(bytes(MAX_SAMPLE_BYTES + 1))
     assert huge.payload == b""
     found = read(huge)
     assert isinstance(found, Rejected)
