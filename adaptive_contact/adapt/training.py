@@ -221,10 +221,10 @@ def learn_leg(
     """
     rows = _rows(leg, library, stretches, quantum_rad)
     _check_enough(leg, library, len(rows.target))
-    keep = inliers(rows.theta, rows.target)
+    keep = inliers(rows.theta, rows.target, quantum_rad)
     touched = 0
     if trim != "never":
-        told = (rows.theta[keep], rows.target[keep], rows.position[keep])
+        told = (rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad)
         free = FreeRows(untouched_rows(*told), 0) if trim == "always" else free_rows(*told)
         keep[keep], touched = free
         _check_enough(leg, library, int(keep.sum()))

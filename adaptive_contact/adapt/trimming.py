@@ -47,17 +47,27 @@ TOUCH_SIGMA: Final = 6.0
 MANY_SWINGS: Final = 0.01
 # Ticks beside one that stands out, in which a touch begins or ends.
 GUARD_TICKS: Final = 1
+# Rows that a class of speed needs for a noise of its own.
+SPEED_ROWS: Final = 80
+# Standard deviation of a normal variable over the median of its size.
+MAD_DEVIATION: Final = 1.4826
+# A joint that stands still reads the same again and again, and the ticks that go together best may
+# be of nothing else.  When it moves, its readings are rounded, which makes a movement uncertain by
+# so many position steps: standard deviation, and median of the size.
+DEVIATION_STEPS: Final = 6**-0.5
+MEDIAN_STEPS: Final = 1.0 - 2**-0.5
 # The deviation of three normal joints, over that of the three quarters of their ticks that lie
 # nearest: (0.75 / P(χ²₅ < 4.1))^½, rounded.
 CORE_DEVIATION: Final = 1.25
 
 
-def inliers(theta: Array, target: Array) -> Mask:
+def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
     """Rows that a fit can explain; twice, as the first fit still carries the others.
 
     Args:
         theta: (n, p) regressors.
         target: (n, J) rad, movements.
+        quantum_rad: position step of the servos.
     """
     keep: Mask = np.asarray(np.isfinite(theta).all(axis=1) & np.isfinite(target).all(axis=1))
     for _ in range(2):
@@ -65,8 +75,8 @@ def inliers(theta: Array, target: Array) -> Mask:
         factor.add(theta[keep], target[keep])
         residual = target - theta @ fit_sparse(factor, FitSettings()).coefficients
         # Median absolute deviation: the outliers must not set the scale they are judged by.
-        sigma = 1.4826 * np.median(np.abs(residual[keep]), axis=0)
-        near = np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, 1e-12)
+        sigma = MAD_DEVIATION * np.median(np.abs(residual[keep]), axis=0)
+        near = np.abs(residual) < OUTLIER_SIGMA * np.maximum(sigma, DEVIATION_STEPS * quantum_rad)
         keep = np.asarray(keep & near.all(axis=1))
     return keep
 
@@ -83,34 +93,35 @@ class FreeRows(NamedTuple):
     touched: int
 
 
-def free_rows(theta: Array, target: Array, position: Ints) -> FreeRows:
+def free_rows(theta: Array, target: Array, position: Ints, quantum_rad: float) -> FreeRows:
     """Leave out what touched, if anything did, and else nothing: the noise keeps its tail.
 
     Args:
         theta: (n, p) regressors, finite.
         target: (n, J) rad, movements, finite.
         position: (n,) tick of each, with gaps of at least 3 between swings.
+        quantum_rad: position step of the servos.
     """
-    trimmed = untouched_rows(theta, target, position)
+    trimmed = untouched_rows(theta, target, position, quantum_rad)
     if len(theta) < theta.shape[1]:
         return FreeRows(trimmed, 0)
     swing = _swings(position)
-    near: Mask = np.asarray(
-        (_deviations(_scaled(theta), target, trimmed) < TOUCH_SIGMA).all(axis=1)
-    )
+    sigma = _deviations(_scaled(theta), target, trimmed, quantum_rad)
+    near: Mask = np.asarray((sigma < TOUCH_SIGMA).all(axis=1))
     touched = len(np.unique(swing[~near]))
     if touched > MANY_SWINGS * (int(swing[-1]) + 1):
         return FreeRows(trimmed, touched)
     return FreeRows(_with_their_touch(near, swing), touched)
 
 
-def untouched_rows(theta: Array, target: Array, position: Ints) -> Mask:
+def untouched_rows(theta: Array, target: Array, position: Ints, quantum_rad: float) -> Mask:
     """Find the rows that one linear model explains, swing by swing.
 
     Args:
         theta: (n, p) regressors, finite.
         target: (n, J) rad, movements, finite.
         position: (n,) tick of each, with gaps of at least 3 between swings.
+        quantum_rad: position step of the servos.
 
     Returns:
         (n,) False for what stands out, and for what must have touched with it.
@@ -120,10 +131,10 @@ def untouched_rows(theta: Array, target: Array, position: Ints) -> Mask:
         return np.ones(n, dtype=bool)
     rows = _scaled(theta)
     swing = _swings(position)
-    keep = _core(rows, target)
+    keep = _core(rows, target, quantum_rad)
     widen = CORE_DEVIATION
     for _ in range(ROUNDS):
-        sigma = _deviations(rows, target, keep)
+        sigma = _deviations(rows, target, keep, quantum_rad)
         fits: Mask = np.asarray((sigma < MOST_SIGMA * widen).all(axis=1))
         let_in = _with_their_touch(fits, swing)
         widen = 1.0
@@ -133,13 +144,19 @@ def untouched_rows(theta: Array, target: Array, position: Ints) -> Mask:
     return keep
 
 
-def _core(rows: Array, target: Array) -> Mask:
+def _core(rows: Array, target: Array, quantum_rad: float) -> Mask:
     """The ticks that go together best."""
     n = len(rows)
     keep = np.ones(n, dtype=bool)
+    speeds = _speeds(target, quantum_rad)
+    scale = np.empty_like(target)
     for _ in range(STEPS):
         residual = target - rows @ _fit(rows[keep], target[keep])
-        scale = np.maximum(np.median(np.abs(residual[keep]), axis=0), 1e-12)
+        least = np.full(target.shape[1], np.inf)
+        for speed in speeds:
+            least = np.minimum(least, np.median(np.abs(residual[speed]), axis=0))
+            scale[speed] = least
+        scale = np.maximum(scale, MEDIAN_STEPS * quantum_rad)
         distance = np.square(residual / scale).sum(axis=1)
         best = np.zeros(n, dtype=bool)
         best[np.argpartition(distance, int(CORE_SHARE * n))[: int(CORE_SHARE * n)]] = True
@@ -149,11 +166,11 @@ def _core(rows: Array, target: Array) -> Mask:
     return keep
 
 
-def _deviations(rows: Array, target: Array, keep: Mask) -> Array:
+def _deviations(rows: Array, target: Array, keep: Mask, quantum_rad: float) -> Array:
     """(n, J) residuals over what they should be, by a fit to some rows.
 
     Those of the rows fitted to are smaller than the noise, those of the others larger, both by
-    their leverage.
+    their leverage.  The noise is that of ticks as fast.
     """
     p = rows.shape[1]
     normal = _normal(rows[keep])
@@ -161,11 +178,38 @@ def _deviations(rows: Array, target: Array, keep: Mask) -> Array:
     count = int(keep.sum())
     # The ridge leaves about half of the terms free.
     freedom = max(count - 0.5 * p, 0.5 * count, 1.0)
-    noise = np.sqrt(np.square(residual[keep]).sum(axis=0) / freedom)
+    noise = np.empty_like(residual)
+    least = np.full(target.shape[1], np.inf)
+    for speed in _speeds(target, quantum_rad):
+        kept = speed[keep[speed]]
+        if 2 * len(kept) > len(speed):
+            own = np.sqrt(np.square(residual[kept]).mean(axis=0) * count / freedom)
+        else:  # too few of such are among the rows fitted to
+            own = MAD_DEVIATION * np.median(np.abs(residual[speed]), axis=0)
+        noise[speed] = least = np.minimum(least, own)
     leverage = np.square(np.linalg.solve(np.linalg.cholesky(normal), rows.T)).sum(axis=0)
     expected = np.where(keep, np.maximum(1.0 - leverage, 0.2), 1.0 + leverage)
-    deviations = np.abs(residual) / np.maximum(noise, 1e-12)
+    deviations = np.abs(residual) / np.maximum(noise, DEVIATION_STEPS * quantum_rad)
     return np.asarray(deviations / np.sqrt(expected)[:, None])
+
+
+def _speeds(target: Array, quantum_rad: float) -> list[Ints]:
+    """Places of the rows, in classes of speed, the fastest first.
+
+    A model errs more where the leg is fast: each class is twice as fast as the next, and has rows
+    enough for a noise of its own.  But none errs more where the leg is slower: what stands out
+    there was stopped.
+    """
+    speed = np.abs(target).max(axis=1)
+    order = np.argsort(-speed, kind="stable")
+    steps = np.log2(np.maximum(speed[order] / quantum_rad, 1.0)).astype(np.int64)
+    edges = [0]
+    for edge in (np.flatnonzero(np.diff(steps)) + 1).tolist():
+        if edge - edges[-1] >= SPEED_ROWS:
+            edges.append(edge)
+    if len(order) - edges[-1] < SPEED_ROWS and len(edges) > 1:
+        edges.pop()
+    return np.split(order, edges[1:])
 
 
 def _with_their_touch(fits: Mask, swing: Ints) -> Mask:

@@ -35,7 +35,7 @@ JSON: Final = "application/json"
 # The largest honest payload is a ModelReport of a 3-joint leg, about 30 kB.
 MAX_PAYLOAD_BYTES: Final = 256 * 1024
 # Samples come fifty times a second from every leg, and a hostile one costs half a microsecond per
-# byte.  The largest honest one, 16 joints with the longest preview as JSON, is 23 kB.
+# byte.  The largest honest one, 16 joints with the longest preview as JSON, is 21 kB.
 MAX_SAMPLE_BYTES: Final = 32 * 1024
 # Of a list or map in msgpack; of lists and maps together in JSON.  Ten times what that report has.
 _MAX_ITEMS: Final = 4096
