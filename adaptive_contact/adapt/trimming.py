@@ -14,6 +14,8 @@ are ticks enough for one, the swings are asked first whether there is anything t
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -148,16 +150,11 @@ def _core(rows: Array, target: Array, quantum_rad: float) -> Mask:
     """The ticks that go together best."""
     n = len(rows)
     keep = np.ones(n, dtype=bool)
-    speeds = _speeds(target, quantum_rad)
-    scale = np.empty_like(target)
+    speeds = _Speeds(target, quantum_rad)
     for _ in range(STEPS):
         residual = target - rows @ _fit(rows[keep], target[keep])
-        least = np.full(target.shape[1], np.inf)
-        for speed in speeds:
-            least = np.minimum(least, np.median(np.abs(residual[speed]), axis=0))
-            scale[speed] = least
-        scale = np.maximum(scale, MEDIAN_STEPS * quantum_rad)
-        distance = np.square(residual / scale).sum(axis=1)
+        scale = speeds.noise(residual, _median)
+        distance = np.square(residual / np.maximum(scale, MEDIAN_STEPS * quantum_rad)).sum(axis=1)
         best = np.zeros(n, dtype=bool)
         best[np.argpartition(distance, int(CORE_SHARE * n))[: int(CORE_SHARE * n)]] = True
         if _settled(keep, best):
@@ -170,7 +167,7 @@ def _deviations(rows: Array, target: Array, keep: Mask, quantum_rad: float) -> A
     """(n, J) residuals over what they should be, by a fit to some rows.
 
     Those of the rows fitted to are smaller than the noise, those of the others larger, both by
-    their leverage.  The noise is that of ticks as fast.
+    their leverage.
     """
     p = rows.shape[1]
     normal = _normal(rows[keep])
@@ -178,29 +175,66 @@ def _deviations(rows: Array, target: Array, keep: Mask, quantum_rad: float) -> A
     count = int(keep.sum())
     # The ridge leaves about half of the terms free.
     freedom = max(count - 0.5 * p, 0.5 * count, 1.0)
-    noise = np.empty_like(residual)
-    least = np.full(target.shape[1], np.inf)
-    for speed in _speeds(target, quantum_rad):
-        kept = speed[keep[speed]]
-        if 2 * len(kept) > len(speed):
-            own = np.sqrt(np.square(residual[kept]).mean(axis=0) * count / freedom)
-        else:  # too few of such are among the rows fitted to
-            own = MAD_DEVIATION * np.median(np.abs(residual[speed]), axis=0)
-        noise[speed] = least = np.minimum(least, own)
+
+    def deviation(rank: Ints, off: Array) -> float:
+        kept = keep[rank]
+        if 2 * np.count_nonzero(kept) > len(rank):
+            return math.sqrt(float(np.square(off[kept]).mean()) * count / freedom)
+        return MAD_DEVIATION * _median(rank, off)  # too few of such are among those fitted to
+
+    noise = _Speeds(target, quantum_rad).noise(residual, deviation)
     leverage = np.square(np.linalg.solve(np.linalg.cholesky(normal), rows.T)).sum(axis=0)
     expected = np.where(keep, np.maximum(1.0 - leverage, 0.2), 1.0 + leverage)
     deviations = np.abs(residual) / np.maximum(noise, DEVIATION_STEPS * quantum_rad)
     return np.asarray(deviations / np.sqrt(expected)[:, None])
 
 
-def _speeds(target: Array, quantum_rad: float) -> list[Ints]:
-    """Places of the rows, in classes of speed, the fastest first.
+class _Speeds:
+    """Rows in classes of speed: of each joint, and of the leg's fastest.
 
-    A model errs more where the leg is fast: each class is twice as fast as the next, and has rows
-    enough for a noise of its own.  But none errs more where the leg is slower: what stands out
-    there was stopped.
+    A model errs more where a joint is fast, and where another is that pulls at it: each class is
+    twice as fast as the next, and has rows enough for a noise of its own.  But none errs more where
+    it is slower: what stands out there was stopped.  And it is the speed that was measured: by what
+    is predicted, a leg on the ground, whose servos pull ever harder, were a class of its own.
     """
-    speed = np.abs(target).max(axis=1)
+
+    def __init__(self, target: Array, quantum_rad: float) -> None:
+        speed = np.abs(target)
+        self._of_leg = _classes(speed.max(axis=1), quantum_rad)
+        self._of_joint = [_classes(own, quantum_rad) for own in speed.T]
+
+    def noise(self, residual: Array, size: Callable[[Ints, Array], float]) -> Array:
+        """(n, J) noise of ticks as fast, the larger of the two.
+
+        Args:
+            residual: (n, J) rad.
+            size: of some rows, and one joint's residuals there.
+        """
+        noise = np.empty_like(residual)
+        for joint, own in enumerate(self._of_joint):
+            off = residual[:, joint]
+            both = [_no_less_where_fast(ranks, off, size) for ranks in (own, self._of_leg)]
+            noise[:, joint] = np.maximum(*both)
+        return noise
+
+
+def _no_less_where_fast(
+    ranks: list[Ints], off: Array, size: Callable[[Ints, Array], float]
+) -> Array:
+    noise = np.empty_like(off)
+    least = math.inf
+    for rank in ranks:
+        least = min(least, size(rank, off[rank]))
+        noise[rank] = least
+    return noise
+
+
+def _median(_: Ints, off: Array) -> float:
+    return float(np.median(np.abs(off)))
+
+
+def _classes(speed: Array, quantum_rad: float) -> list[Ints]:
+    """Places of the rows by speed, the fastest first."""
     order = np.argsort(-speed, kind="stable")
     steps = np.log2(np.maximum(speed[order] / quantum_rad, 1.0)).astype(np.int64)
     edges = [0]
