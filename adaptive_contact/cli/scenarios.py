@@ -88,6 +88,16 @@ def run(
         int | None,
         typer.Option("--seeds", metavar="N", min=1, max=200, help="Leg-runs of each. [20]"),
     ] = None,
+    steady_walks: Annotated[
+        int | None,
+        typer.Option(
+            "--steady-walks",
+            metavar="N",
+            min=1,
+            max=600,
+            help="Walks in which nothing changes; a third of the work is theirs. [60: 10 hours]",
+        ),
+    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Short recordings, two leg-runs: does it all run?")
     ] = False,
@@ -133,6 +143,8 @@ def run(
     form = form_of(size, sizes, seeds)
     if seeds is not None:
         sizes = dataclasses.replace(sizes, leg_runs=seeds)
+    if steady_walks is not None:
+        sizes = dataclasses.replace(sizes, steady_walks=steady_walks / sizes.leg_runs)
     chosen = named(names or (), sizes)
     if everything:
         if chosen:

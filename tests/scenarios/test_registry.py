@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.drift import KINDS
 from adaptive_contact_sim.trials.recording import key_of
 from adaptive_contact_sim.trials.registry import named, scenarios
-from adaptive_contact_sim.trials.runs import QUICK_SIZES
+from adaptive_contact_sim.trials.runs import FULL_SIZES, QUICK_SIZES
 from adaptive_contact_sim.trials.spec import ALL_VARIANTS, Expect, Variant
 
 NAMES = [
@@ -120,6 +122,14 @@ def test_robot_hours_without_change() -> None:
     )
     assert [s.name for s in quiet] == ["steady-pose", "steady-walk"]
     assert hours >= 10.0
+
+
+@pytest.mark.parametrize("walks", [1, 7, 29, 37, 49, 58, 60])
+@pytest.mark.parametrize("leg_runs", [3, 6, 20, 23])
+def test_as_many_walks_without_change_as_asked(walks: int, leg_runs: int) -> None:
+    sizes = replace(FULL_SIZES, leg_runs=leg_runs, steady_walks=walks / leg_runs)
+    assert len(scenarios(sizes)["steady-walk"].recordings) == walks
+    assert len(scenarios()["steady-walk"].recordings) == 60
 
 
 @pytest.mark.parametrize(

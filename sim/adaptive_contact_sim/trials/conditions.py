@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 from adaptive_contact_sim.encoder import EncoderSettings
@@ -19,6 +18,7 @@ from adaptive_contact_sim.trials.runs import (
     turn_runs,
     walk_run,
     walk_runs,
+    walks_without_change,
     without_faults,
     without_staging,
 )
@@ -183,7 +183,7 @@ def steady(sizes: Sizes) -> list[Scenario]:
     """Nothing changes."""
     pose_s = sizes.before_s + sizes.slow_s + sizes.slow_after_s
     walk_s = 20.0 + sizes.contact_swings * WALK_SWING_S
-    walks = math.ceil(sizes.steady_walks * sizes.leg_runs)
+    walks = walks_without_change(sizes)
 
     def still(
         name: str, about: str, recordings: tuple[RecordingSpec, ...], seconds: float

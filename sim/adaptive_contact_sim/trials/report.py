@@ -9,7 +9,7 @@ from typing import Any, Final
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.runner import Folders
-from adaptive_contact_sim.trials.runs import FULL_SIZES
+from adaptive_contact_sim.trials.runs import FULL_SIZES, walks_without_change
 from adaptive_contact_sim.trials.spec import Variant
 from adaptive_contact_sim.trials.words import (
     alarms,
@@ -166,6 +166,10 @@ def _lacking(results: Tree) -> list[str]:
     words = []
     if results["size"] == "full" and results["leg_runs"] < wanted:
         words.append(f"{results['leg_runs']} leg-runs of each scenario instead of {wanted}")
+    steady = results["scenarios"].get("steady-walk")
+    walks = walks_without_change(FULL_SIZES)
+    if results["size"] == "full" and steady is not None and steady["recordings"] < walks:
+        words.append(f"{steady['recordings']} walks without a change instead of {walks}")
     if absent:
         words.append(f"not run: {', '.join(absent)}")
     if not words:

@@ -44,6 +44,7 @@ __all__ = [
     "turn_runs",
     "walk_run",
     "walk_runs",
+    "walks_without_change",
     "without_drift",
     "without_faults",
     "without_staging",
@@ -199,6 +200,12 @@ def walk_runs(
     """As many walks as give the leg-runs."""
     count = math.ceil(sizes.leg_runs / len(LEGS))
     return tuple(walk_run(sizes, run, seconds, ground) for run in range(count))
+
+
+def walks_without_change(sizes: Sizes) -> int:
+    """How many walks are without drift."""
+    # Not one more for what is lost by dividing and multiplying.
+    return math.ceil(sizes.steady_walks * sizes.leg_runs - 1e-9)
 
 
 def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
