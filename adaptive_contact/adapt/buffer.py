@@ -71,14 +71,11 @@ class SlidingBuffer:
     @property
     def counts(self) -> BufferCounts:
         """For the status."""
-        ticks: Counter[int] = Counter()
-        for segment in self._segments:
-            ticks[segment.cell[0]] += len(segment.target)
-        lifts = sum(segment.cell[0] == 0 for segment in self._segments)
+        lifts = [len(segment.target) for segment in self._segments if segment.cell[0] == 0]
         return BufferCounts(
-            swings=max(lifts, len(self._segments) - lifts),
-            lift_ticks=ticks[0],
-            descent_ticks=ticks[1],
+            swings=max(len(lifts), len(self._segments) - len(lifts)),
+            lift_ticks=sum(lifts),
+            descent_ticks=self._held - sum(lifts),
         )
 
     def add(self, rows: list[Row], region: int, era: int) -> None:

@@ -90,7 +90,7 @@ class ColdJob:
         """Fit, and say whether it is good."""
         try:
             known, figures, _ = learn_leg(
-                self.described, self.library, self.stretches, self.quantum_rad, None, trim="always"
+                self.described, self.library, self.stretches, self.quantum_rad, None, first=True
             )
         except IdentificationError as error:
             return ColdResult(self.number, None, str(error))

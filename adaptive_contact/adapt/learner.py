@@ -81,7 +81,7 @@ class ContactLearner:
         self._state = ContactState()
         # Whoever listens may hold the leg to touch, and no tick will decide that it has let go.
         self._owes_release = False
-        self._tally = Tally()
+        self._tally = Tally(len(self.leg.joints))
         self._t_ns = 0
         self._command = self._command_before = [0.0] * len(self.leg.joints)  # in force, and before
         self._period_ns = round(robot.period_s * 1e9)
@@ -153,7 +153,7 @@ class ContactLearner:
             t_ns=self._t_ns,
             status=self._status,
             model_version=self._version,
-            residual_rms=self._tally.residual_rms(len(self.leg.joints)),
+            residual_rms=self._tally.residual_rms,
             noise_floor=self._knowledge.noise_floor,
             buffer=BufferCounts() if follower is None else follower.buffer.counts,
             drift=DriftLevel() if follower is None else follower.monitor.drift,
@@ -272,7 +272,7 @@ class ContactLearner:
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
         elif not (loaded or self._state.contact):
-            self._tally.residuals.append(verdict.residual)
+            self._tally.free(verdict.residual)
         self._quarantine.enter(
             tracker.thetas[0],
             verdict,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections import Counter, deque
+from collections import Counter
 from typing import Any, Final
 
 import numpy as np
@@ -20,22 +19,25 @@ STATUS_TICKS: Final = 256
 _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 
 
-@dataclasses.dataclass
 class Tally:
     """Counters of one leg.
+
+    Args:
+        joints: J.
 
     Attributes:
         counts: by name.
         rejects: samples and payloads that were not used, by reason.
-        residuals: (J,) rad each, of the newest free ticks.
         fault_note: one line for a person on faults in learning; None while there was none.
     """
 
-    counts: Counter[str] = dataclasses.field(default_factory=Counter)
-    rejects: Counter[Reject] = dataclasses.field(default_factory=Counter)
-    residuals: deque[Array] = dataclasses.field(default_factory=lambda: deque(maxlen=STATUS_TICKS))
-    fault_note: str | None = None
-    _faults: int = 0
+    def __init__(self, joints: int) -> None:
+        self.counts: Counter[str] = Counter()
+        self.rejects: Counter[Reject] = Counter()
+        self.fault_note: str | None = None
+        self._faults = 0
+        self._residuals = np.zeros((STATUS_TICKS, joints))  # of free ticks, the newest, in turn
+        self._free = 0  # ticks
 
     def fault(self, fault: Exception) -> None:
         """A fault in learning, after which it began anew."""
@@ -48,11 +50,16 @@ class Tally:
         """One line for a person when samples carry too little for a prediction."""
         return _NO_PREVIEW if self.counts["no_preview"] else None
 
-    def residual_rms(self, joints: int) -> list[float]:
+    def free(self, residual: Array) -> None:
+        """A free tick, and what was left of its prediction, (J,) rad."""
+        self._residuals[self._free % STATUS_TICKS] = residual
+        self._free += 1
+
+    @property
+    def residual_rms(self) -> list[float]:
         """(J,) rad, root mean square of the newest free residuals; zeros without any."""
-        if not self.residuals:
-            return [0.0] * joints
-        rms: list[float] = np.sqrt(np.square(np.array(self.residuals)).mean(axis=0)).tolist()
+        count = max(1, min(self._free, STATUS_TICKS))
+        rms: list[float] = np.sqrt(np.square(self._residuals).sum(axis=0) / count).tolist()
         return rms
 
     def snapshot(self) -> dict[str, Any]:

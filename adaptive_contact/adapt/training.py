@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
-from adaptive_contact.adapt.trimming import FreeRows, free_rows, inliers, untouched_rows
+from adaptive_contact.adapt.trimming import inliers, untouched
 from adaptive_contact.detect import context, fit_noise, fit_tail, lagged, stream_statistic
 from adaptive_contact.detect.noise import MIN_TICKS, WINDOWS
 from adaptive_contact.errors import IdentificationError
@@ -37,13 +37,11 @@ from adaptive_contact.identify import (
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.phase import directions
 
-__all__ = ["LegFigures", "Stretch", "Training", "Trim", "learn", "learn_leg", "swing_ticks"]
+__all__ = ["LegFigures", "Stretch", "Training", "learn", "learn_leg", "swing_ticks"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
-
-Trim = Literal["never", "if_touched", "always"]
 
 FOLDS: Final = 5
 # Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
@@ -172,10 +170,9 @@ def learn(
             continue
         progress(leg.id)
         terms = leg_library(robot, leg, library, window)
-        trim: Trim = "never" if all(stretch.certain for stretch in stretches) else "if_touched"
         try:
             legs[leg.id], figures[leg.id], values = learn_leg(
-                leg, terms, stretches, robot.quantum(leg.id), threshold, trim=trim
+                leg, terms, stretches, robot.quantum(leg.id), threshold
             )
         except IdentificationError as error:  # a leg that only stood, perhaps
             skipped[leg.id] = str(error)
@@ -199,7 +196,7 @@ def learn_leg(
     quantum_rad: float,
     threshold: float | None,
     *,
-    trim: Trim = "never",
+    first: bool = False,
 ) -> tuple[LegBaseline, LegFigures, Array]:
     """Learn one leg.
 
@@ -209,9 +206,9 @@ def learn_leg(
         stretches: its samples.
         quantum_rad: position step of its servos.
         threshold: λ in units of the residual; chosen on held-out swings where None.
-        trim: leave out touches as well, where ticks are only believed to be free.  With
-            ``always``, as in so few that a touch is not easily told from them, the tail of the
-            statistic goes with it, and must come from elsewhere.
+        first: a first model, of so few ticks that touches are not easily told from the others:
+            whatever stands out is left out, and the tail of the statistic with it, which must
+            come from elsewhere.
 
     Returns:
         What is known then, how good it is, and (n, windows) of the statistic on free ticks.
@@ -223,10 +220,10 @@ def learn_leg(
     _check_enough(leg, library, len(rows.target))
     keep = inliers(rows.theta, rows.target, quantum_rad)
     touched = 0
-    if trim != "never":
-        told = (rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad)
-        free = FreeRows(untouched_rows(*told), 0) if trim == "always" else free_rows(*told)
-        keep[keep], touched = free
+    if not all(stretch.certain for stretch in stretches):
+        keep[keep], touched = untouched(
+            rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad, tail=not first
+        )
         _check_enough(leg, library, int(keep.sum()))
     outliers = int(np.count_nonzero(~keep))
     rows = dataclasses.replace(
@@ -265,7 +262,7 @@ def learn_leg(
     residual = residuals[chosen][rows.judged]
     position, where = rows.position[rows.judged], rows.where[rows.judged]
     histories = _histories(residual, position)
-    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if trim == "always" else MIN_TICKS)
+    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if first else MIN_TICKS)
     motion = _histories(rows.target[rows.judged] - residual, position)
     usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
     values = stream_statistic(histories, motion, where, usable, noise)

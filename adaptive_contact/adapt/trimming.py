@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.identify import Factor, FitSettings, fit_sparse
 
-__all__ = ["FreeRows", "free_rows", "inliers", "untouched_rows"]
+__all__ = ["Untouched", "inliers", "untouched"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -83,7 +83,7 @@ def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
     return keep
 
 
-class FreeRows(NamedTuple):
+class Untouched(NamedTuple):
     """Rows to learn from, where nobody knows whether the leg touched.
 
     Attributes:
@@ -95,28 +95,9 @@ class FreeRows(NamedTuple):
     touched: int
 
 
-def free_rows(theta: Array, target: Array, position: Ints, quantum_rad: float) -> FreeRows:
-    """Leave out what touched, if anything did, and else nothing: the noise keeps its tail.
-
-    Args:
-        theta: (n, p) regressors, finite.
-        target: (n, J) rad, movements, finite.
-        position: (n,) tick of each, with gaps of at least 3 between swings.
-        quantum_rad: position step of the servos.
-    """
-    trimmed = untouched_rows(theta, target, position, quantum_rad)
-    if len(theta) < theta.shape[1]:
-        return FreeRows(trimmed, 0)
-    swing = _swings(position)
-    sigma = _deviations(_scaled(theta), target, trimmed, quantum_rad)
-    near: Mask = np.asarray((sigma < TOUCH_SIGMA).all(axis=1))
-    touched = len(np.unique(swing[~near]))
-    if touched > MANY_SWINGS * (int(swing[-1]) + 1):
-        return FreeRows(trimmed, touched)
-    return FreeRows(_with_their_touch(near, swing), touched)
-
-
-def untouched_rows(theta: Array, target: Array, position: Ints, quantum_rad: float) -> Mask:
+def untouched(
+    theta: Array, target: Array, position: Ints, quantum_rad: float, *, tail: bool
+) -> Untouched:
     """Find the rows that one linear model explains, swing by swing.
 
     Args:
@@ -124,69 +105,94 @@ def untouched_rows(theta: Array, target: Array, position: Ints, quantum_rad: flo
         target: (n, J) rad, movements, finite.
         position: (n,) tick of each, with gaps of at least 3 between swings.
         quantum_rad: position step of the servos.
+        tail: a threshold is to be read from the noise, which keeps its tail if hardly anything
+            touched.
 
     Returns:
-        (n,) False for what stands out, and for what must have touched with it.
+        What stands out is left out, and what must have touched with it.
     """
-    n, p = theta.shape
-    if n < p:
-        return np.ones(n, dtype=bool)
-    rows = _scaled(theta)
-    swing = _swings(position)
-    keep = _core(rows, target, quantum_rad)
-    widen = CORE_DEVIATION
-    for _ in range(ROUNDS):
-        sigma = _deviations(rows, target, keep, quantum_rad)
-        fits: Mask = np.asarray((sigma < MOST_SIGMA * widen).all(axis=1))
-        let_in = _with_their_touch(fits, swing)
-        widen = 1.0
-        if _settled(keep, let_in):
-            return let_in
-        keep = let_in
-    return keep
+    if len(theta) < theta.shape[1]:
+        return Untouched(np.ones(len(theta), dtype=bool), 0)
+    return _Swings(theta, target, position, quantum_rad).untouched(tail=tail)
 
 
-def _core(rows: Array, target: Array, quantum_rad: float) -> Mask:
-    """The ticks that go together best."""
-    n = len(rows)
-    keep = np.ones(n, dtype=bool)
-    speeds = _Speeds(target, quantum_rad)
-    for _ in range(STEPS):
-        residual = target - rows @ _fit(rows[keep], target[keep])
-        scale = speeds.noise(residual, _median)
-        distance = np.square(residual / np.maximum(scale, MEDIAN_STEPS * quantum_rad)).sum(axis=1)
-        best = np.zeros(n, dtype=bool)
-        best[np.argpartition(distance, int(CORE_SHARE * n))[: int(CORE_SHARE * n)]] = True
-        if _settled(keep, best):
-            return best
-        keep = best
-    return keep
+class _Swings:
+    """Their ticks, scaled and sorted by speed once for all the fits."""
 
+    def __init__(self, theta: Array, target: Array, position: Ints, quantum_rad: float) -> None:
+        size = np.sqrt(np.square(theta).mean(axis=0))
+        self._rows: Array = theta / np.where(size > 0.0, size, 1.0)  # in units of the typical size
+        self._target = target
+        self._quantum = quantum_rad
+        self._speeds = _Speeds(target, quantum_rad)
+        # (n,) number of each row's swing, from 0.
+        self._swing = np.cumsum(np.diff(position, prepend=position[:1]) > 2, dtype=np.int64)
 
-def _deviations(rows: Array, target: Array, keep: Mask, quantum_rad: float) -> Array:
-    """(n, J) residuals over what they should be, by a fit to some rows.
+    def untouched(self, *, tail: bool) -> Untouched:
+        keep = self._explained()
+        near: Mask = np.asarray((self._deviations(keep) < TOUCH_SIGMA).all(axis=1))
+        touched = len(np.unique(self._swing[~near]))
+        if tail and touched <= MANY_SWINGS * (int(self._swing[-1]) + 1):
+            keep = _with_their_touch(near, self._swing)
+        return Untouched(keep, touched)
 
-    Those of the rows fitted to are smaller than the noise, those of the others larger, both by
-    their leverage.
-    """
-    p = rows.shape[1]
-    normal = _normal(rows[keep])
-    residual = target - rows @ np.linalg.solve(normal, rows[keep].T @ target[keep])
-    count = int(keep.sum())
-    # The ridge leaves about half of the terms free.
-    freedom = max(count - 0.5 * p, 0.5 * count, 1.0)
+    def _explained(self) -> Mask:
+        keep = self._core()
+        widen = CORE_DEVIATION
+        for _ in range(ROUNDS):
+            fits: Mask = np.asarray((self._deviations(keep) < MOST_SIGMA * widen).all(axis=1))
+            let_in = _with_their_touch(fits, self._swing)
+            widen = 1.0
+            if _settled(keep, let_in):
+                return let_in
+            keep = let_in
+        return keep
 
-    def deviation(rank: Ints, off: Array) -> float:
-        kept = keep[rank]
-        if 2 * np.count_nonzero(kept) > len(rank):
-            return math.sqrt(float(np.square(off[kept]).mean()) * count / freedom)
-        return MAD_DEVIATION * _median(rank, off)  # too few of such are among those fitted to
+    def _core(self) -> Mask:
+        """The ticks that go together best."""
+        n = len(self._rows)
+        share = int(CORE_SHARE * n)
+        keep = np.ones(n, dtype=bool)
+        for _ in range(STEPS):
+            residual, _ = self._fit(keep)
+            scale = np.maximum(self._speeds.noise(residual, _median), MEDIAN_STEPS * self._quantum)
+            distance = np.square(residual / scale).sum(axis=1)
+            best = np.zeros(n, dtype=bool)
+            best[np.argpartition(distance, share)[:share]] = True
+            if _settled(keep, best):
+                return best
+            keep = best
+        return keep
 
-    noise = _Speeds(target, quantum_rad).noise(residual, deviation)
-    leverage = np.square(np.linalg.solve(np.linalg.cholesky(normal), rows.T)).sum(axis=0)
-    expected = np.where(keep, np.maximum(1.0 - leverage, 0.2), 1.0 + leverage)
-    deviations = np.abs(residual) / np.maximum(noise, DEVIATION_STEPS * quantum_rad)
-    return np.asarray(deviations / np.sqrt(expected)[:, None])
+    def _deviations(self, keep: Mask) -> Array:
+        """(n, J) residuals over what they should be, by a fit to some rows.
+
+        Those of the rows fitted to are smaller than the noise, those of the others larger, both by
+        their leverage.
+        """
+        residual, normal = self._fit(keep)
+        count = int(keep.sum())
+        # The ridge leaves about half of the terms free.
+        freedom = max(count - 0.5 * self._rows.shape[1], 0.5 * count, 1.0)
+
+        def deviation(rank: Ints, off: Array) -> float:
+            kept = keep[rank]
+            if 2 * np.count_nonzero(kept) > len(rank):
+                return math.sqrt(float(np.square(off[kept]).mean()) * count / freedom)
+            return MAD_DEVIATION * _median(rank, off)  # too few of such are among those fitted to
+
+        noise = np.maximum(self._speeds.noise(residual, deviation), DEVIATION_STEPS * self._quantum)
+        whitened = np.linalg.solve(np.linalg.cholesky(normal), self._rows.T)
+        leverage = np.square(whitened).sum(axis=0)
+        expected = np.where(keep, np.maximum(1.0 - leverage, 0.2), 1.0 + leverage)
+        return np.asarray(np.abs(residual) / noise / np.sqrt(expected)[:, None])
+
+    def _fit(self, keep: Mask) -> tuple[Array, Array]:
+        """(n, J) residuals of all by a fit to some, and the normal matrix of those."""
+        rows, target = self._rows[keep], self._target[keep]
+        normal: Array = rows.T @ rows
+        normal[np.diag_indices_from(normal)] += RIDGE_ROWS
+        return self._target - self._rows @ np.linalg.solve(normal, rows.T @ target), normal
 
 
 class _Speeds:
@@ -259,27 +265,6 @@ def _with_their_touch(fits: Mask, swing: Ints) -> Mask:
         if len(late):
             keep[begin + max(0, int(late[0]) - GUARD_TICKS) : end] = False
     return keep
-
-
-def _scaled(theta: Array) -> Array:
-    """Each regressor in units of its typical size."""
-    size = np.sqrt(np.square(theta).mean(axis=0))
-    return np.asarray(theta / np.where(size > 0.0, size, 1.0))
-
-
-def _swings(position: Ints) -> Ints:
-    """(n,) number of each row's swing, from 0."""
-    return np.cumsum(np.diff(position, prepend=position[:1]) > 2, dtype=np.int64)
-
-
-def _fit(rows: Array, target: Array) -> Array:
-    return np.asarray(np.linalg.solve(_normal(rows), rows.T @ target))
-
-
-def _normal(rows: Array) -> Array:
-    normal: Array = rows.T @ rows
-    normal[np.diag_indices_from(normal)] += RIDGE_ROWS
-    return normal
 
 
 def _settled(before: Mask, after: Mask) -> bool:

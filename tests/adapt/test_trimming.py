@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.coldstart import ColdStart
 from adaptive_contact.adapt.gather import cautious
 from adaptive_contact.adapt.training import Stretch, learn
-from adaptive_contact.adapt.trimming import GUARD_TICKS, free_rows, inliers, untouched_rows
+from adaptive_contact.adapt.trimming import GUARD_TICKS, inliers, untouched
 from adaptive_contact.identify import leg_library
 from adaptive_contact.robot import Robot
 
@@ -47,7 +47,7 @@ def test_touches_are_found_and_free_ticks_stay(seed: int) -> None:
     pushed = {n: range(8, 12) for n in range(0, SWINGS, 4)}
     pushed |= {n: range(3) for n in range(1, SWINGS, 10)}
     theta, target, position, touching = leg(seed, pushed)
-    keep = untouched_rows(theta, target, position, QUANTUM)
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
     assert np.count_nonzero(keep & touching) <= 0.03 * touching.sum()
     assert np.count_nonzero(~keep & ~touching) <= 0.08 * np.count_nonzero(~touching)
 
@@ -57,7 +57,7 @@ def test_a_tick_that_stands_out_takes_its_side_of_the_swing_along() -> None:
     late, early = 20 * ROWS, 30 * ROWS
     target[late + 9] += 0.2
     target[early + 2] += 0.2
-    keep = untouched_rows(theta, target, position, QUANTUM)
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
     assert keep[late : late + 9 - GUARD_TICKS].all()
     assert not keep[late + 9 - GUARD_TICKS : late + ROWS].any()
     assert not keep[early : early + 3 + GUARD_TICKS].any()
@@ -66,12 +66,12 @@ def test_a_tick_that_stands_out_takes_its_side_of_the_swing_along() -> None:
 
 def test_without_touches_nearly_all_is_kept() -> None:
     theta, target, position, _ = leg(8, {})
-    assert untouched_rows(theta, target, position, QUANTUM).mean() > 0.93
+    assert untouched(theta, target, position, QUANTUM, tail=False).keep.mean() > 0.93
 
 
 def test_without_touches_the_noise_keeps_its_tail() -> None:
     theta, target, position, _ = leg(8, {})
-    found = free_rows(theta, target, position, QUANTUM)
+    found = untouched(theta, target, position, QUANTUM, tail=True)
     assert found.keep.all()
     assert found.touched == 0
 
@@ -80,12 +80,12 @@ def test_one_touch_is_left_out_and_the_noise_keeps_its_tail() -> None:
     theta, target, position, _ = leg(10, {})
     wide = 30 * ROWS + 5
     target[wide, 0] += 4.5 * NOISE  # noise, if rare; what always trims takes it for a touch
-    before = ~untouched_rows(theta, target, position, QUANTUM)
+    before = ~untouched(theta, target, position, QUANTUM, tail=False).keep
     repeated = np.tile(theta, (3, 1)), np.tile(target, (3, 1))
     position = np.concatenate([position + n * 10_000 for n in range(3)])
     touch = 20 * ROWS + np.arange(8, 12)
     repeated[1][touch] += np.array([0.02, 0.06, -0.06])
-    found = free_rows(*repeated, position, QUANTUM)
+    found = untouched(*repeated, position, QUANTUM, tail=True)
     assert before[wide]
     assert found.keep[wide]
     assert not found.keep[touch].any()
@@ -97,8 +97,8 @@ def test_one_touch_is_left_out_and_the_noise_keeps_its_tail() -> None:
 def test_where_many_swings_touch_the_light_touches_go_with_them(seed: int) -> None:
     pushed = {n: range(8, 12) for n in range(0, SWINGS, 4)}
     theta, target, position, touching = leg(seed, pushed)
-    found = free_rows(theta, target, position, QUANTUM)
-    assert (found.keep == untouched_rows(theta, target, position, QUANTUM)).all()
+    found = untouched(theta, target, position, QUANTUM, tail=True)
+    assert (found.keep == untouched(theta, target, position, QUANTUM, tail=False).keep).all()
     assert abs(found.touched - len(pushed)) <= 2
     assert np.count_nonzero(found.keep & touching) <= 0.03 * touching.sum()
 
@@ -110,7 +110,7 @@ def test_a_leg_that_mostly_stands_keeps_the_ticks_in_which_it_moves() -> None:
     moved = theta @ rng.normal(size=(20, 3)) * 0.01
     target = np.round(moved / QUANTUM) * QUANTUM
     position = np.arange(len(theta)) + 10 * (np.arange(len(theta)) // ROWS)
-    assert untouched_rows(theta, target, position, QUANTUM).mean() > 0.93
+    assert untouched(theta, target, position, QUANTUM, tail=False).keep.mean() > 0.93
     assert inliers(theta, target, QUANTUM).all()
 
 
@@ -124,7 +124,7 @@ def test_a_model_may_err_more_where_the_leg_is_fast(seed: int) -> None:
         size=(len(fast), 3)
     )
     theta = np.column_stack([theta, speed])
-    keep = untouched_rows(theta, target, position, QUANTUM)
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
     assert keep[fast].mean() > 0.8
     assert keep[~fast].mean() > 0.8
 
@@ -138,22 +138,22 @@ def test_a_leg_that_was_stopped_is_not_among_the_slow() -> None:
     for swing in range(0, SWINGS, 2):
         touching[swing * ROWS + 8 : (swing + 1) * ROWS] = True
     target[touching] = NOISE * np.random.default_rng(14).normal(size=(int(touching.sum()), 3))
-    keep = untouched_rows(theta, target, position, QUANTUM)
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
     assert np.count_nonzero(keep & touching) == 0
     assert keep[~touching].mean() > 0.8
 
 
 def test_fewer_rows_than_terms_are_left_as_they_are() -> None:
     theta, target, position, _ = leg(9, {})
-    assert untouched_rows(theta[:40], target[:40], position[:40], QUANTUM).all()
-    assert untouched_rows(theta[:0], target[:0], position[:0], QUANTUM).all()
-    assert free_rows(theta[:0], target[:0], position[:0], QUANTUM).touched == 0
+    assert untouched(theta[:40], target[:40], position[:40], QUANTUM, tail=False).keep.all()
+    assert untouched(theta[:0], target[:0], position[:0], QUANTUM, tail=False).keep.all()
+    assert untouched(theta[:0], target[:0], position[:0], QUANTUM, tail=True).touched == 0
 
 
 def test_a_column_of_zeros_harms_nothing() -> None:
     theta, target, position, touching = leg(3, {n: range(8, 12) for n in range(0, SWINGS, 4)})
     theta[:, 5] = 0.0
-    keep = untouched_rows(theta, target, position, QUANTUM)
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
     assert np.count_nonzero(keep & touching) <= 0.1 * touching.sum()
 
 

@@ -31,7 +31,7 @@ joints = ["pan", "lift", "elbow"]
     "the project",
 )
 def test_most_of_a_real_arms_free_ticks_are_learned() -> None:
-    """Most of its ticks stand still; a noise read off those had left out all that moved."""
+    """A noise read off those that stand still had left out all that moved."""
     stretches = []
     moving = 0
     for motion in load_logs(REAL).recordings[:MOTIONS]:

@@ -142,7 +142,7 @@ class _Watch:
 
     def swing_over(self) -> None:
         """At the first sample after a swing."""
-        status, buffer = self.learner.status, self.learner.status.buffer
+        status = self.learner.status
         self.confirmed.extend(self.learner.drain_confirmed())
         self._rows.append(
             (
@@ -151,8 +151,8 @@ class _Watch:
                 status.model_version,
                 status.drift.level,
                 float(np.mean(status.residual_rms)),
-                buffer.swings,
-                buffer.lift_ticks + buffer.descent_ticks,
+                status.buffer.swings,
+                status.buffer.lift_ticks + status.buffer.descent_ticks,
                 status.refits.promoted,
                 status.refits.refused,
                 status.refits.rolled_back,

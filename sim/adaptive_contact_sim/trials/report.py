@@ -43,7 +43,7 @@ _SMALL: Final = {
     "brief": """\
 **These are figures of the short form (`scenarios run --all --brief`)**: {leg_runs} leg-runs, half
 a minute around a step, ramps over one minute instead of ten, 60 swings in contact instead of 500,
-minutes without change instead of five robot-hours. Ramps are thus ten times as steep as they should
+minutes without change instead of ten robot-hours. Ramps are thus ten times as steep as they should
 be, and a false alarm more or less moves a rate by hundreds per robot-hour. `make scenarios` makes
 the full form, two hours on two idle cores.
 """,
@@ -91,7 +91,7 @@ Every recording is simulated once and replayed through five learners side by sid
 - *Contact learned* is the share of the ticks a learner took for free on which the leg touched
   anything between the sample before and this one, by the simulator's truth. A foot that is caught
   counts as touching for as long as it is held. The swings that a cold start makes its first
-  model of are not in it: decision 13 tells what these held.
+  model of are not in it: decision 14 tells what these held.
 - In pose the three legs of a tripod move in a run, each with its own trials and obstacles, while
   the robot stands on the other three; runs take turns between the tripods and the workspaces, and
   about half of the swings meet an obstacle. A foot is caught of a leg that moves alone. In a walk

@@ -204,8 +204,7 @@ def walk_runs(
 
 def walks_without_change(sizes: Sizes) -> int:
     """How many walks are without drift."""
-    # Not one more for what is lost by dividing and multiplying.
-    return math.ceil(sizes.steady_walks * sizes.leg_runs - 1e-9)
+    return max(1, round(sizes.steady_walks * sizes.leg_runs))
 
 
 def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
