@@ -9,6 +9,8 @@ SEED   ?= 1
 MINUTES ?= 30
 KILLS ?= 100
 BRIDGE_MINUTES ?= 10
+# Processes in real time have the machine to themselves; the other tests share it, file by file.
+TOGETHER := -n 2 --dist loadfile
 
 .DEFAULT_GOAL := help
 .PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills lock wheel clean
@@ -33,11 +35,13 @@ $(STAMP): requirements.lock pyproject.toml
 demo: env  ## service and simulator as two processes, a drift, a report in out/demo
 	$(BIN)/python -m adaptive_contact demo --out out/demo
 
-test: env  ## unit, property and end-to-end tests
-	$(BIN)/python -m pytest -m "not slow"
+test: env  ## unit and property tests on two cores, then end-to-end tests one by one
+	$(BIN)/python -m pytest $(TOGETHER) -m "not slow and not e2e"
+	$(BIN)/python -m pytest -m "not slow and e2e"
 
 test-all: env  ## the same with the slow ones: chains in real time, recovery, a million rows
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(TOGETHER) -m "not e2e"
+	$(BIN)/python -m pytest -m e2e
 
 check: env  ## ruff, types, import contracts
 	$(BIN)/ruff check .
