@@ -87,6 +87,7 @@ class ContactLearner:
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
+        self._good: dict[str, Any] | None = None  # what was last known of it, to go back to
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -105,9 +106,15 @@ class ContactLearner:
         return self._alone.advance([sample])[0]
 
     def begin_anew(self, fault: Exception) -> None:
-        """After a fault in its learning: go on as if nothing had been learned, and say so."""
+        """After a fault in its learning: go back to what was last saved, and say so.
+
+        If that faults, too, before it is saved again, to the baseline.
+        """
         self._tally.fault(fault)
         self._knowledge.start()
+        if self._good is not None:
+            self._knowledge.restore(self._good)  # what it refuses leaves it as it starts
+            self._good = None
         self._let_go()
         self._swing.restart()
         self._quarantine.restart()
@@ -115,6 +122,10 @@ class ContactLearner:
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
         self._tally.rejects[reason] += times
+
+    def owe_release(self) -> None:
+        """Whoever listens may have heard from another process that the leg touches."""
+        self._owes_release = True
 
     @property
     def contact(self) -> bool:
@@ -178,7 +189,8 @@ class ContactLearner:
     def snapshot(self) -> dict[str, Any]:
         """What has been learned and counted, as a tree that msgpack can write."""
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
-        return {**self._knowledge.snapshot(), **self._tally.snapshot(), **stream}
+        self._good = self._knowledge.snapshot()
+        return {**self._good, **self._tally.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -193,7 +205,6 @@ class ContactLearner:
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
         self._guard.restore(saved.get("stream"))
-        self._owes_release = True  # what was last said of the leg, another process said
         return None
 
     # -- one tick, in the order `Team` calls it -------------------------------------------------
@@ -387,6 +398,7 @@ class ContactLearner:
         gated = follower is not None and follower.gated
         notes = (
             self._tally.fault_note,
+            self._guard.note,
             self._knowledge.note,
             None if follower is None else follower.monitor.note,
             swing.blind_note,

@@ -32,6 +32,10 @@ RESET_SAMPLES: Final = 10
 TAKE_BACK_SAMPLES: Final = 25
 # Publishers remembered as superseded; a bound on memory, not a tuning knob.
 MAX_OLD_RUNS: Final = 32
+# A source that starts anew so often has no start: its every sample says another `run`, or it is
+# restarted in a loop.  A window needs a tenth of that to fill.
+SHORT_RUN_SAMPLES: Final = 50
+SHORT_RUNS: Final = 3
 # Steps over which the rate is told.  Their mean errs by the jitter of two readings over eight: 4 %
 # where each is 5 ms off at 50 Hz; a rate that changes by 20 % shows in the fifth tick, before the
 # ticks held back at the end of a swing are used up.
@@ -71,13 +75,31 @@ class StreamGuard:
         self._last: tuple[int, int] | None = None  # (t_ns, seq)
         self._late: tuple[int, int] | None = None
         self._late_count = 0
-        self._old_runs: deque[int | None] = deque(maxlen=MAX_OLD_RUNS)
+        # Publishers in the order in which they were first heard, the one in force among them.
+        self._runs: list[int | None] = []
         self._other_count = 0
         self._begun = False  # a publisher is in force, if only by a snapshot's word
+        self._since_start = SHORT_RUN_SAMPLES  # samples accepted
+        self._short_runs = 0  # in a row
+
+    @property
+    def older_runs(self) -> tuple[int | None, ...]:
+        """Of publishers that the one in force has superseded, the oldest first."""
+        return tuple(self._runs[: self._runs.index(self.run)]) if self._begun else ()
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person while the source starts anew again and again."""
+        if self._short_runs < SHORT_RUNS:
+            return None
+        return (
+            "the source starts anew every few samples: nothing can be judged; `run` is to be one "
+            "number from a start of the source to its end"
+        )
 
     def snapshot(self) -> dict[str, Any]:
         """Who publishes, and who did before, for :meth:`restore`."""
-        return {"begun": self._begun, "run": self.run, "old_runs": list(self._old_runs)}
+        return {"begun": self._begun, "run": self.run, "old_runs": list(self.older_runs)}
 
     def restore(self, saved: object) -> None:
         """Take over who published, so that the newer still wins; what is none is left."""
@@ -87,7 +109,8 @@ class StreamGuard:
         runs = [saved.get("run"), *(old_runs if isinstance(old_runs, list) else [])]
         if all(run is None or _is_run(run) for run in runs):
             self._begun, self.run = True, runs[0]
-            self._old_runs.extend(runs[1:])
+            older = dict.fromkeys(run for run in runs[1:] if run != self.run)
+            self._runs = [*older, self.run][-MAX_OLD_RUNS - 1 :]
 
     def admit(self, sample: ServoSample) -> Accepted | Reject:
         """Check a sample against its form and against the stream so far.
@@ -101,13 +124,12 @@ class StreamGuard:
             return fault
         now = (sample.t_ns, sample.seq)
         if sample.run != self.run and self._begun:
-            # The run that was seen first is the older publisher; the newer start wins.
-            if sample.run in self._old_runs:
+            # The run that was seen first is the older publisher; the newer start wins, also when
+            # it comes back after a pause.
+            if sample.run in self.older_runs:
                 self._other_count += 1
                 if self._other_count < TAKE_BACK_SAMPLES:
                     return Reject.OTHER_PUBLISHER
-                self._old_runs.remove(sample.run)
-            self._old_runs.append(self.run)
             return self._restart(sample, now)
         if self._last is None:
             return self._restart(sample, now)
@@ -121,11 +143,18 @@ class StreamGuard:
             return self._refuse(sample, now, Reject.OUT_OF_RANGE)
         self.missed += missed
         self._last, self._late, self._late_count = now, None, 0
+        self._since_start += 1
+        if self._since_start == SHORT_RUN_SAMPLES:
+            self._short_runs = 0
         return Accepted(missed=missed, restart=False)
 
     def _restart(self, sample: ServoSample, now: tuple[int, int]) -> Accepted:
         self.run, self._last, self._begun = sample.run, now, True
         self._late, self._late_count, self._other_count = None, 0, 0
+        if self.run not in self._runs:
+            self._runs = [*self._runs, self.run][-MAX_OLD_RUNS - 1 :]
+        self._short_runs = self._short_runs + 1 if self._since_start < SHORT_RUN_SAMPLES else 0
+        self._since_start = 1
         return Accepted(missed=0, restart=True)
 
     def _refuse(self, sample: ServoSample, now: tuple[int, int], why: Reject) -> Accepted | Reject:

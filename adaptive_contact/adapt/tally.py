@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 # Free residuals remembered for the status, about the swings of the last ten seconds.
 STATUS_TICKS: Final = 256
+FAULT_LINE: Final = 160  # characters
 _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 
 
@@ -42,7 +43,7 @@ class Tally:
     def fault(self, fault: Exception) -> None:
         """A fault in learning, after which it began anew."""
         self._faults += 1
-        last = f"{type(fault).__name__}: {fault}"
+        last = " ".join(f"{type(fault).__name__}: {fault}".split())[:FAULT_LINE]
         self.fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
 
     @property

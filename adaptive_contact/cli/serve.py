@@ -98,7 +98,7 @@ def serve(
             return
         raise
     try:
-        keeper = None if no_state else _keeper(state, robot, learned)
+        keeper = None if no_state else _keeper(state, robot, learned, namespace)
         service = Service(
             link, bank, robot, baseline=origin, now_ns=time.monotonic_ns(), keeper=keeper
         )
@@ -149,8 +149,13 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
     return robot, learned, None if learned is None else f"shipped with {robot.name}"
 
 
-def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> StateKeeper:
-    """Where the learners' state is kept: restored when they are made, saved as they go."""
+def _keeper(
+    folder: Path | None, robot: Robot, learned: Baseline | None, namespace: str | None
+) -> StateKeeper:
+    """Where the learners' state is kept: restored when they are made, saved as they go.
+
+    Robots of one kind are told apart by their namespaces.
+    """
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
         StateKeeper,
@@ -164,9 +169,10 @@ def _keeper(folder: Path | None, robot: Robot, learned: Baseline | None) -> Stat
         from adaptive_contact.adapt.baseline import dump_baseline
 
         text = dump_baseline(learned)
-    store = StateStore.open(folder or default_folder(), robot.name)
+    name = robot.name if namespace is None else f"{namespace}/{robot.name}"
+    store = StateStore.open(folder or default_folder(), name)
     return StateKeeper(
-        store, robot.name, lambda leg: settings_digest(robot, leg, text), package=version()
+        store, name, lambda leg: settings_digest(robot, leg, text), package=version()
     )
 
 

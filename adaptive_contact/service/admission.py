@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from adaptive_contact.adapt.stream import MAX_OLD_RUNS, StreamGuard
+from adaptive_contact.adapt.stream import StreamGuard
 from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import Reject, ServoSample
 
@@ -50,13 +50,9 @@ class Admission:
 
     def _follow(self, sample: ServoSample) -> None:
         before = self.position
-        superseded = () if before is None else before.superseded
-        if before is not None and sample.run != before.run:
-            others = (run for run in superseded if run != sample.run)
-            superseded = (*others, before.run)[-MAX_OLD_RUNS:]
-        elif before is not None and not self._began:
+        if before is not None and sample.run == before.run and not self._began:
             gap = sample.seq - before.seq - 1
             if 0 < gap < _LONGEST_GAP:
                 self.missed_down += gap
         self._began = True
-        self.position = Position(sample.run, sample.seq, self.missed_down, superseded)
+        self.position = Position(sample.run, sample.seq, self.missed_down, self._guard.older_runs)

@@ -1,7 +1,8 @@
 """One leg's place in the service: its publishers, its token, and when it last spoke.
 
-A leg is ``silent`` when no usable sample came for half a second; that is the service's word,
-not the learner's, for a learner that gets no samples knows of no time passing.
+A leg is ``silent`` when no usable sample came for half a second, or none in which a servo answered;
+that is the service's word, not the learner's, for a learner that gets no samples knows of no time
+passing.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.service.admission import Admission
+from adaptive_contact.service.answers import Answers
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.ports import Learner
@@ -70,12 +72,13 @@ class Desk:
         self.heard_samples = 0
         self.position = resumes
         self._admission = Admission(joints, resumes)
+        self._answers = Answers(joints)
         self._link = link
         self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
         self._status = link.publisher(learner_key(leg))
         self._token: Declared | None = None
         self._since_ns = now_ns
-        self._seen_ns: int | None = None  # when a sample came that was used
+        self._seen_ns: int | None = None  # when a sample came that was used and told something
         self._unused: Reject | None = None
         self._unused_ns = 0
         self._refused: Rejected | None = None
@@ -94,8 +97,10 @@ class Desk:
         if refused is not None:
             self._unused, self._unused_ns = refused, now_ns
             return refused
-        self._seen_ns = now_ns
         self.position = self._admission.position
+        if not self._answers.follow(sample.valid, now_ns):
+            return None
+        self._seen_ns = now_ns
         if self._token is None:
             self._token = self._link.token(leg_token(self.leg))
         return None
@@ -112,7 +117,7 @@ class Desk:
         return self.heard_samples > 0
 
     def silent(self, now_ns: int) -> bool:
-        """Tell whether nothing that could be used has come for too long."""
+        """Tell whether nothing that could be used, or no servo's answer, has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def publish_event(self, event: ContactEvent, arrival_ns: int, outbox: Outbox) -> None:
@@ -149,8 +154,11 @@ class Desk:
             why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))
             notes.insert(0, f"payload refused: {why}")
         quiet = self.silent(now_ns)
+        mute = self._answers.note(now_ns)
         if quiet:
-            notes.insert(0, self._silence(now_ns))
+            notes.insert(0, self._silence(now_ns) if mute is None else mute)
+        elif mute is not None:
+            notes.insert(0, mute)
         if not quiet and len(notes) == (status.note is not None):
             return status
         return msgspec.structs.replace(

@@ -37,6 +37,8 @@ _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _INVALID_SHARE: Final = 0.05
 _LOSS_SHARE: Final = 0.002
 _FEWEST: Final = 10
+# A source that is restarted by hand starts once or twice in the seconds looked at.
+_MANY_STARTS: Final = 4
 _BACKWARDS_CORRELATION: Final = -0.7
 
 _Item = tuple[Level, str, str]
@@ -160,6 +162,12 @@ def _publishers(samples: Sequence[ServoSample]) -> Iterator[_Item]:
             "error",
             f"{len(set(runs))} publishers take turns (run values {sorted(map(str, set(runs)))})",
             "stop all but one; only the one started last is used",
+        )
+    elif changes >= _MANY_STARTS:
+        yield (
+            "error",
+            f"`run` changes {changes} times in {len(samples)} samples",
+            "set `run` once, when the source starts: every change of it is a new start",
         )
 
 

@@ -32,7 +32,7 @@ from adaptive_contact.service.settings import (
 from adaptive_contact.service.traffic import Received, Reply
 from adaptive_contact.service.transport import Facts, configure, first_line, router_failure
 from adaptive_contact.service.zenoh_log import callback_faults
-from adaptive_contact.wire import Message, encode
+from adaptive_contact.wire import MAX_PAYLOAD_BYTES, Message, encode
 
 __all__ = [
     "DEFAULT_ENDPOINT",
@@ -62,10 +62,20 @@ class Request:
     def __init__(self, query: zenoh.Query, encoding: str) -> None:
         self._query = query
         self._encoding = encoding
-        payload = query.payload
         self.key = str(query.key_expr)
-        self.payload = b"" if payload is None else payload.to_bytes()
         self.encoding = "" if query.encoding is None else str(query.encoding)
+
+    @property
+    def size(self) -> int:
+        """Bytes that came with it."""
+        payload = self._query.payload
+        return 0 if payload is None else len(payload)
+
+    @property
+    def payload(self) -> bytes:
+        """What came with it; a copy, as queries may wait in dozens."""
+        payload = self._query.payload
+        return b"" if payload is None else payload.to_bytes()
 
     def covers(self, key: str) -> bool:
         """Tell whether the query asks for ``key`` (it may hold wildcards)."""
@@ -308,12 +318,18 @@ class Link:
             key_expr: may hold wildcards.
             sink: called on Zenoh's thread; answers at once, or enqueues the request for a
                 thread that will.  A sink that raises makes the asker see no answer at all.
+                What is larger than any message is refused before.
         """
         encoding = self.settings.encoding
-        declared = self._session.declare_queryable(
-            key_expr, lambda query: sink(Request(query, encoding))
-        )
-        return Declared(declared, self._held)
+
+        def answer(query: zenoh.Query) -> None:
+            request = Request(query, encoding)
+            if request.size > MAX_PAYLOAD_BYTES:  # it may be megabytes, and dozens may wait
+                request.refuse(f"{request.size} bytes, at most {MAX_PAYLOAD_BYTES}")
+            else:
+                sink(request)
+
+        return Declared(self._session.declare_queryable(key_expr, answer), self._held)
 
     def query(
         self, selector: str, message: Message | None = None, *, timeout_s: float = 1.0

@@ -32,7 +32,10 @@ class Learner(Protocol):
         """Count payloads that were refused before they became samples."""
 
     def begin_anew(self, fault: Exception) -> None:
-        """Go on after a fault as if nothing had been learned, and say so in the status."""
+        """Go on after a fault from what was last saved, or anew, and say so in the status."""
+
+    def owe_release(self) -> None:
+        """Say with the next sample that the leg is free: a service before may have said else."""
 
 
 class Bank(Protocol):

@@ -202,7 +202,7 @@ def tcp_address(locator: str) -> tuple[str, int] | None:
 def is_loopback(locator: str) -> bool:
     """Tell whether an endpoint can be reached from this machine only."""
     protocol, _, address = locator.partition("/")
-    if protocol in ("unixsock-stream", "serial"):
+    if protocol == "unixsock-stream":
         return True
     match = _HOST_PORT.match(re.split(r"[?#]", address, maxsplit=1)[0])
     if match is None:

@@ -155,10 +155,9 @@ def _model(leg: LegView) -> list[Text]:
 
 
 def _counts(counts: dict[str, int]) -> str:
-    """Reasons by number, the largest first, three at most."""
+    """All reasons by number, the largest first: no loss is out of sight behind others."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
-    shown = ", ".join(f"{reason} {number}" for reason, number in ordered[:3] if number)
-    return f"{shown}, …" if len(ordered) > 3 else shown
+    return ", ".join(f"{reason} {number}" for reason, number in ordered if number)
 
 
 def _duration(seconds: float) -> str:

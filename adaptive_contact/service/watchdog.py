@@ -1,8 +1,9 @@
 """Looks at the worker and the outbox from outside, for they cannot say that they hang.
 
-A worker that stands still is told of after a second (the log and ServiceStatus); after half a
-minute the process ends with exit code 70 and every thread's stack on stderr, for whatever
-started it to start it anew: state is on disk, and a service that only looks alive helps nobody.
+A worker that stands still is told of after a second (the log and ServiceStatus), an event whose
+put blocks after half a second.  After half a minute of either, the process ends with exit code 70
+and every thread's stack on stderr, for whatever started it to start it anew: state is on disk, and
+a service that only looks alive helps nobody.
 
 What the worker hangs on, the watchdog must not: the network, and whoever reads the log, are only
 spoken to on other threads, and the end waits for neither.  Code that keeps Python's lock for
@@ -48,7 +49,7 @@ class Watchdog:
         blocked_ns: how long the put under way has been going on, by monotonic time.
         on_stall: called at each look while the worker stands still, with for how long, s; once
             the watchdog is started, on a thread of its own, and not again before it returns.
-        on_end: called when it has stood still for too long.
+        on_end: called when it has stood still, or a put has gone on, for too long.
         give_up_s: how long is too long.
 
     Attributes:
@@ -75,6 +76,7 @@ class Watchdog:
         self._seen = -1
         self._still = 0  # looks in a row without a beat
         self._blocked = False
+        self._blocked_looks = 0  # in a row with a put under way
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="watchdog", daemon=True)
         self._told: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -96,11 +98,16 @@ class Watchdog:
     def look(self, now_ns: int) -> None:
         """Look once; ``now_ns`` is monotonic."""
         self._look_at_worker()
-        blocked = self._blocked_ns(now_ns) >= 2 * LOOK_S * 1e9
+        blocked_s = self._blocked_ns(now_ns) / 1e9
+        blocked = blocked_s >= 2 * LOOK_S
         if blocked and not self._blocked:
             self.blocks += 1
             self._say(lambda: _log.warning("a subscriber that hangs holds up contact events"))
         self._blocked = blocked
+        self._blocked_looks = self._blocked_looks + 1 if blocked else 0
+        if self._blocked_looks == self._last_look:  # Zenoh drops who hangs, and then it ends
+            _try(lambda: _log.critical("an event could not be sent, ending", for_s=blocked_s))
+            self._on_end()
 
     def _look_at_worker(self) -> None:
         beat = self._beat()

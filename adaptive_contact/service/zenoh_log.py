@@ -29,7 +29,7 @@ def callback_faults() -> int:
 _faults = _CallbackFaults()
 logging.getLogger("zenoh.handlers").addHandler(_faults)
 if "RUST_LOG" in os.environ:
-    # At debug the one part of Zenoh writes the whole configuration, passwords and all, the other
-    # whole endpoints, in which a key may stand.
-    os.environ["RUST_LOG"] += ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=info"
+    # At debug the one part of Zenoh writes the whole configuration, passwords and all; the other
+    # writes whole endpoints, in which a key may stand, with every connection that fails.
+    os.environ["RUST_LOG"] += ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=off"
     zenoh.try_init_log_from_env()

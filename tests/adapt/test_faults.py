@@ -283,3 +283,39 @@ def test_the_newer_publisher_wins_over_a_restart(robot: Robot, baseline: Baselin
         again.update(new[k - 30])
     assert again.status.rejects["other_publisher"] - before == 20
     assert again.status.ticks - learner.status.ticks == 20
+
+
+def test_a_fault_costs_what_was_learned_since_the_last_save_and_the_next_one_the_rest(
+    robot: Robot, baseline: Baseline
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+    assert learner.status.buffer.lift_ticks > 0
+    held = learner.status.buffer
+    learner.snapshot()
+    learner.begin_anew(ZeroDivisionError("division by zero"))
+    assert learner.status.buffer == held
+    learner.begin_anew(ZeroDivisionError("division by zero"))
+    assert learner.status.buffer.lift_ticks == 0
+
+
+def test_a_fault_is_one_line_however_long_its_words(robot: Robot) -> None:
+    learner = ContactLearner(robot, "rf")
+    learner.begin_anew(ValueError("first\nsecond " + "x" * 5000))
+    note = str(learner.status.note)
+    assert "ValueError: first second x" in note
+    assert len(note) < 250
+
+
+def test_whoever_may_have_heard_of_a_touch_is_told_that_it_is_over(robot: Robot) -> None:
+    """With the first sample, once; also without a model."""
+    measured, desired, swing, _ = FakeLeg(seed=6).run(1)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf")
+    learner.owe_release()
+    event = learner.update(stream[0])
+    assert event is not None
+    assert (event.contact, event.t_ns) == (False, stream[0].t_ns)
+    assert [learner.update(sample) for sample in stream[1:]] == [None] * (len(stream) - 1)

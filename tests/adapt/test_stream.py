@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from adaptive_contact.adapt.stream import (
     LONGEST_GAP,
     RESET_SAMPLES,
+    SHORT_RUN_SAMPLES,
     TAKE_BACK_SAMPLES,
     Accepted,
     RateWatch,
@@ -108,6 +109,27 @@ def test_the_older_publisher_is_heard_again_once_the_newer_is_gone() -> None:
     assert results[: TAKE_BACK_SAMPLES - 1] == [Reject.OTHER_PUBLISHER] * (TAKE_BACK_SAMPLES - 1)
     assert results[TAKE_BACK_SAMPLES - 1] == Accepted(0, True)
     assert results[-1] == Accepted(0, False)
+    # It had only paused: what started last is what is meant.
+    assert guard.admit(sample(2, run=3)) == Accepted(0, True)
+    assert guard.admit(sample(40, run=7)) is Reject.OTHER_PUBLISHER
+    assert guard.older_runs == (7,)
+
+
+@pytest.mark.parametrize("samples", [1, 10, SHORT_RUN_SAMPLES - 1])
+def test_a_source_that_starts_anew_again_and_again_is_told_of(samples: int) -> None:
+    guard = StreamGuard(2)
+    for k in range(10 * samples):
+        assert isinstance(guard.admit(sample(k, run=k // samples)), Accepted)
+    assert "`run` is to be one number" in str(guard.note)
+    feed(guard, *(sample(k, run=99) for k in range(SHORT_RUN_SAMPLES)))
+    assert guard.note is None
+
+
+def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
+    guard = StreamGuard(2)
+    for k in range(10 * SHORT_RUN_SAMPLES):
+        guard.admit(sample(k, run=k // SHORT_RUN_SAMPLES))
+        assert guard.note is None
 
 
 def test_one_wild_time_stamp_does_not_lock_the_leg_out() -> None:

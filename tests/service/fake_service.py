@@ -56,6 +56,7 @@ class FakeLearner:
         self.rejects: Counter[str] = Counter()
         self.guard = StreamGuard(joints)
         self.note: str | None = None
+        self.owes_release = False
         self.fault: Exception | None = None  # raised by whoever asks
         self.report: ModelReport | None = ModelReport(
             leg=leg,
@@ -78,6 +79,9 @@ class FakeLearner:
 
     def count(self, reason: Reject, times: int = 1) -> None:
         self.rejects[reason] += times
+
+    def owe_release(self) -> None:
+        self.owes_release = True
 
     def begin_anew(self, fault: Exception) -> None:
         self.fault = None

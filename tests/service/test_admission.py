@@ -114,7 +114,9 @@ def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_b
     assert waited < TAKE_BACK_SAMPLES
     assert told[waited:] == [USED] * (30 - waited)
     assert admission.position is not None
-    assert admission.position.superseded == (8,)
+    assert admission.position.superseded == ()
+    assert admission.judge(sample(400, run=8)) == USED, "the one that started last is back"
+    assert admission.position.superseded == (7,)
 
 
 @pytest.mark.parametrize(

@@ -171,10 +171,41 @@ def test_the_older_publisher_is_taken_back_after_a_restart_once_the_newer_is_gon
         second.hear(*(sample(seq, run=7) for seq in range(50, 80)))
         assert second.learner.rejects == {"other_publisher": 24}, "half a second, as ever"
         assert second.learner.ticks == 6
-        # The other one is the superseded one now, though this service has never heard it.
+        # The other one had only paused: it started last, though this service has never heard it.
         second.hear(*(sample(seq, run=8) for seq in range(60, 84)))
-        assert second.learner.rejects == {"other_publisher": 48}
+        assert second.learner.rejects == {"other_publisher": 24}
+        assert second.learner.ticks == 30
         assert missed(second) == 0
+
+
+def test_a_leg_whose_servos_do_not_answer_is_silent(
+    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+) -> None:
+    """Its samples go on, as a bridge sends them that has lost the bus."""
+    with live() as life:
+        tokens, got = inbox(), statuses(life)
+        join(life.endpoint).watch_tokens("robot/leg/*", tokens)
+        life.hear(*(sample(seq) for seq in range(1, 11)))
+        tokens.wait(1)
+        mute = [False] * 3
+        life.hear(*(sample(seq, valid=mute) for seq in range(11, 240)))
+        found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
+        assert found.status == "silent"
+        assert re.fullmatch(r"no servo has answered for 4\.\d s", found.note)
+        tokens.wait(2)
+        life.hear(*(sample(seq, valid=[True, False, True]) for seq in range(240, 340)))
+        found = got.wait(lambda items: items[-1].status == "valid" and " 5." in items[-1].note)[-1]
+        told = r"joint 2 has not answered for 5\.\d s: judged by the others"
+        assert re.fullmatch(told, found.note)
+        life.hear(*(sample(seq) for seq in range(340, 400)))
+        assert got.wait(lambda items: items[-1].note is None)[-1].status == "valid"
+        tokens.wait(3)
+
+
+def test_a_service_that_starts_owes_every_leg_a_release(live: Live) -> None:
+    """Whatever became of the one before, it may have said that a leg touches."""
+    with live() as life:
+        assert life.learner.owes_release
 
 
 def test_a_leg_whose_samples_are_all_refused_is_silent(

@@ -115,6 +115,8 @@ def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample
             "2 publishers take turns",
             "error",
         ),
+        (change(stream(), run=lambda s: s.seq), "`run` changes 149 times", "error"),
+        (change(stream(), run=lambda s: s.seq // 30), "`run` changes 4 times", "error"),
         (change(stream(), t_ns=lambda s: -s.t_ns), "t_ns does not increase", "error"),
         (
             change(stream(), seq=lambda s: s.seq - (s.seq % 10 == 3)),

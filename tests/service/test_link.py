@@ -136,6 +136,15 @@ def test_queries_are_answered_refused_or_left_alone(router: Link, join: Join) ->
     assert client.query("robot/leg/rf/nothing") == []
 
 
+def test_a_query_with_megabytes_is_refused_before_it_is_kept(router: Link, join: Join) -> None:
+    seen = []
+    router.queryable(KEY, seen.append)
+    session = join(router.endpoints[0])._session
+    (reply,) = session.get(KEY, payload=bytes(4_000_000), timeout=5.0)
+    assert reply.err.payload.to_string() == "4000000 bytes, at most 262144"
+    assert not seen
+
+
 def test_tokens_live_as_long_as_they_are_held(router: Link, join: Join, inbox: Any) -> None:
     client = join(router.endpoints[0])
     token = router.token("robot/leg/rf")

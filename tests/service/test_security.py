@@ -258,6 +258,33 @@ def test_zenohs_own_log_holds_no_key_of_an_endpoint(
 
 
 @pytest.mark.e2e
+def test_no_key_is_logged_where_a_connection_fails(
+    command: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor where an address cannot be listened on: both are warnings of Zenoh's."""
+    code = (
+        "import socket, sys\n"
+        "from adaptive_contact.errors import LinkError\n"
+        "from adaptive_contact.service.link import Link, client_settings, router_settings\n"
+        "taken = socket.create_server(('127.0.0.1', 0))\n"
+        "where = f'tls/127.0.0.1:{taken.getsockname()[1]}#'\n"
+        "key = sys.argv[1]\n"
+        "client = client_settings([f'{where}connect_private_key_base64={key}'], wait=False)\n"
+        "router = router_settings([f'{where}listen_private_key_base64={key}'])\n"
+        "for settings in (client, router):\n"
+        "    try: Link.open(settings)\n"
+        "    except LinkError: print('failed')"
+    )
+    key = base64.b64encode(b"a key that nobody may see").decode()
+    for level in ("error", "warn", "trace"):
+        monkeypatch.setenv("RUST_LOG", level)
+        process = command("-c", code, key, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        log, _ = process.communicate(timeout=60)
+        assert log.count("failed\n") == 2, log[-500:]
+        assert key not in log, level
+
+
+@pytest.mark.e2e
 def test_zenohs_own_log_holds_no_password(
     command: Any, files: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,8 @@ def test_the_service_listens_on_loopback_unless_it_only_joins() -> None:
         ("tcp/[::]:1", False),
         ("tls/192.168.1.2:1", False),
         ("tcp/robot:1", False),
+        ("unixsock-stream//run/zenoh.sock", True),
+        ("serial//dev/ttyUSB0", False),
     ],
 )
 def test_loopback(locator: str, loopback: bool) -> None:

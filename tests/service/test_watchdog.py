@@ -176,6 +176,19 @@ def test_a_put_that_blocks_is_told_once() -> None:
     assert {line["event"] for line in logs} == {"a subscriber that hangs holds up contact events"}
 
 
+def test_a_put_that_blocks_for_half_a_minute_is_the_end() -> None:
+    bench = Bench()
+    bench.blocked_ns = S
+    with capture_logs() as logs:
+        bench.look(round(29.0 / LOOK_S), beat=True)
+        assert bench.ended == 0
+        bench.look(round(2.0 / LOOK_S), beat=True)
+    assert bench.ended == 1
+    assert [line["event"] for line in logs if line["log_level"] == "critical"] == [
+        "an event could not be sent, ending"
+    ]
+
+
 def test_without_a_thread_messages_go_at_once() -> None:
     box, gate = Outbox(), Gate()
     gate.open.set()

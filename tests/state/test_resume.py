@@ -106,6 +106,8 @@ def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path
         assert after.status.buffer == before.status.buffer
         assert after.status.model_version == before.status.model_version
 
+        after.owe_release()  # as the service does
+
     expected = told(run(whole, ticks[split:]), begin_ns)
     events = run(resumed, ticks[split:])
     found = told(events, begin_ns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,40 @@ def test_one_service_at_a_time_saves(opened: StateStore, tmp_path: Path) -> None
     third = StateStore.open(tmp_path, "mini")
     assert third.trouble is None
     third.close()
+
+
+def test_a_folder_that_was_removed_is_made_anew_and_held(
+    opened: StateStore, tmp_path: Path
+) -> None:
+    opened.save(record(1))
+    shutil.rmtree(opened.folder)
+    opened.save(record(2))
+    assert versions(opened) == [2]
+    second = StateStore.open(tmp_path, "mini")
+    assert "in use by another service" in str(second.trouble)
+
+
+def test_a_folder_that_another_took_meanwhile_is_left_to_it(
+    opened: StateStore, tmp_path: Path
+) -> None:
+    shutil.rmtree(opened.folder)
+    second = StateStore.open(tmp_path, "mini")
+    assert second.trouble is None
+    with pytest.raises(OSError, match="in use by another service"):
+        opened.save(record(1))
+    second.close()
+    assert opened.reopen()
+
+
+def test_a_file_system_without_locks_is_told_as_such(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    made = StateStore.open(tmp_path, "mini")
+    assert "cannot be locked (no locks available)" in str(made.trouble)
 
 
 def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:

@@ -190,9 +190,9 @@ class StateKeeper:
                 if found.seq is None:
                     return None
                 return Position(found.run, found.seq, found.missed_down, found.superseded)
-            line = f"{path.name}: {' '.join(str(why).split())[:_LINE]}"
+            why = " ".join(str(why).split())[:_LINE]
             _log.warning("state refused", leg=leg, file=path.name, why=why)
-            self._refused.append(line)
+            self._refused.append(f"{path.name}: {why}")
             self._store.set_aside(path)
         others = self._store.others(identity)
         if others and leg not in self._restored:

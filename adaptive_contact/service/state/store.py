@@ -72,9 +72,14 @@ class StateStore:
         return store
 
     def reopen(self) -> bool:
-        """Try to get hold of the folder, if that has not worked yet; False where it does not."""
+        """Try to get hold of the folder, if that has not worked yet; False where it does not.
+
+        One that was removed is made anew: a lock on what was there keeps nobody out.
+        """
         if self._lock is not None:
-            return True
+            if self._in_place(self._lock):
+                return True
+            self.close()
         folder = self.folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -84,14 +89,24 @@ class StateStore:
             return False
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             os.close(lock)
             self.trouble = (
                 f"{self.shown} is in use by another service; stop that one, or give another --state"
             )
             return False
+        except OSError as error:  # a file system without locks
+            os.close(lock)
+            self.trouble = _reason(error, self.shown, "locked")
+            return False
         self._lock, self.trouble = lock, None
         return True
+
+    def _in_place(self, lock: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(lock), (self.folder / _LOCK).stat())
+        except OSError:
+            return False
 
     def close(self) -> None:
         """Let others save here."""
@@ -136,7 +151,7 @@ class StateStore:
             OSError: it could not be written, or the folder is another's; what was there before is
                 still there.
         """
-        if self._lock is None:
+        if self._lock is None or not self.reopen():
             raise OSError(errno.EBUSY, self.trouble or f"{self.shown} is not open")
         newest = self.path(record.identity)
         new = newest.with_suffix(_NEW)
@@ -212,9 +227,9 @@ def _read(path: Path, identity: Identity | None) -> Record | Refused | None:
     return unpack(data, identity)
 
 
-def _reason(error: OSError, folder: str) -> str:
+def _reason(error: OSError, folder: str, done: str = "written to") -> str:
     what = (error.strerror or str(error)).lower()
-    return f"{folder} cannot be written to ({what}); give another --state DIR, or --no-state"
+    return f"{folder} cannot be {done} ({what}); give another --state DIR, or --no-state"
 
 
 def _plain(text: str) -> str:
