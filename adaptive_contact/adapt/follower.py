@@ -127,6 +127,11 @@ class Follower:
         """In force."""
         return self._champion.model
 
+    @property
+    def baseline(self) -> LegModel:
+        """As the leg was first known."""
+        return self._champion.baseline
+
     def variance(self, theta: Array) -> Array | float:
         """Factor on the residual's variance at a tick: the level, and the model's own doubt.
 

@@ -399,10 +399,10 @@ class ContactLearner:
         notes = (
             self._tally.fault_note,
             self._guard.note,
+            self._rate.note,
+            swing.blind_note,
             self._knowledge.note,
             None if follower is None else follower.monitor.note,
-            swing.blind_note,
-            self._rate.note,
             swing.deaf_note if gated else None,
             self._tally.preview_note,
         )

@@ -6,6 +6,7 @@ its top, a descent once the swing is over, and nothing of a foot that is held.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.contacts import TICKS, Touch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
+from adaptive_contact.adapt.foretell import foretold
 from adaptive_contact.adapt.ground import Push, push_of
 from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.segments import Row, SwingBook
-from adaptive_contact.adapt.swing import SwingWatch
+from adaptive_contact.adapt.swing import Foretell, SwingWatch
 
 __all__ = ["Quarantine"]
 
@@ -42,6 +44,7 @@ class Quarantine:
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
+        self._foretell: Foretell | None = None  # from where the leg was before the swing
 
     @property
     def follower(self) -> Follower | None:
@@ -79,8 +82,15 @@ class Quarantine:
         # By its ticks alone nobody can tell its lift from its descent.
         if not (self._swing.whole or self._swing.measures):
             self._book.discard()
-        if self.follower is not None:
-            self.follower.monitor.begin_swing()
+        self._foretell = None
+        follower, detector = self.follower, self._knowledge.detector
+        if follower is None or detector is None:
+            return
+        follower.monitor.begin_swing()
+        # By the model as it was first known: what was learned since may be of what holds the foot.
+        tracker, model = detector.tracker, follower.baseline
+        if tracker.full and not model.library.window.preview:
+            self._foretell = functools.partial(foretold, model, tracker.window.copy())
 
     def hole(self) -> None:
         """Readings were lost, or were none."""
@@ -143,7 +153,7 @@ class Quarantine:
         if book.past_top and not self._lift_judged:
             # Whether or not a tick of the lift can be learned: a foot held fast leaves none.
             self._lift_judged = True
-            held = swing.judge_lift()
+            held = swing.judge_lift(self._foretell)
             if held is not None:
                 monitor.foot_held(held=held, came=swing.came)
         lift = book.take_lift()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -15,9 +15,10 @@ from adaptive_contact.robot import Leg, foot_point, height_gradient
 from adaptive_contact.robot.phase import Direction, PhaseTracker
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["SwingWatch"]
+__all__ = ["Foretell", "SwingWatch"]
 
 _Place = tuple[float, float, float]  # of a foot, in its leg's frame, m
+Foretell = Callable[[Sequence[Sequence[float]]], Iterable[NDArray[np.float64]]]
 
 # A command that takes the foot no further says nothing of whether it follows.
 LEAST_WAY_M: Final = 0.015
@@ -59,7 +60,8 @@ class SwingWatch:
         rising: the measured foot went up in this tick; without geometry, the time says so.
         cleared: the foot was off the ground before this tick began, whatever residuals say.
         held: the foot does not follow its command: something holds it, or it has no strength.
-        came: share of its command's way that the foot went in the last lift that told.
+        came: share of its command's way that the foot went in the last lift that told; of a leg
+            that does not go all of it, of the way that its model foretells.
         untold: samples whose phase could not be told.
         whole: the swing in hand began after a stance that was seen, and went on without a break.
     """
@@ -85,6 +87,8 @@ class SwingWatch:
         self._commanded_up = False
         self._start: _Place = self._measured
         self._rise = self._moved = 0.0
+        self._path: list[Sequence[float]] = []  # commands of the swing
+        self._path_seq = (0, 0)  # of the first and the last of them
         self._asked: deque[float] = deque([0.0], maxlen=LAG_TICKS + 1)
         self._lengths: deque[int] = deque(maxlen=SWINGS)  # of swings, ticks
         self._heights: deque[float] = deque(maxlen=HEIGHTS)  # m, newest last
@@ -149,16 +153,28 @@ class SwingWatch:
             return None
         return height_gradient(self._last_measured, self._leg.lengths_m, self._axes)
 
-    def judge_lift(self) -> bool | None:
+    def judge_lift(self, foretell: Foretell | None = None) -> bool | None:
         """Whether the foot is held, told at the top of a lift; None where little was asked of it.
 
         Counted from where the foot was: after a touch it starts higher than its command.
+
+        Args:
+            foretell: where the commands of a swing take a leg that nothing holds, (J,) rad each;
+                asked only of a foot that is behind.
         """
         asked = self._asked[0]
         if asked <= LEAST_WAY_M:
             return None
         self.came = self._moved / asked
-        self.held = self.came < (FREE_SHARE if self.held else HELD_SHARE)
+        enough = FREE_SHARE if self.held else HELD_SHARE
+        first, last = self._path_seq
+        if self.came < enough and foretell is not None and last - first + 1 == len(self._path):
+            # Servos that are slow for this gait never bring the foot where the command was.
+            places = (self._place(angles.tolist()) for angles in foretell(self._path))
+            way = max(math.dist(place, self._start) for place in places)
+            if LEAST_WAY_M < way < FREE_SHARE * asked:
+                self.came = self._moved / way
+        self.held = self.came < enough
         return self.held
 
     def interrupt(self) -> None:
@@ -197,6 +213,7 @@ class SwingWatch:
             self.whole = self._stood
         if self.ticks and self._leg.lengths_m is not None:
             if self.ticks == 1:
+                self._path, self._path_seq = [], (sample.seq, sample.seq)
                 self._commanded = self._place(self._last_desired or sample.desired)
                 self._start = self._measured = self._place(self._last_measured or sample.measured)
                 self._rise = self._moved = 0.0
@@ -205,6 +222,8 @@ class SwingWatch:
                 at, before = self._touch or (-math.inf, -math.inf)
                 self._surface = before if self._start[2] < at - SUNK_M else -math.inf
                 self._touch = None
+            self._path.append(sample.desired)
+            self._path_seq = (self._path_seq[0], sample.seq)
             now = place or self._place(sample.desired)
             self._commanded_up = now[2] > self._commanded[2]
             self._commanded = now
