@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import coldstart
 from adaptive_contact.adapt.coldstart import (
     FIRST_TRY_SWINGS,
@@ -15,7 +16,8 @@ from adaptive_contact.adapt.coldstart import (
 )
 from adaptive_contact.adapt.refit import Job
 from adaptive_contact.identify import leg_library
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.wire import ServoSample
 
 from .conftest import FakeLeg
 
@@ -169,3 +171,49 @@ def test_motion_that_nothing_explains_is_refused_with_its_figure(
     assert result.known is None
     assert result.reason.startswith("not good enough yet: held-out error 0.")
     assert result.reason.endswith("of the motion after 30 swings")
+
+
+@pytest.mark.parametrize("joints", [1, 2, 4])
+def test_a_leg_of_any_build_is_learned_from_nothing(joints: int) -> None:
+    """Of so many joints, and lengths of its own, through the learner; then a stop is an alarm."""
+    names = [f"j{i}" for i in range(joints)]
+    axes = ["yaw", "pitch", "pitch", "pitch"][:joints]
+    robot = parse_robot(
+        '[robot]\nname = "other"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
+        f'[[leg]]\nid = "a"\njoints = {names}\naxes = {axes}\n'
+        f"lengths_m = {[0.31, 0.2, 0.15, 0.4][:joints]}\n",
+        source="test",
+    )
+    rng = np.random.default_rng(joints)
+    swings, swing_ticks, stance_ticks = 120, 24, 6
+    q = command = np.zeros(joints)
+    learner = ContactLearner(robot, "a")
+    alarms: list[int] = []
+    valid_from = None
+    for n in range(swings):
+        aim = rng.uniform(0.25, 0.5, joints) * (1 if n % 2 else -1)  # far enough to be stopped
+        stopped = n >= 100 and n % 2 == 0
+        for tick in range(swing_ticks + stance_ticks):
+            k = n * (swing_ticks + stance_ticks) + tick
+            if tick < swing_ticks:
+                command = command + (aim - command) / (swing_ticks - tick)
+            reading = np.round((q + 0.002 * rng.normal(size=joints)) / 0.005) * 0.005
+            sample = ServoSample(
+                t_ns=k * 20_000_000,
+                seq=k,
+                measured=reading.tolist(),
+                desired=command.tolist(),
+                phase="swing" if tick < swing_ticks else "stance",
+            )
+            event = learner.update(sample)
+            if event is not None and event.contact:
+                alarms.append(n)
+            if not (stopped and 12 <= tick < swing_ticks):
+                q = q + 0.4 * (command - q)
+        if valid_from is None and learner.status.status == "valid":
+            valid_from = n
+    assert valid_from is not None
+    assert valid_from <= 60
+    found = {n for n in alarms if n >= 100}
+    assert len(found & set(range(100, 120, 2))) >= 8
+    assert sum(n < 100 for n in alarms) + len(found - set(range(100, 120, 2))) <= 2

@@ -68,11 +68,17 @@ def test_a_recursion_that_doubts_its_fit_goes_on_as_that_fit_would() -> None:
         np.testing.assert_allclose(rls.coefficients[on, j], whole, rtol=1e-6, atol=1e-9)
 
 
-def test_forgetting_equals_the_dense_recursion() -> None:
-    """Kulhavý's recursion on the covariance itself, written from the paper's formula."""
+@pytest.mark.parametrize("huber", [1e9, 1.5])
+def test_forgetting_equals_the_dense_recursion(huber: float) -> None:
+    """Kulhavý's recursion on the covariance itself, written from the paper's formula.
+
+    A row that Huber's weight counts for less is one of that much noise.
+    """
     lam = 0.97
     theta, target, _ = data(300, seed=1)
-    rls = make(forgetting=lam, prior=3.0, bound=1e9, huber=1e9)
+    target[::7] += 8.0 * NOISE
+    rls = make(forgetting=lam, prior=3.0, bound=1e9, huber=huber)
+    lighter = 0
     j = 0
     on = SUPPORT[:, j]
     p = np.diag(np.square(3.0 * NOISE[j] / SCALE[on]))
@@ -80,11 +86,16 @@ def test_forgetting_equals_the_dense_recursion() -> None:
     for row, y in zip(theta, target, strict=True):
         rls.update(row, y)
         phi = row[on] / NOISE[j]
+        off = y[j] / NOISE[j] - phi @ xi
+        weight = min(1.0, huber * np.sqrt(1 + phi @ p @ phi) / abs(off))
+        lighter += weight < 1.0
+        phi, off = np.sqrt(weight) * phi, np.sqrt(weight) * off
         zeta = phi @ p @ phi
-        xi = xi + p @ phi / (1 + zeta) * (y[j] / NOISE[j] - phi @ xi)
+        xi = xi + p @ phi / (1 + zeta) * off
         eps = lam - (1 - lam) / zeta
         p = p - np.outer(p @ phi, phi @ p) / (1 / eps + zeta)
     np.testing.assert_allclose(rls.coefficients[on, j], xi, rtol=1e-7)
+    assert (lighter > 0) == (huber < 10)
 
 
 def test_terms_outside_the_support_never_move() -> None:
