@@ -11,8 +11,8 @@ false-alarm rate stays put and not the threshold:
 - the *tail* of the statistic.  How often it passes the level at which the baseline's tail begins,
   and by how much, against what the baseline promised; on lifts only, which no ground can press on.
 
-The tail is never narrowed, nor the trace lowered: a leg that fits better by chance is not judged more
-strictly for it.
+The tail is never narrowed, nor the trace lowered: a leg that fits better by chance is not judged
+more strictly for it.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ class ProcessRefitter:
             try:
                 result = self._do(job)
             except Exception as fault:  # no process could be started, say; the next may be
-                why = f"{type(fault).__name__}: {fault}"
+                why = " ".join(f"{type(fault).__name__}: {fault}".split())
                 _log.warning("refit given up", leg=leg, job=job.number, why=why)
                 self._end_process()
                 self.failures += 1
