@@ -107,6 +107,12 @@ class Robot50(threading.Thread):
         self.link.close()
 
 
+def uncounted(before: LearnerStatus, after: LearnerStatus) -> int:
+    """Samples of a :class:`Robot50` between two statuses of a leg that no counter has."""
+    sent = (after.t_ns - before.t_ns) // 20_000_000
+    return sent - (after.ticks + after.missed - before.ticks - before.missed)
+
+
 class Listener:
     """Keeps events and statuses of all legs, with the time of their arrival."""
 
