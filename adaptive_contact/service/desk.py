@@ -79,6 +79,7 @@ class Desk:
         self._token: Declared | None = None
         self._since_ns = now_ns
         self._seen_ns: int | None = None  # when a sample came that was used and told something
+        self._used_ns = now_ns  # when a sample came that was used
         self._unused: Reject | None = None
         self._unused_ns = 0
         self._refused: Rejected | None = None
@@ -98,6 +99,7 @@ class Desk:
             self._unused, self._unused_ns = refused, now_ns
             return refused
         self.position = self._admission.position
+        self._used_ns = now_ns
         if not self._answers.follow(sample.valid, now_ns):
             return None
         self._seen_ns = now_ns
@@ -154,7 +156,8 @@ class Desk:
             why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))
             notes.insert(0, f"payload refused: {why}")
         quiet = self.silent(now_ns)
-        mute = self._answers.note(now_ns)
+        gone = now_ns - self._used_ns > _SILENT_AFTER_NS
+        mute = None if gone else self._answers.note(now_ns)
         if quiet:
             notes.insert(0, self._silence(now_ns) if mute is None else mute)
         elif mute is not None:
