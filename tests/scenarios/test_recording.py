@@ -24,6 +24,7 @@ from adaptive_contact_sim.trials.learners import robot
 from adaptive_contact_sim.trials.recording import (
     LegRecord,
     Recording,
+    code_digest,
     file_of,
     hold,
     key_of,
@@ -208,3 +209,12 @@ def test_holding_a_contact_overrides_what_was_told_in_between() -> None:
     ended = hold(truth, 50, 250)
     assert ended.t_ns.tolist() == [0, 50, 250, 300, 400]
     assert ended.contact.tolist() == [False, True, False, True, False]
+
+
+def test_words_about_the_simulator_void_no_recording_and_its_constants_do() -> None:
+    code = (
+        '"""Holds feet."""\nSPRING = 3000.0\ndef hold(x):\n    """Hold."""\n    return SPRING * x'
+    )
+    words = code.replace("Hold.", "It is held.").replace("= 3000.0", "= 3000.0  # N/m")
+    assert code_digest(words) == code_digest(code)
+    assert code_digest(code.replace("3000.0", "50.0")) != code_digest(code)

@@ -7,6 +7,7 @@ simulator's behaviour included, and are written whole or not at all.
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+import adaptive_contact_sim
 from adaptive_contact.robot import Robot, foot
 from adaptive_contact.score import (
     LegStream,
@@ -41,6 +43,7 @@ from adaptive_contact_sim.walk import WalkSettings
 __all__ = [
     "LegRecord",
     "Recording",
+    "code_digest",
     "file_of",
     "load",
     "made",
@@ -239,7 +242,7 @@ def file_of(spec: RecordingSpec, folder: Path) -> Path:
 
 def key_of(spec: RecordingSpec) -> str:
     """Hash of everything that decides a recording."""
-    return name_of(FORMAT, simulator_fingerprint(), spec)
+    return name_of(FORMAT, simulator_fingerprint(), _unseen_code(), spec)
 
 
 @functools.cache
@@ -270,6 +273,29 @@ def simulator_fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
+@functools.cache
+def _unseen_code() -> str:
+    """Hash of the code that decides recordings, but not the short runs of the fingerprint."""
+    package = Path(adaptive_contact_sim.__file__).parent
+    digest = hashlib.sha256()
+    for name in _UNSEEN:
+        digest.update(code_digest((package / name).read_text(encoding="utf-8")).encode())
+    return digest.hexdigest()[:16]
+
+
+def code_digest(source: str) -> str:
+    """Hash of what a module does; its comments, docstrings and layout may change."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
+            node
+        ):
+            node.body = node.body[1:]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+
+
+# What holds feet, play, faults of encoders, other grounds, how drifts grow.
+_UNSEEN: Final = ("trials/staging.py", "gear.py", "encoder.py", "terrain.py", "drift.py")
 _STREAMS: Final = ("measured", "desired", "valid", "swing")
 
 
