@@ -154,7 +154,8 @@ def report_text(results: Tree, pictures: set[str]) -> str:
         f"Learner `{results['learner']}`, simulator `{results['simulator']}` (hashes of the "
         f"learner's source with the shipped baseline, and of the simulator's behaviour); at least "
         f"{results['leg_runs']} leg-runs behind every figure; seeds from 7000 on, which nothing "
-        "was learned from or tuned on.\n"
+        "was learned from or tuned on; one rule was seen on them first and then checked on others "
+        "([decision 14](decisions/0014-what-a-first-model-is-made-of.md)).\n"
     )
     return "\n".join(parts)
 
