@@ -6,10 +6,12 @@ import dataclasses
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
+from adaptive_contact.score import Events
 from adaptive_contact_sim.soak import sections, verdict
 from adaptive_contact_sim.soak.arrival import Arrivals
 from adaptive_contact_sim.soak.memory import Grown
@@ -152,3 +154,11 @@ def test_a_blind_detector_fails_in_every_way() -> None:
         state={"saved": 0, "failed": 500, "restored": list(ROBOT.leg_ids)},
     )
     assert len(blind) >= 6
+
+
+def test_the_release_that_every_service_owes_at_its_start_is_none_of_the_legs() -> None:
+    times = np.array([7, 9, 12], dtype=np.int64)
+    events = Events(times, np.array([False, True, False]), times)
+    kept = verdict.heard_of(events, first_ns=7)
+    assert kept.t_ns.tolist() == [9, 12]
+    assert kept.contact.tolist() == [True, False]

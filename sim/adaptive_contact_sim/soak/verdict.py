@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.score import Gatherer, match
+from adaptive_contact.score import Events, Gatherer, match
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key
 from adaptive_contact_sim.soak.accounts import (
@@ -134,6 +134,15 @@ class Verdict:
     failures: list[str]
 
 
+def heard_of(events: Events, first_ns: int) -> Events:
+    """A leg's events without the release that a service owes it with its first sample.
+
+    That one takes back what another service may have said; the leg stands, as likely as not.
+    """
+    own = events.t_ns > first_ns
+    return Events._make(column[own] for column in events)
+
+
 def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     """Judge a run."""
     gathered = Gatherer(robot)
@@ -155,7 +164,10 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     windows = windows_of(faults, plan.drifts, epoch_ns)
     streams = {leg: gathered.stream(leg) for leg in gathered.legs}
     outcomes = [match(stream, gathered.events(leg)) for leg, stream in streams.items()]
-    releases = [judge_releases(stream, gathered.events(leg)) for leg, stream in streams.items()]
+    releases = [
+        judge_releases(stream, heard_of(gathered.events(leg), min(seq_of[leg])))
+        for leg, stream in streams.items()
+    ]
     sections = judge_sections(outcomes, releases, spans_between(windows, epoch_ns, end_ns))
     settled = [one for one in sections if not one.ramp]
     edges = [(window.begin_ns, window.end_ns) for window in windows]
