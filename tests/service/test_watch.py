@@ -12,7 +12,7 @@ from rich.console import Console
 from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import View, Watch
-from adaptive_contact.service.watch_table import headline, table
+from adaptive_contact.service.watch_table import _counts, headline, table
 from adaptive_contact.wire import (
     ContactEvent,
     ContactTruth,
@@ -287,3 +287,9 @@ def test_what_the_service_says_of_itself_is_over_the_table() -> None:
         "stood still 1 times",
     ):
         assert part in text
+
+
+def test_no_reason_is_out_of_sight_behind_larger_ones() -> None:
+    counts = {"time_backwards": 9, "overflow": 650, "not_finite": 4000, "too_large": 2000, "x": 1}
+    shown = _counts(counts)
+    assert shown == "not_finite 4000, too_large 2000, overflow 650, time_backwards 9, x 1"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from structlog.testing import capture_logs
 
-from adaptive_contact.robot import parse_robot
+from adaptive_contact.robot import parse_robot, shipped_robot
 from adaptive_contact.service.state import StateKeeper, StateStore, settings_digest
 
 from .conftest import Desk, Folder, Learner, S
@@ -151,3 +151,14 @@ def test_settings_are_told_apart() -> None:
     others |= {settings_digest(robot, "xx"), settings_digest(robot, "rf", "a baseline")}
     assert len(others | {known}) == 6
     assert settings_digest(parse_robot(text, source="elsewhere"), "rf") == known
+
+
+def test_robots_of_one_kind_are_told_apart_by_their_namespaces(tmp_path: Path) -> None:
+    from adaptive_contact.cli.serve import _keeper
+
+    robot = shipped_robot()
+    keepers = [_keeper(tmp_path, robot, None, name) for name in (None, "hexapod1", "lab/hexapod2")]
+    assert [keeper.facts.error for keeper in keepers] == [None] * 3, "no two share a folder"
+    assert len({keeper.facts.folder for keeper in keepers}) == 3
+    for keeper in keepers:
+        keeper.close()
