@@ -87,6 +87,7 @@ class Follower:
     Attributes:
         learning: whether it does anything at all.
         gated: whether it learns from what is confirmed only, and lifts are heard as witnesses.
+        baseline: the model as the leg was first known.
     """
 
     def __init__(
@@ -102,6 +103,7 @@ class Follower:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
         self.gated = mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
+        self.baseline = known.model
         least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
         self.monitor = DriftMonitor(len(known.noise.rms), least)
         self.buffer = SlidingBuffer(rows=rows_for_refit(known.model))
@@ -126,11 +128,6 @@ class Follower:
     def model(self) -> LegModel:
         """In force."""
         return self._champion.model
-
-    @property
-    def baseline(self) -> LegModel:
-        """As the leg was first known."""
-        return self._champion.baseline
 
     def variance(self, theta: Array) -> Array | float:
         """Factor on the residual's variance at a tick: the level, and the model's own doubt.

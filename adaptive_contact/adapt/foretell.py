@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.tracker import push
 from adaptive_contact.identify import LegModel
 
 __all__ = ["foretold"]
@@ -29,11 +30,11 @@ def foretold(
     """
     shape = model.library.window
     joints = len(model.library.joints)
-    past = window.reshape(-1, joints)
+    flat = window.copy()
+    past = flat.reshape(-1, joints)
     measured, desired = past[: shape.past_measured + 1], past[shape.past_measured + 1 :]
     for command in commands:
-        theta = model.library.evaluate_flat(np.concatenate([measured, desired]).reshape(-1))
-        now = measured[0] + theta @ model.coefficients
+        now = measured[0] + model.library.evaluate_flat(flat) @ model.coefficients
         yield now
-        measured = np.concatenate([now[None], measured[:-1]])
-        desired = np.concatenate([np.array([command]), desired[:-1]])
+        push(measured, now)
+        push(desired, command)

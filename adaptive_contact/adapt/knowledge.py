@@ -55,6 +55,7 @@ class Knowledge:
         self._baseline = baseline
         self._mode = mode
         self._refitter = refitter
+        self._saved: dict[str, Any] | None = None  # the last snapshot, until it is gone back to
         self.start()
 
     def start(self) -> None:
@@ -124,12 +125,24 @@ class Knowledge:
         kept, as the next twenty bring as much.
         """
         if self.follower is None:
-            return {"unfit": self._unfit}
+            self._saved = {"unfit": self._unfit}
+            return self._saved
         tree: dict[str, Any] = {"follower": self.follower.snapshot()}
         if self._started_cold:  # no file holds what it started from
             assert self._known is not None
             tree["start"] = {"known": leg_tree(self._known), "origin": self.origin}
+        self._saved = tree
         return tree
+
+    def fall_back(self) -> None:
+        """Go back to the last snapshot; where that has been tried since it was made, to the start.
+
+        What a snapshot is refused for leaves the leg as it starts.
+        """
+        saved, self._saved = self._saved, None
+        self.start()
+        if saved is not None:
+            self.restore(saved)
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.

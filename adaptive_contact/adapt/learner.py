@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.detector import LegDetector, Verdict
@@ -40,8 +39,6 @@ from adaptive_contact.wire import (
 )
 
 __all__ = ["ContactLearner"]
-
-Array = NDArray[np.float64]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
@@ -87,7 +84,6 @@ class ContactLearner:
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
         self._alone: Team | None = None
-        self._good: dict[str, Any] | None = None  # what was last known of it, to go back to
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -106,15 +102,9 @@ class ContactLearner:
         return self._alone.advance([sample])[0]
 
     def begin_anew(self, fault: Exception) -> None:
-        """After a fault in its learning: go back to what was last saved, and say so.
-
-        If that faults, too, before it is saved again, to the baseline.
-        """
+        """After a fault in its learning: go back to what was last saved of it, and say so."""
         self._tally.fault(fault)
-        self._knowledge.start()
-        if self._good is not None:
-            self._knowledge.restore(self._good)  # what it refuses leaves it as it starts
-            self._good = None
+        self._knowledge.fall_back()
         self._let_go()
         self._swing.restart()
         self._quarantine.restart()
@@ -189,8 +179,7 @@ class ContactLearner:
     def snapshot(self) -> dict[str, Any]:
         """What has been learned and counted, as a tree that msgpack can write."""
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
-        self._good = self._knowledge.snapshot()
-        return {**self._good, **self._tally.snapshot(), **stream}
+        return {**self._knowledge.snapshot(), **self._tally.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -395,7 +384,6 @@ class ContactLearner:
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""
         follower, swing = self._follower, self._swing
-        gated = follower is not None and follower.gated
         notes = (
             self._tally.fault_note,
             self._guard.note,
@@ -403,7 +391,7 @@ class ContactLearner:
             swing.blind_note,
             self._knowledge.note,
             None if follower is None else follower.monitor.note,
-            swing.deaf_note if gated else None,
+            swing.deaf_note if follower is not None and follower.gated else None,
             self._tally.preview_note,
         )
         return next((note for note in notes if note is not None), None)

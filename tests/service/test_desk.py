@@ -178,31 +178,40 @@ def test_the_older_publisher_is_taken_back_after_a_restart_once_the_newer_is_gon
         assert missed(second) == 0
 
 
-def test_a_leg_whose_servos_do_not_answer_is_silent(
+@pytest.fixture
+def followed(
     live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
-) -> None:
-    """Its samples go on, as a bridge sends them that has lost the bus."""
+) -> Iterator[tuple[Life, Any, Any]]:
+    """A service that has heard ten samples, the leg's tokens, and its statuses."""
     with live() as life:
         tokens, got = inbox(), statuses(life)
         join(life.endpoint).watch_tokens("robot/leg/*", tokens)
         life.hear(*(sample(seq) for seq in range(1, 11)))
         tokens.wait(1)
-        mute = [False] * 3
-        life.hear(*(sample(seq, valid=mute) for seq in range(11, 240)))
-        found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
-        assert found.status == "silent"
-        assert re.fullmatch(r"no servo has answered for 4\.\d s", found.note)
-        tokens.wait(2)
-        life.idle(100)  # nothing comes at all: another fault, another word
-        found = got.wait(lambda items: str(items[-1].note).startswith("no sample for 6."))[-1]
-        assert found.status == "silent"
-        life.hear(*(sample(seq, valid=[True, False, True]) for seq in range(240, 340)))
-        found = got.wait(lambda items: items[-1].status == "valid" and " 7." in items[-1].note)[-1]
-        told = r"joint 2 has not answered for 7\.\d s: judged by the others"
-        assert re.fullmatch(told, found.note)
-        life.hear(*(sample(seq) for seq in range(340, 400)))
-        assert got.wait(lambda items: items[-1].note is None)[-1].status == "valid"
-        tokens.wait(3)
+        yield life, tokens, got
+
+
+def test_a_leg_whose_servos_do_not_answer_is_silent(
+    followed: tuple[Life, Any, Any], sample: Sample
+) -> None:
+    """Its samples go on, as a bridge sends them that has lost the bus."""
+    life, tokens, got = followed
+    mute = [False] * 3
+    life.hear(*(sample(seq, valid=mute) for seq in range(11, 240)))
+    found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
+    assert found.status == "silent"
+    assert re.fullmatch(r"no servo has answered for 4\.\d s", found.note)
+    tokens.wait(2)
+    life.idle(100)  # nothing comes at all: another fault, another word
+    found = got.wait(lambda items: str(items[-1].note).startswith("no sample for 6."))[-1]
+    assert found.status == "silent"
+    life.hear(*(sample(seq, valid=[True, False, True]) for seq in range(240, 340)))
+    found = got.wait(lambda items: items[-1].status == "valid" and " 7." in items[-1].note)[-1]
+    told = r"joint 2 has not answered for 7\.\d s: judged by the others"
+    assert re.fullmatch(told, found.note)
+    life.hear(*(sample(seq) for seq in range(340, 400)))
+    assert got.wait(lambda items: items[-1].note is None)[-1].status == "valid"
+    tokens.wait(3)
 
 
 def test_a_service_that_starts_owes_every_leg_a_release(live: Live) -> None:
@@ -212,26 +221,22 @@ def test_a_service_that_starts_owes_every_leg_a_release(live: Live) -> None:
 
 
 def test_a_leg_whose_samples_are_all_refused_is_silent(
-    live: Live, statuses: Any, inbox: Any, join: Callable[..., Link], sample: Sample
+    followed: tuple[Life, Any, Any], sample: Sample
 ) -> None:
-    with live() as life:
-        tokens, got = inbox(), statuses(life)
-        join(life.endpoint).watch_tokens("robot/leg/*", tokens)
-        life.hear(*(sample(seq) for seq in range(1, 11)))
-        tokens.wait(1)
-        life.hear(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
-        found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
-        assert found.status == "silent"
-        assert re.fullmatch(r"no usable sample for 4\.\d s: not_finite", found.note)
-        tokens.wait(2)
-        # Then nothing comes any more: another fault, another word.
-        life.idle(100)
-        found = got.wait(lambda items: " for 6." in str(items[-1].note))[-1]
-        assert re.fullmatch(r"no sample for 6\.\d s", found.note)
-        life.hear(*(sample(seq) for seq in range(400, 410)))
-        found = got.wait(lambda items: items[-1].status == "valid")[-1]
-        assert found.note is None
-        changes = tokens.wait(3)
+    life, tokens, got = followed
+    life.hear(*(sample(seq, measured=[math.nan, 0.0, 0.0]) for seq in range(11, 240)))
+    found = got.wait(lambda items: " for 4." in str(items[-1].note))[-1]
+    assert found.status == "silent"
+    assert re.fullmatch(r"no usable sample for 4\.\d s: not_finite", found.note)
+    tokens.wait(2)
+    # Then nothing comes any more: another fault, another word.
+    life.idle(100)
+    found = got.wait(lambda items: " for 6." in str(items[-1].note))[-1]
+    assert re.fullmatch(r"no sample for 6\.\d s", found.note)
+    life.hear(*(sample(seq) for seq in range(400, 410)))
+    found = got.wait(lambda items: items[-1].status == "valid")[-1]
+    assert found.note is None
+    changes = tokens.wait(3)
     assert changes[:3] == [("robot/leg/rf", alive) for alive in (True, False, True)]
 
 
