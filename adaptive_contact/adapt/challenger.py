@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
@@ -34,6 +35,9 @@ DOMAIN_ROWS: Final = 1000.0
 MIN_ROWS_PER_TERM: Final = 4
 # New ticks on which candidate and champion are compared, the champion before it learns them.
 TRIAL_ROWS: Final = 200
+# And the contacts that there have to be for it: free ticks say nothing of what it would make of a
+# touch, so that a trial goes on, over the newest ticks, until these have come.
+TRIAL_CONTACTS: Final = 3
 # The candidate must be better by so many standard errors of the paired difference.
 PROMOTE_ERRORS: Final = 3.0
 # Of the stored contacts that the champion finds, it may miss this share.
@@ -81,12 +85,13 @@ class Challenger:
         self._refitter = refitter
         self._swings = self._ticks = 0  # since the last refit was asked for
         self._early = False
+        self._retries = 0  # after a change, for a refit whose process was lost
         self._jobs = 0
         self._pending: tuple[int, int] | None = None  # job, ticks to go
         self._candidate: Array | None = None
         self._probation = False  # the candidate is the champion of before
         # How far champion (over the noise) and candidate were off in the rows of its trial.
-        self._off: list[tuple[Sequence[float], Array]] = []
+        self._off: deque[tuple[Sequence[float], Array]] = deque(maxlen=TRIAL_ROWS)
         self._tally = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
         self._reason: str | None = None
         self._wait: str | None = None
@@ -147,9 +152,11 @@ class Challenger:
         assert isinstance(result, RefitResult)
         if result.status is not FitStatus.OK:
             self._refuse(f"the fit ended with '{result.status}'")
+            if result.status is FitStatus.LOST and self._retries:
+                self._retries, self._early = self._retries - 1, True
             return
         self.domain = result.domain
-        self._candidate, self._off, self._probation = result.coefficients, [], False
+        self._try(result.coefficients, probation=False)
 
     @property
     def trying(self) -> bool:
@@ -175,21 +182,28 @@ class Challenger:
         self._off.append((champion, row.target - row.theta @ self._candidate))
         if not decided:
             return None
-        coefficients, self._candidate = self._candidate, None
         of_champion = np.square([champion for champion, _ in self._off])
         of_candidate = np.square(np.array([off for _, off in self._off]) / self._noise)
         # One wild reading must not decide.
         gain = (np.minimum(of_champion, 25.0) - np.minimum(of_candidate, 25.0)).mean(axis=1)
         mean = float(gain.mean())
         errors = mean / max(float(gain.std()) / len(gain) ** 0.5, 1e-12)
+        better = errors >= PROMOTE_ERRORS  # NaN is not
         words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
+        if better and not self._probation and len(self.contacts) < TRIAL_CONTACTS:
+            self._wait = (
+                f"waiting: a candidate is {words}, and there are {len(self.contacts)} contacts to "
+                f"try it on, {TRIAL_CONTACTS} are needed"
+            )
+            return None
+        coefficients, self._candidate, self._wait = self._candidate, None, None
         if self._probation:
             self._probation = False
-            if not errors >= PROMOTE_ERRORS:  # NaN is not
+            if not better:
                 return None
             self.rolled_back(f"the model before is {words}")
             return model.moved(coefficients, model.version + 1)
-        if not errors >= PROMOTE_ERRORS:
+        if not better:
             self._refuse(words)
             return None
         known = self.contacts.found(model.coefficients)
@@ -199,13 +213,13 @@ class Challenger:
             return None
         self._tally["promoted"] += 1
         self._reason = f"promoted: {words}"
-        self._candidate, self._off, self._probation = model.coefficients, [], True
+        self._try(model.coefficients, probation=True)
         return model.moved(coefficients, model.version + 1)
 
     def withdraw(self) -> None:
         """The leg has changed: what was fitted to its past is void, a new fit does not wait."""
         self._pending, self._candidate, self._probation = None, None, False
-        self._early = True
+        self._early, self._retries, self._wait = True, 1, None
         self.domain = self._of_baseline
         self.contacts.clear()
 
@@ -234,14 +248,24 @@ class Challenger:
         reason = saved.get("reason")
         self._reason = reason if isinstance(reason, str) else None
 
+    def _try(self, coefficients: Array, *, probation: bool) -> None:
+        """Begin to compare coefficients with the model in force."""
+        self._candidate, self._probation = coefficients, probation
+        self._off.clear()
+
     def _prior(self, model: LegModel) -> Factor:
         """Rows on which the model in force is right, as far as was known before."""
-        every = np.diag(self._scale * PRIOR_ROWS**0.5)
         prior = Factor(*model.coefficients.shape)
-        prior.add(every, every @ model.coefficients)
-        if self.domain is not None:
-            been = self.domain.rows_like(DOMAIN_ROWS)
-            prior.add(been, been @ model.coefficients)
+
+        def hold_on(theta: Array, stands_for: float) -> None:
+            # Spread over the rows there are: λ and the ridge are per row that they stand for.
+            size = (len(theta) / stands_for) ** 0.5
+            weight = np.full(len(theta), size**-2)
+            prior.add(size * theta, size * theta @ model.coefficients, weight)
+
+        hold_on(np.diag(self._scale * PRIOR_ROWS**0.5), PRIOR_ROWS)
+        if self.domain is not None and self.domain.rows > 0.0:
+            hold_on(self.domain.rows_like(DOMAIN_ROWS), min(DOMAIN_ROWS, self.domain.rows))
         return prior
 
     def _refuse(self, why: str) -> None:

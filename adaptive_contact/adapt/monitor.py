@@ -56,9 +56,11 @@ FAR_LEVEL: Final = 100.0
 # a foot on a leash comes all of it.
 RELEASE_SWINGS: Final = 3
 # A baseline whose very first lifts are all further off than this (five times the noise) is of
-# another leg; a leg that merely changed overnight is followed instead.
+# another leg; a leg that merely changed overnight is followed instead.  One that fitted by chance
+# takes longer to tell: nine in ten, for as long as a leg is given to settle.
 UNFIT_LEVEL: Final = 25.0
 UNFIT_LIFTS: Final = 3
+UNFIT_SHARE: Final = 0.9
 
 
 class Heard(NamedTuple):
@@ -121,12 +123,15 @@ class DriftMonitor:
 
     @property
     def unfit(self) -> bool:
-        """Whether the baseline was never this leg's: its first lifts were all far off.
+        """Whether the baseline was never this leg's: its first lifts were all, or nearly, far off.
 
         Not while something may hold the foot: a leg that starts on a leash is this leg all the
         same, and a cold start would learn it with its leash.
         """
-        return not self.held and self._lifts_far >= UNFIT_LIFTS and self._lifts_far == self._lifts
+        far, lifts = self._lifts_far, self._lifts
+        if self.held or far < UNFIT_LIFTS:
+            return False
+        return far == lifts or (lifts >= PATIENCE_SWINGS and far >= UNFIT_SHARE * lifts)
 
     @property
     def heard(self) -> tuple[int, int]:

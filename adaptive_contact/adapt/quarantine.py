@@ -7,12 +7,13 @@ its top, a descent once the swing is over, and nothing of a foot that is held.
 from __future__ import annotations
 
 import functools
-import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.buffer import MAX_SEGMENTS
 from adaptive_contact.adapt.contacts import TICKS, Touch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
@@ -201,20 +202,22 @@ class Quarantine:
 class _Regions:
     """Coarse places in a leg's workspace: where the first joint points, how far the last bends.
 
-    Thirds and halves of what has been seen of them, so that legs of any build have several.
+    Thirds and halves of what the last swings have seen of them, as many as the buffer holds, so
+    that legs of any build have several and one wild command does not make them one for good.
     """
 
     def __init__(self) -> None:
-        self._first = self._last = (math.inf, -math.inf)
+        self._seen: deque[tuple[float, float]] = deque(maxlen=MAX_SEGMENTS)
 
     def of(self, at: Sequence[float]) -> int:
         """The region of a command, (J,) rad, 0 to 5."""
-        self._first = (min(self._first[0], at[0]), max(self._first[1], at[0]))
-        self._last = (min(self._last[0], at[-1]), max(self._last[1], at[-1]))
-        return 2 * _part(at[0], self._first, 3) + _part(at[-1], self._last, 2)
+        self._seen.append((at[0], at[-1]))
+        first, last = zip(*self._seen, strict=True)
+        return 2 * _part(at[0], first, 3) + _part(at[-1], last, 2)
 
 
-def _part(value: float, seen: tuple[float, float], parts: int) -> int:
+def _part(value: float, seen: Sequence[float], parts: int) -> int:
     """Which of so many equal parts of a range a value lies in."""
-    width = seen[1] - seen[0]
-    return 0 if width <= 0.0 else min(int(parts * (value - seen[0]) / width), parts - 1)
+    least = min(seen)
+    width = max(seen) - least
+    return 0 if width <= 0.0 else min(int(parts * (value - least) / width), parts - 1)

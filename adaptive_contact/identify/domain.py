@@ -85,6 +85,11 @@ class Domain:
         triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
         return Domain(np.asarray(triangle, dtype=np.float64), self.scale)
 
+    @property
+    def rows(self) -> float:
+        """How many it has seen: the constant, which comes first, is one in every row."""
+        return float(np.square(self.triangle[:, 0] * self.scale[0]).sum())
+
     def rows_like(self, most: float) -> Array:
         """Rows that stand for those it has seen, in raw units.
 
@@ -95,7 +100,7 @@ class Domain:
             (p, p) regressors with the same outer products.
         """
         raw: Array = self.triangle * self.scale
-        seen = float(np.square(raw[:, 0]).sum())  # the constant is one in every row
+        seen = self.rows
         return raw * math.sqrt(min(most / seen, 1.0)) if seen > 0.0 else raw
 
     @property

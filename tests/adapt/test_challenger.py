@@ -8,17 +8,21 @@ import pytest
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import (
+    DOMAIN_ROWS,
+    PRIOR_ROWS,
     PROBATION_ROWS,
     REFIT_DUE_TICKS,
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
+    TRIAL_CONTACTS,
+    TRIAL_ROWS,
     Challenger,
 )
 from adaptive_contact.adapt.coldstart import ColdJob
 from adaptive_contact.adapt.contacts import MOST, StoredContacts, Touch
 from adaptive_contact.adapt.refit import InlineRefitter, RefitResult
 from adaptive_contact.adapt.segments import Row
-from adaptive_contact.identify import FitStatus, LegModel
+from adaptive_contact.identify import Domain, Factor, FitStatus, LegModel
 
 NOISE = np.array([0.01, 0.01, 0.01])
 
@@ -80,8 +84,10 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challe
         challenger.tick()
     assert challenger.trying
     promoted = None
-    while challenger.trying and promoted is None:
+    for _ in range(2 * TRIAL_ROWS):
         promoted = compared(challenger, row(rng, p, truth=0.06), model)
+        if promoted is not None or not challenger.trying:
+            break
     return challenger, promoted or model
 
 
@@ -107,8 +113,52 @@ def test_a_candidate_that_explains_contacts_away_is_refused(model: LegModel) -> 
     assert after is model
     assert challenger.counts.refused == 1
     assert "misses 20 of 20 stored contacts" in (challenger.counts.last_reason or "")
-    # On free ticks alone it would have won.
-    assert tried(model, candidate, contacts=0)[1].version == 1
+
+
+def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -> None:
+    blind = model.coefficients * 1.2
+    blind[1] = -2.0 * blind[0]
+    challenger, after = tried(model, blind, contacts=TRIAL_CONTACTS - 1)
+    assert after is model
+    assert challenger.trying, "on free ticks alone it has won"
+    counts = challenger.counts
+    assert (counts.promoted, counts.refused) == (0, 0)
+    assert counts.last_reason is not None
+    assert counts.last_reason.startswith("waiting: a candidate is +")
+    assert "there are 2 contacts to try it on, 3 are needed" in counts.last_reason
+    challenger.contacts.add([stopped(model)])
+    new = row(np.random.default_rng(2), model.library.size, truth=0.06)
+    assert compared(challenger, new, model) is None
+    assert "misses 3 of 3 stored contacts" in (challenger.counts.last_reason or "")
+    assert "waiting" not in (challenger.counts.last_reason or "")
+
+
+def test_a_candidate_that_waits_for_contacts_is_tried_on_the_newest_ticks(model: LegModel) -> None:
+    challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
+    assert challenger.trying
+    rng = np.random.default_rng(2)
+    for _ in range(TRIAL_ROWS):  # the leg is again what it was
+        compared(challenger, row(rng, model.library.size, truth=0.05), model)
+    assert not challenger.trying
+    assert challenger.counts.refused == 1
+
+
+def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -> None:
+    given = Given(model.coefficients)
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
+    rng = np.random.default_rng(0)
+    buffer = SlidingBuffer()
+    for k in range(60):
+        buffer.add([row(rng, model.library.size, truth=0.05) for _ in range(12)], k % 3, 0)
+    lost = RefitResult(1, FitStatus.LOST, np.zeros_like(model.coefficients), 0.0, float("nan"))
+    given.collect = lambda leg, number: lost  # type: ignore[method-assign]
+    challenger.withdraw()
+    for asked in (1, 2, 2):
+        challenger.swing_done(model, buffer, 0)
+        assert given.asked == asked
+        for _ in range(REFIT_DUE_TICKS + 1):
+            challenger.tick()
+    assert challenger.counts.refused == 2
 
 
 def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
@@ -156,7 +206,7 @@ def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_bette
 
 
 def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel) -> None:
-    challenger, promoted = tried(model, model.coefficients * 1.2, contacts=0)
+    challenger, promoted = tried(model, model.coefficients * 1.2, contacts=20)
     assert promoted.version == 1
     rng = np.random.default_rng(1)
     back = None
@@ -171,7 +221,8 @@ def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel) -> Non
 
 
 def test_a_promoted_model_that_goes_on_well_stays(model: LegModel) -> None:
-    challenger, promoted = tried(model, model.coefficients * 1.2, contacts=0)
+    challenger, promoted = tried(model, model.coefficients * 1.2, contacts=20)
+    assert promoted.version == 1
     rng = np.random.default_rng(1)
     for _ in range(PROBATION_ROWS):
         assert compared(challenger, row(rng, model.library.size, truth=0.06), promoted) is None
@@ -245,3 +296,23 @@ def test_the_newest_contacts_are_kept(model: LegModel) -> None:
     assert len(stored) == MOST
     assert stored.found(model.coefficients).all()
     assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"
+
+
+def test_what_a_refit_holds_on_to_does_not_shift_its_threshold(
+    baseline: Baseline, model: LegModel
+) -> None:
+    """λ is per root mean square of a column: many rows told in few must not make that greater."""
+    scale = np.linspace(0.5, 2.0, model.library.size)
+    scale[0] = 1.0  # the constant
+    rng = np.random.default_rng(0)
+    seen = Factor(model.library.size, 3)
+    theta = rng.normal(size=(3000, len(scale))) * scale
+    theta[:, 0] = 1.0
+    seen.add(theta, np.zeros((3000, 3)))
+    domain = Domain.of(seen, scale)
+    for known, rows in ((None, PRIOR_ROWS), (domain, PRIOR_ROWS + DOMAIN_ROWS)):
+        challenger = Challenger("rf", NOISE, scale, Given(model.coefficients), known)
+        prior = challenger._prior(model)
+        assert prior.rows == pytest.approx(rows)
+        np.testing.assert_allclose(prior.scale()[1:], scale[1:], rtol=0.05)
+        np.testing.assert_allclose(prior.rms(model.coefficients), 0.0, atol=1e-12)

@@ -245,7 +245,19 @@ def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None
     hear(later, 1.0, 0)
     for k in range(10):
         hear(later, 100.0, 1 + k)
-    assert not later.unfit, "it fitted once: the leg has changed"
+    assert not later.unfit, "it fitted once: the leg may have changed"
+    for k in range(PATIENCE_SWINGS - 11):
+        assert not later.unfit
+        hear(later, 30.0, 11 + k)
+    assert later.unfit, "it fitted by chance: nothing that is learned brings it any nearer"
+
+
+def test_a_leg_that_changed_early_keeps_the_baseline_that_it_is_followed_from() -> None:
+    monitor = DriftMonitor(3)
+    hear(monitor, 1.0, 0)
+    for k in range(PATIENCE_SWINGS):
+        hear(monitor, 30.0 if k < 6 else 2.0, 1 + k)
+        assert not monitor.unfit
 
 
 @pytest.mark.parametrize("at", range(UNFIT_LIFTS + 1))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.buffer import SlidingBuffer
+from adaptive_contact.adapt.buffer import MAX_SEGMENTS, SlidingBuffer
 from adaptive_contact.adapt.ground import Push
+from adaptive_contact.adapt.quarantine import _Regions
 from adaptive_contact.adapt.segments import (
     FREE_LIFT_TICKS,
     GUARD_TICKS,
@@ -252,3 +253,18 @@ def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg() -> None:
     book.alarm(6 * PERIOD, PERIOD)
     book.add(row(11, lift=False), 11, descending=True)
     assert ticks(book.take_lift()) == list(range(1, 11))
+
+
+def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
+    regions = _Regions()
+    rng = np.random.default_rng(0)
+
+    def places(swings: int) -> set[int]:
+        at = rng.uniform((-0.5, -0.3, 0.8), (0.5, 0.3, 1.4), (swings, 3))
+        return {regions.of(command) for command in at.tolist()}
+
+    assert places(60) == set(range(6))
+    regions.of([40.0, 0.0, -40.0])
+    assert len(places(60)) < 6, "beside that everything is near"
+    places(MAX_SEGMENTS)
+    assert places(60) == set(range(6))

@@ -34,12 +34,14 @@ class Judgement:
         scenario: which.
         leg_runs: those that were recorded, in order; the simulation of the others diverged.
         reference: the frozen learner on what each is compared against.
+        full_reference: the full learner on the same, which raises far fewer false alarms.
         variants: every learner, leg-run by leg-run.
     """
 
     scenario: Scenario
     leg_runs: tuple[LegRun, ...]
     reference: list[LegOutcome]
+    full_reference: list[LegOutcome]
     variants: dict[Variant, list[Judged]]
 
     @property
@@ -54,6 +56,7 @@ def judge_scenario(scenario: Scenario, folders: Folders) -> Judgement:
     """Judge all leg-runs of a scenario that have replays."""
     done: list[LegRun] = []
     reference: list[LegOutcome] = []
+    full_reference: list[LegOutcome] = []
     judged: dict[Variant, list[Judged]] = {variant: [] for variant in scenario.variants}
     for replay, twin in zip(scenario.replays, scenario.references, strict=True):
         own = _read(replay, folders)
@@ -63,12 +66,13 @@ def judge_scenario(scenario: Scenario, folders: Folders) -> Judgement:
         for leg in replay.recording.legs:
             stream = own[0].stream(leg, robot())
             twin_stream = stream if other is own else other[0].stream(leg, robot())
-            frozen = other[1][leg][Variant.FROZEN]
-            reference.append(match(twin_stream, frozen.events))
+            learners = other[1][leg]
+            reference.append(match(twin_stream, learners[Variant.FROZEN].events))
+            full_reference.append(match(twin_stream, learners[Variant.FULL].events))
             for variant, replayed in own[1][leg].items():
                 judged[variant].append(judge(scenario, stream, replayed))
             done.append(LegRun(leg, replay, twin))
-    return Judgement(scenario, tuple(done), reference, judged)
+    return Judgement(scenario, tuple(done), reference, full_reference, judged)
 
 
 def figures(judgement: Judgement) -> Tree:
@@ -138,8 +142,9 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         "judged": _summary(summarise(_judged_part(scenario, outcomes))),
         **_lost(scenario, outcomes, judgement.reference, judgement.recordings),
         "harmful": bool(judged)
-        and is_harmful(
-            _judged_part(scenario, outcomes), _judged_part(scenario, judgement.reference)
+        and any(
+            is_harmful(_judged_part(scenario, outcomes), _judged_part(scenario, twin))
+            for twin in (judgement.reference, judgement.full_reference)
         ),
         "recovery": {mark.name: _recovery(judged, mark.name) for mark in scenario.marks},
         "longest_lock_out": max(lock_outs, default=0),
@@ -175,11 +180,15 @@ def _recovery(judged: list[Judged], mark: str) -> Tree:
 def _start(judgement: Judgement, judged: list[Judged]) -> Tree:
     """How soon learners called themselves valid, and how good they were from then on."""
     until = [one.until_valid for one in judged]
-    own, reference = [], []
-    for one, twin in zip(judged, judgement.reference, strict=True):
+    end_ns = np.iinfo(np.int64).max
+    own, reference, full = [], [], []
+    for one, frozen_twin, full_twin in zip(
+        judged, judgement.reference, judgement.full_reference, strict=True
+    ):
         if one.valid_ns is not None:
-            own.append(one.outcome.between(one.valid_ns, np.iinfo(np.int64).max))
-            reference.append(twin.between(one.valid_ns, np.iinfo(np.int64).max))
+            own.append(one.outcome.between(one.valid_ns, end_ns))
+            reference.append(frozen_twin.between(one.valid_ns, end_ns))
+            full.append(full_twin.between(one.valid_ns, end_ns))
     return {
         "valid": sum(n is not None for n in until),
         "swings_median": quantile(until, 0.5),
@@ -187,7 +196,8 @@ def _start(judgement: Judgement, judged: list[Judged]) -> Tree:
         "swings": until,
         "when_valid": _summary(summarise(own)),
         "reference": _summary(summarise(reference)),
-        "harmful": bool(own) and is_harmful(own, reference),
+        "full_reference": _summary(summarise(full)),
+        "harmful": bool(own) and (is_harmful(own, reference) or is_harmful(own, full)),
     }
 
 

@@ -80,7 +80,9 @@ Every recording is simulated once and replayed through five learners side by sid
   without what the scenario does (same seeds, same motion, same noise); its interval is a bootstrap
   over recordings, as legs of one share a body.
 - A change *counts* if it makes the frozen learner lose 5 points of recall, or raise ten times the
-  false alarms; the others must do no harm. *Harm* is the same rule, applied to the full learner.
+  false alarms; the others must do no harm. *Harm* is the same rule, applied to the full learner:
+  against the frozen learner on the recording without the change, and against itself there, which
+  raises far fewer false alarms in pose.
 - *Recovery* is the number of swings of that leg after which 20 swings hold at most one error;
   *on the way* are the false alarms until then. Where every swing ends in contact the 20 swings
   need no free ones. "never": not before the recording ended.
@@ -297,8 +299,9 @@ def _scenario(name: str, tree: Tree, picture: bool) -> str:
             f"- valid: {start['valid']} of {tree['leg_runs']} leg-runs, after "
             f"{plain_number(start['swings_median'])} swings (median), "
             f"{plain_number(start['swings_p95'])} (p95); from then on recall {_recall(then)} "
-            f"against {_recall(start['reference'])} with its own baseline, false alarms per "
-            f"robot-hour {_alarms(then)} against {_alarms(start['reference'])}; "
+            f"against {_recall(start['full_reference'])} with its own baseline (frozen: "
+            f"{_recall(start['reference'])}), false alarms per robot-hour {_alarms(then)} against "
+            f"{_alarms(start['full_reference'])} (frozen: {_alarms(start['reference'])}); "
             f"{full['ever_doubted']} leg-runs called themselves other than valid at least once"
         )
     if picture:
