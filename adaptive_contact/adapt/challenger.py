@@ -35,8 +35,9 @@ DOMAIN_ROWS: Final = 1000.0
 MIN_ROWS_PER_TERM: Final = 4
 # New ticks on which candidate and champion are compared, the champion before it learns them.
 TRIAL_ROWS: Final = 200
-# And the contacts that there have to be for it: free ticks say nothing of what it would make of a
-# touch, so that a trial goes on, over the newest ticks, until these have come.
+# And the contacts that there have to be: free ticks say nothing of what it would make of a touch.
+# Until they have come a trial goes on, over the newest ticks.  They are stored while the leg is
+# known; one whose model is wrong does not wait for them.
 TRIAL_CONTACTS: Final = 3
 # The candidate must be better by so many standard errors of the paired difference.
 PROMOTE_ERRORS: Final = 3.0
@@ -168,13 +169,16 @@ class Challenger:
         """Whether the row to come is the last of a trial."""
         return len(self._off) + 1 >= (PROBATION_ROWS if self._probation else TRIAL_ROWS)
 
-    def compare(self, row: Row, champion: Sequence[float], model: LegModel) -> LegModel | None:
+    def compare(
+        self, row: Row, champion: Sequence[float], model: LegModel, *, known: bool = True
+    ) -> LegModel | None:
         """Try the candidate on a row that neither has seen; the new model if it has won.
 
         Args:
             row: of a confirmed tick.
             champion: (J,) how far the model in force was off there, over the noise.
             model: in force; asked for where :attr:`deciding`, any other will do elsewhere.
+            known: the leg is as the model in force says, so that its contacts are stored.
         """
         if self._candidate is None:
             return None
@@ -190,7 +194,8 @@ class Challenger:
         errors = mean / max(float(gain.std()) / len(gain) ** 0.5, 1e-12)
         better = errors >= PROMOTE_ERRORS  # NaN is not
         words = f"{mean:+.3f} noise variances better ({errors:+.1f} standard errors) on new ticks"
-        if better and not self._probation and len(self.contacts) < TRIAL_CONTACTS:
+        untried = known and not self._probation and len(self.contacts) < TRIAL_CONTACTS
+        if better and untried:
             self._wait = (
                 f"waiting: a candidate is {words}, and there are {len(self.contacts)} contacts to "
                 f"try it on, {TRIAL_CONTACTS} are needed"
@@ -206,10 +211,10 @@ class Challenger:
         if not better:
             self._refuse(words)
             return None
-        known = self.contacts.found(model.coefficients)
-        missed = int((known & ~self.contacts.found(coefficients)).sum())
-        if missed > MISSED_SHARE * known.sum():
-            self._refuse(f"{words}, but misses {missed} of {known.sum()} stored contacts")
+        found = self.contacts.found(model.coefficients)
+        missed = int((found & ~self.contacts.found(coefficients)).sum())
+        if missed > MISSED_SHARE * found.sum():
+            self._refuse(f"{words}, but misses {missed} of {found.sum()} stored contacts")
             return None
         self._tally["promoted"] += 1
         self._reason = f"promoted: {words}"

@@ -358,19 +358,19 @@ class Follower:
         innovations = self._champion.learn(row)
         if self._challenger.trying:
             # Made anew for the row that decides only: it stands by as it was when it was displaced.
-            champion = self._champion
-            model = champion.model if self._challenger.deciding else champion.as_made
-            self._promote(self._challenger.compare(row, innovations, model))
+            deciding, champion = self._challenger.deciding, self._champion
+            self._try(row, innovations, champion.model if deciding else champion.as_made)
 
     def _compare(self, row: Row) -> None:
         """Let a candidate be tried on a row that is not learned."""
         if self._challenger.trying:
             off = (row.target - row.theta @ self.model.coefficients) / self._noise
-            self._promote(self._challenger.compare(row, off.tolist(), self.model))
+            self._try(row, off.tolist(), self.model)
 
-    def _promote(self, model: LegModel | None) -> None:
-        if model is not None:
-            self._champion.replace(model)
+    def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
+        won = self._challenger.compare(row, off, model, known=self.monitor.status == "valid")
+        if won is not None:
+            self._champion.replace(won)
             self._refresh()
 
     def _error(self, rows: list[Row], coefficients: Array) -> float:

@@ -133,6 +133,17 @@ def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -
     assert "waiting" not in (challenger.counts.last_reason or "")
 
 
+def test_a_leg_that_is_not_known_does_not_wait_for_contacts_that_nobody_stores(
+    model: LegModel,
+) -> None:
+    challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
+    new = row(np.random.default_rng(2), model.library.size, truth=0.06)
+    off = (new.target - new.theta @ model.coefficients) / NOISE
+    promoted = challenger.compare(new, off.tolist(), model, known=False)
+    assert promoted is not None
+    assert challenger.counts.promoted == 1
+
+
 def test_a_candidate_that_waits_for_contacts_is_tried_on_the_newest_ticks(model: LegModel) -> None:
     challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
     assert challenger.trying
