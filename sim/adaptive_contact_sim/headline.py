@@ -7,9 +7,8 @@ of every leg; ``walk_rough`` is half an hour of tripod walking over rough ground
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from typing import Final, NamedTuple
 
 from adaptive_contact.adapt import Baseline
@@ -23,6 +22,7 @@ from adaptive_contact_sim.pose import PoseSettings, Workspace
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_sim.workers import worker_pool
 
 __all__ = ["HEADLINE_RUNS", "HeadlineRun", "run_headline"]
 
@@ -93,9 +93,8 @@ def run_headline(
     Returns:
         The figures of every row.
     """
-    context = multiprocessing.get_context("spawn")
     done: dict[int, _Outcome] = {}
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with worker_pool(processes) as pool:
         futures = {pool.submit(_one, r, robot, baseline): i for i, r in enumerate(runs)}
         for future in as_completed(futures):
             done[futures[future]] = future.result()

@@ -8,9 +8,8 @@ benchmarks others.
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_sim.workers import worker_pool
 
 __all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of", "truth_of"]
 
@@ -139,8 +139,7 @@ def _record(
             yield record_arrays(spec.settings, spec.seconds)
             progress(f"recorded {spec.name}")
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with worker_pool(processes) as pool:
         futures = {pool.submit(record_arrays, s.settings, s.seconds): s for s in runs}
         for future in as_completed(futures):
             future.result()  # a failed run ends the others early

@@ -2,22 +2,72 @@
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
 import os
+import signal
 import threading
-from multiprocessing import parent_process
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
+from typing import Final
 
-__all__ = ["leave_with_parent"]
+__all__ = ["BLAS_THREADS", "leave_with_parent", "worker_pool"]
+
+# Read by the BLAS libraries when they are loaded.
+BLAS_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# How a worker ends that was interrupted.
+_INTERRUPTED: Final = 130
+
+
+@contextlib.contextmanager
+def worker_pool(processes: int, *, finish: bool = False) -> Iterator[ProcessPoolExecutor]:
+    """Spawned processes of one BLAS thread each, which end when this one does, however it ends.
+
+    Matrices as small as a leg's gain nothing from threads, and threads that wait for each other
+    by spinning take the cores from the other processes.  Ctrl-C goes to the whole group: workers
+    leave silently and the parent speaks; what they write is written under another name first.
+
+    Args:
+        processes: at most so many.
+        finish: on Ctrl-C the items in hand are finished instead, and those that wait are not begun.
+
+    Yields:
+        The pool; the environment says one thread for as long as it is open, as workers start when
+        there is something to do.
+    """
+    before = {name: os.environ.get(name) for name in BLAS_THREADS}
+    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
+    pool = ProcessPoolExecutor(
+        processes,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_serve,
+        initargs=(finish,),
+    )
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def leave_with_parent() -> None:
-    """In a worker: end when the parent does, however it ends; a killed one would leave it behind.
-
-    What is being written is written under another name first, so that nothing half is left.
-    """
-    parent = parent_process()
+    """In a worker: end when the parent does; a killed one would leave it behind."""
+    parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+
+
+def _serve(finish: bool) -> None:
+    leave_with_parent()
+    if finish:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    else:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(_INTERRUPTED))
 
 
 def _leave_with(parent: BaseProcess) -> None:

@@ -6,15 +6,11 @@ without loss: ten robot-hours take some tens of megabytes.
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from functools import cached_property
-from multiprocessing import get_context, parent_process
 from pathlib import Path
-from threading import Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -35,6 +31,7 @@ from adaptive_contact_sim.experiments.store import (
 )
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.training import stretch_of
+from adaptive_contact_sim.workers import worker_pool
 
 __all__ = ["Stream", "join", "load", "parallel", "record_all"]
 
@@ -236,41 +233,10 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
             yield item, work(item)
         return
     require_unchanged_source()
-    # Spawned, never forked; one BLAS thread each, told before numpy is loaded there.
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    pool = ProcessPoolExecutor(
-        max_workers=min(workers, len(items)),
-        mp_context=get_context("spawn"),
-        initializer=_serve_parent,
-    )
-    try:
+    with worker_pool(min(workers, len(items)), finish=True) as pool:
         futures = {pool.submit(work, item): item for item in items}
         for future in as_completed(futures):
             yield futures[future], future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def _serve_parent() -> None:
-    """In a worker: Ctrl-C is the parent's to answer; one that is killed leaves no worker behind."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    if parent is not None:
-        Thread(target=_leave_with, args=(parent,), daemon=True).start()
-
-
-def _leave_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
 
 
 def _record(job: _Job) -> float:

@@ -7,15 +7,14 @@ same numbers, however many processes there are.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Final, NamedTuple
 from zipfile import is_zipfile
+
+from threadpoolctl import threadpool_limits
 
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.trials.recording import file_of, key_of, made
@@ -26,15 +25,13 @@ from adaptive_contact_sim.trials.replay import (
     save_replay,
 )
 from adaptive_contact_sim.trials.spec import RecordingSpec, ReplaySpec, Scenario
-from adaptive_contact_sim.workers import leave_with_parent
+from adaptive_contact_sim.workers import worker_pool
 
 __all__ = ["FULL", "RESULTS", "Done", "Folders", "Job", "jobs", "run"]
 
 # The form that is published, and how the figures of a form are called.
 FULL: Final = "full"
 RESULTS: Final = "results-{form}.json"
-# How a worker ends that was interrupted: at once and silently; what it wrote is whole.
-_INTERRUPTED: Final = 130
 
 
 class Folders(NamedTuple):
@@ -154,25 +151,20 @@ def run(
         progress(done)
 
     if processes <= 1 or len(work) <= 1:
-        for job in work:
-            note(_do(job, folders))
+        with threadpool_limits(1):  # as in a worker
+            for job in work:
+                note(_do(job, folders))
         return problems
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_obey_interrupts)
     try:
-        futures = [pool.submit(_do, job, folders) for job in work]
-        for future in as_completed(futures):
-            note(future.result())
+        with worker_pool(processes) as pool:
+            futures = [pool.submit(_do, job, folders) for job in work]
+            for future in as_completed(futures):
+                note(future.result())
     except BrokenProcessPool as error:
         raise ConfigurationError(
             "a process ended that was at work (out of memory?); run the same command again to go "
             "on, with fewer --processes"
         ) from error
-    except BaseException:
-        # Interrupted, or a job failed: those under way end, the others are not begun.
-        pool.shutdown(cancel_futures=True)
-        raise
-    pool.shutdown()
     return sorted(problems)
 
 
@@ -187,9 +179,3 @@ def _do(job: Job, folders: Folders) -> Done:
         if load_replay(spec, path) is None:
             save_replay(replay(spec, recording), path)
     return Done(job, None)
-
-
-def _obey_interrupts() -> None:
-    """In a worker: Ctrl-C goes to the whole group; leave without a word, the parent speaks."""
-    leave_with_parent()
-    signal.signal(signal.SIGINT, lambda *_: os._exit(_INTERRUPTED))
