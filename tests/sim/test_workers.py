@@ -61,7 +61,7 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
 
 
 def test_a_worker_computes_in_one_thread_and_its_parent_as_before(tmp_path: Path) -> None:
-    """Threads that spin made the scenarios' replays half as fast on two cores."""
+    """Threads that spin took a third of the scenarios' replays on two cores."""
     script = tmp_path / "parent.py"
     script.write_text(_THREADS)
     env = {name: value for name, value in os.environ.items() if name not in BLAS_THREADS}
