@@ -28,7 +28,7 @@ from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
 from adaptive_contact.identify import FitStatus
 from adaptive_contact.service.refit_worker import read_frame, write_frame
 
-__all__ = ["ProcessRefitter", "WaitingRefitter"]
+__all__ = ["ONE_BLAS_THREAD", "ProcessRefitter", "WaitingRefitter"]
 
 _log = structlog.get_logger()
 
@@ -36,7 +36,7 @@ JOB_TIMEOUT_S: Final = 60.0
 _TRIES: Final = 2
 _MODULE: Final = "adaptive_contact.service.refit_worker"
 # Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
-_ONE_THREAD: Final = {
+ONE_BLAS_THREAD: Final = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
 }
 
@@ -184,7 +184,7 @@ class WaitingRefitter(ProcessRefitter):
 
 
 def _start() -> subprocess.Popen[bytes]:
-    env = {**os.environ, **_ONE_THREAD}
+    env = {**os.environ, **ONE_BLAS_THREAD}
     home = Path(adaptive_contact.__file__).parents[1]
     if home.name not in ("site-packages", "dist-packages"):  # run from a source tree
         env["PYTHONPATH"] = os.pathsep.join(filter(None, (str(home), env.get("PYTHONPATH"))))

@@ -12,10 +12,10 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Final
 
-__all__ = ["BLAS_THREADS", "leave_with_parent", "worker_pool"]
+from adaptive_contact.service.refits import ONE_BLAS_THREAD
 
-# Read by the BLAS libraries when they are loaded.
-BLAS_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+__all__ = ["worker_pool"]
+
 # How a worker ends that was interrupted.
 _INTERRUPTED: Final = 130
 
@@ -36,8 +36,8 @@ def worker_pool(processes: int, *, finish: bool = False) -> Iterator[ProcessPool
         The pool; the environment says one thread for as long as it is open, as workers start when
         there is something to do.
     """
-    before = {name: os.environ.get(name) for name in BLAS_THREADS}
-    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
+    before = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
+    os.environ.update(ONE_BLAS_THREAD)
     pool = ProcessPoolExecutor(
         processes,
         mp_context=multiprocessing.get_context("spawn"),
@@ -55,15 +55,11 @@ def worker_pool(processes: int, *, finish: bool = False) -> Iterator[ProcessPool
                 os.environ[name] = value
 
 
-def leave_with_parent() -> None:
-    """In a worker: end when the parent does; a killed one would leave it behind."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
-
-
 def _serve(finish: bool) -> None:
-    leave_with_parent()
+    """In a worker: end with the parent; a killed one would leave it behind."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
     if finish:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     else:

@@ -60,6 +60,19 @@ def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
     return Row(theta, target, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True)
 
 
+def fill(
+    buffer: SlidingBuffer,
+    rng: np.random.Generator,
+    p: int,
+    segments: int = 60,
+    *,
+    truth: float = 0.05,
+) -> None:
+    """Lifts of a dozen free ticks, in three regions by turns; 60 are enough for a refit."""
+    for k in range(segments):
+        buffer.add([row(rng, p, truth=truth) for _ in range(12)], k % 3, 0)
+
+
 def stopped(model: LegModel) -> Touch:
     """A leg that should move by 0.1 rad and stands; the second term is excited there only."""
     theta = np.zeros((3, model.library.size))
@@ -74,8 +87,7 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challe
     buffer = SlidingBuffer()
     rng = np.random.default_rng(0)
     p = model.library.size
-    for k in range(60):
-        buffer.add([row(rng, p, truth=0.06) for _ in range(12)], k % 3, 0)
+    fill(buffer, rng, p, truth=0.06)
     for _ in range(contacts):
         challenger.contacts.add([stopped(model)])
     for _ in range(REFIT_EVERY_SWINGS):
@@ -157,10 +169,8 @@ def test_a_candidate_that_waits_for_contacts_is_tried_on_the_newest_ticks(model:
 def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -> None:
     given = Given(model.coefficients)
     challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
-    rng = np.random.default_rng(0)
     buffer = SlidingBuffer()
-    for k in range(60):
-        buffer.add([row(rng, model.library.size, truth=0.05) for _ in range(12)], k % 3, 0)
+    fill(buffer, np.random.default_rng(0), model.library.size)
     lost = RefitResult(1, FitStatus.LOST, np.zeros_like(model.coefficients), 0.0, float("nan"))
     given.collect = lambda leg, number: lost  # type: ignore[method-assign]
     challenger.withdraw()
@@ -244,10 +254,8 @@ def test_a_promoted_model_that_goes_on_well_stays(model: LegModel) -> None:
 def test_only_swings_of_which_something_was_learned_count(model: LegModel) -> None:
     given = Given(model.coefficients)
     challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
-    rng = np.random.default_rng(0)
     buffer = SlidingBuffer()
-    for k in range(60):
-        buffer.add([row(rng, model.library.size, truth=0.05) for _ in range(12)], k % 3, 0)
+    fill(buffer, np.random.default_rng(0), model.library.size)
     for _ in range(3 * REFIT_EVERY_SWINGS):
         challenger.swing_done(model, buffer, 0, learned=False)
     assert given.asked == 0
@@ -273,8 +281,7 @@ def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
     p = model.library.size
     few, enough = SlidingBuffer(), SlidingBuffer()
     for buffer, segments in ((few, 3), (enough, 60)):
-        for k in range(segments):
-            buffer.add([row(rng, p, truth=0.05) for _ in range(12)], k % 3, 0)
+        fill(buffer, rng, p, segments)
 
     def swing(buffer: SlidingBuffer, ticks: int) -> int:
         for _ in range(ticks):

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adaptive_contact_sim.workers import BLAS_THREADS
+from adaptive_contact.service.refits import ONE_BLAS_THREAD
 
 # A parent that is killed while its worker waits: the worker holds the pipe open until it ends.
 _PARENT = """
@@ -64,7 +64,7 @@ def test_a_worker_computes_in_one_thread_and_its_parent_as_before(tmp_path: Path
     """Threads that spin took a third of the scenarios' replays on two cores."""
     script = tmp_path / "parent.py"
     script.write_text(_THREADS)
-    env = {name: value for name, value in os.environ.items() if name not in BLAS_THREADS}
+    env = {name: value for name, value in os.environ.items() if name not in ONE_BLAS_THREAD}
     ran = subprocess.run(
         [sys.executable, script],
         env=env | {"OMP_NUM_THREADS": "3"},

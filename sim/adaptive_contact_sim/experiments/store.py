@@ -122,7 +122,7 @@ def read_arrays(path: Path) -> Arrays | None:
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to a file, whole or not at all."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **dict(arrays))  # type: ignore[arg-type]
+    np.savez_compressed(buffer, **dict(arrays))  # type: ignore[arg-type]  # of allow_pickle
     _write(path, buffer.getvalue())
 
 

@@ -141,10 +141,10 @@ def _variant(judgement: Judgement, judged: list[Judged]) -> Tree:
         },
         "judged": _summary(summarise(_judged_part(scenario, outcomes))),
         **_lost(scenario, outcomes, judgement.reference, judgement.recordings),
-        "harmful": bool(judged)
-        and any(
-            is_harmful(_judged_part(scenario, outcomes), _judged_part(scenario, twin))
-            for twin in (judgement.reference, judgement.full_reference)
+        "harmful": _harmful(
+            _judged_part(scenario, outcomes),
+            _judged_part(scenario, judgement.reference),
+            _judged_part(scenario, judgement.full_reference),
         ),
         "recovery": {mark.name: _recovery(judged, mark.name) for mark in scenario.marks},
         "longest_lock_out": max(lock_outs, default=0),
@@ -197,8 +197,13 @@ def _start(judgement: Judgement, judged: list[Judged]) -> Tree:
         "when_valid": _summary(summarise(own)),
         "reference": _summary(summarise(reference)),
         "full_reference": _summary(summarise(full)),
-        "harmful": bool(own) and (is_harmful(own, reference) or is_harmful(own, full)),
+        "harmful": _harmful(own, reference, full),
     }
+
+
+def _harmful(own: list[LegOutcome], *twins: list[LegOutcome]) -> bool:
+    """Whether it is much worse than any of what it is compared against."""
+    return bool(own) and any(is_harmful(own, twin) for twin in twins)
 
 
 def _lost(
