@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import LegBaseline
+from adaptive_contact.adapt.belied import BeliedTouches
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
 from adaptive_contact.adapt.champion import Champion
@@ -106,6 +107,7 @@ class Follower:
         self.baseline = known.model
         least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
         self.monitor = DriftMonitor(len(known.noise.rms), least)
+        self._belied = BeliedTouches()
         self.buffer = SlidingBuffer(rows=rows_for_refit(known.model))
         self._recent = recent
         self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
@@ -163,7 +165,13 @@ class Follower:
     @property
     def status(self) -> Status:
         """What is thought of the leg."""
-        return self.monitor.status
+        status = self.monitor.status
+        return "ambiguous" if status == "valid" and self._belied.told else status
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person on what is thought of the leg, None when all is well."""
+        return self.monitor.note or self._belied.note
 
     @property
     def refits(self) -> RefitCounts:
@@ -229,14 +237,21 @@ class Follower:
 
     def touched(self, ticks: Sequence[Touch]) -> None:
         """A contact was reported; while the leg is known, it is one to try candidates on."""
-        if self.monitor.status == "valid":
+        if self.status == "valid":
             self._challenger.contacts.add(ticks)
 
-    def swing_done(self) -> None:
-        """A swing has been resolved."""
+    def swing_done(self, belied: bool | None = None) -> None:
+        """A swing has been resolved.
+
+        Args:
+            belied: a touch was told in it, and the foot belied it; None where nobody can tell.
+        """
         learned, self._learned_swing = self._learned_swing, False
         if not self.gated:
             return
+        known = self.monitor.status == "valid"
+        if known and belied is not None and self._belied.hear(belied):
+            self._challenger.contacts.clear()  # they were none
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
@@ -313,6 +328,7 @@ class Follower:
     def _change(self, rows: list[Row], *, first: bool) -> None:
         """Something about the leg has changed: let the recursion move."""
         if first:
+            self._belied.forget()
             theta = np.array([row.theta for row in rows])
             residual = np.array([row.target for row in rows]) - theta @ self.model.coefficients
             self.monitor.kind = kind_of_change(theta, residual, self.model, self._noise)

@@ -390,7 +390,7 @@ class ContactLearner:
             self._rate.note,
             swing.blind_note,
             self._knowledge.note,
-            None if follower is None else follower.monitor.note,
+            None if follower is None else follower.note,
             swing.deaf_note if follower is not None and follower.gated else None,
             self._tally.preview_note,
         )

@@ -175,7 +175,7 @@ class Quarantine:
         self._open = False
         self._hand_touch()
         self._confirm(self._book.resolve())
-        self.follower.swing_done()
+        self.follower.swing_done(self._swing.touch_belied())
 
     def _push(self, verdict: Verdict, detector: LegDetector) -> Push | None:
         """What a tick of a descent shows of a push from the ground; None without geometry."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -257,17 +257,18 @@ class Plant:
         self._contacts = data.ncon
         now = [False] * len(LEGS)
         if self._contacts:
-            for k, (first, second) in enumerate(data.contact.geom.tolist()):
+            contacts = data.contact  # each look at it makes a new list
+            for k, (first, second) in enumerate(contacts.geom.tolist()):
                 geom, other = (first, second) if leg_of[first] >= 0 else (second, first)
                 leg = leg_of[geom]
                 if leg < 0:
                     continue
                 if not now[leg] and not self._touching[leg]:
-                    self.touches[leg].append(self._touch(k, geom, other))
+                    self.touches[leg].append(self._touch(contacts, k, geom, other))
                 now[leg] = True
         self._touching = now
 
-    def _touch(self, contact: int, geom: int, other: int) -> Touch:
+    def _touch(self, contacts: Any, which: int, geom: int, other: int) -> Touch:
         data = self.data
         # The engine's velocities are those before the step, so before the impact.
         mujoco.mj_objectVelocity(
@@ -275,11 +276,11 @@ class Plant:
         )
         # Feet that stand lose and find the ground all the time, and `np.cross` takes its time.
         wx, wy, wz, vx, vy, vz = self._velocity6.tolist()
-        x, y, z = (data.contact.pos[contact] - data.geom_xpos[geom]).tolist()
+        x, y, z = (contacts.pos[which] - data.geom_xpos[geom]).tolist()
         turning = (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)
         velocity = np.array([vx + turning[0], vy + turning[1], vz + turning[2]])
         speed = math.sqrt(velocity @ velocity)
-        into = abs(float(velocity @ data.contact.frame[contact, :3]))
+        into = abs(float(velocity @ contacts.frame[which, :3]))
         return Touch(
             step=self.steps,
             part=int(self.elements.geom_part[geom]),

@@ -112,7 +112,7 @@ def run(
         # Live samples carry wall clock times, and a run number that grows from start to start.
         now_ns = time.time_ns()
         settings = replace(settings, epoch_ns=now_ns, run=now_ns // 1_000_000)
-    sim = Simulation(settings)
+    sim = Simulation(settings, looks=plan.view)
     touches: Counter[str] = Counter()
     note: str | None = None
     with ExitStack() as stack:

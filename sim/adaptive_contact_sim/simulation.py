@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, NamedTuple, TypeAlias
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -104,13 +105,18 @@ class Simulation:
     Args:
         settings: what to simulate.
         parameters: the robot's servos; drawn from ``robot_seed`` where left out.
+        looks: the engine's own viewer will look on; pictures are made of a :meth:`scene` apart.
 
     Raises:
         ConfigurationError: the settings do not fit together.
     """
 
     def __init__(
-        self, settings: SimulationSettings, parameters: ServoParameters | None = None
+        self,
+        settings: SimulationSettings,
+        parameters: ServoParameters | None = None,
+        *,
+        looks: bool = False,
     ) -> None:
         self.settings = settings
         self.geometry = LegGeometry.of()
@@ -123,7 +129,7 @@ class Simulation:
             ground = replace(ground, seed=settings.seed)
         self.terrain = Terrain(ground)
         self.plant = Plant(
-            build(self.terrain, obstacles=_obstacle_owners(settings.motion)),
+            self.scene(looks=looks),
             parameters or manufactured(settings.robot_seed, spread=settings.servo_spread),
             period_s=settings.period_s,
             supply_resistance_ohm=settings.supply_resistance_ohm,
@@ -180,6 +186,15 @@ class Simulation:
     def time_s(self) -> float:
         """Simulated time since tick 0."""
         return self.ticks * self.settings.period_s
+
+    def scene(self, *, looks: bool) -> mujoco.MjModel:
+        """Compile the robot, its ground and its obstacles, as they are before the run.
+
+        Args:
+            looks: with what is only there to be seen.
+        """
+        owners = _obstacle_owners(self.settings.motion)
+        return build(self.terrain, obstacles=owners, looks=looks)
 
     def inject(self, drift: Drift) -> None:
         """Let a drift begin now.

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact_sim.elements import Elements
 from adaptive_contact_sim.simulation import Simulation
 
 __all__ = ["Moment", "Stage"]
@@ -61,8 +62,8 @@ class Stage:
     """
 
     def __init__(self, sim: Simulation) -> None:
-        self.model = sim.plant.model
-        self.elements = sim.plant.elements
+        self.model = sim.scene(looks=True)  # the simulation's own may be without
+        self.elements = Elements.resolve(self.model)
         self.terrain = sim.terrain
         self.data = mujoco.MjData(self.model)
         self.touching: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)

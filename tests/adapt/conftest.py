@@ -43,6 +43,7 @@ class FakeLeg:
         *,
         touch: Callable[[int], int | None] = lambda _: None,
         change: Callable[[int], float] = lambda _: 1.0,
+        falling: Callable[[int], float] = lambda _: 1.0,
         pressed: int = 0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Swings of 10 ticks up, 14 down, 4 of stance.
@@ -51,6 +52,7 @@ class FakeLeg:
             swings: how many.
             touch: the tick of a swing at which the leg is stopped, None for none.
             change: factor on the gain, by swing.
+            falling: the same, once the foot has begun to come down; no lift shows it.
             pressed: ticks of a swing for which the foot is held by the stance before.
 
         Returns:
@@ -76,7 +78,8 @@ class FakeLeg:
                 out.append((measured, desired, tick < 24, touching))
                 if not held:
                     pull = np.clip((desired - q) / 0.164, -1.0, 1.0)
-                    q = q + self.gain * change(number) * 0.164 * pull
+                    down_only = falling(number) if 13 <= tick < 24 else 1.0
+                    q = q + self.gain * change(number) * down_only * 0.164 * pull
             start = end
         measured, desired, swing, touching = (np.array(column) for column in zip(*out, strict=True))
         return measured, desired, swing, touching
