@@ -53,6 +53,7 @@ SOUND = verdict.Verdict(
     outage_s=[1.2, 1.9, 1.2],
     recovery_s=[0.6, 0.1, 0.5],
     late_legs=[[], [], []],
+    late_anyway=[[], [], []],
     memory_mb=[Grown(1.0, 130.0, 0.1), Grown(1.0, 130.0, None)],
     worker_mb=[Grown(1.0, 130.0, 0.0)],
     memory_curve=[],
@@ -124,10 +125,21 @@ def test_a_sound_soak_passes() -> None:
         ({"refits": {"promoted": 0, "refused": 300}}, "no refit was promoted in 30 minutes"),
         ({"forgotten_s": [12.1]}, "a kill of the service cost 12.1 s of what it had learned"),
         ({"state": {**SOUND.state, "refused": ["rf: torn"]}}, "a state was refused: rf: torn"),
-        ({"recovery_s": [], "late_legs": []}, "0 faults came about, of 3 planned"),
+        (
+            {"recovery_s": [], "late_legs": [], "late_anyway": []},
+            "0 faults came about, of 3 planned",
+        ),
         (
             {"recovery_s": [0.6, math.inf, 0.5], "late_legs": [[], ["rf"], []]},
             "a fault took inf s to recover from: rf",
+        ),
+        (
+            {
+                "recovery_s": [0.6, 2.7, 0.5],
+                "late_legs": [[], ["rf", "rm"], []],
+                "late_anyway": [[], ["rf"], []],
+            },
+            "a fault took 2.70 s to recover from: rm",
         ),
         ({"events_lost": 1}, "1 events lost"),
         ({"uncounted": 1}, "1 samples lost without being counted"),
@@ -147,6 +159,7 @@ def test_a_blind_detector_fails_in_every_way() -> None:
         sections=[],
         recovery_s=[],
         late_legs=[],
+        late_anyway=[],
         memory_mb=[],
         worker_mb=[],
         refits={},

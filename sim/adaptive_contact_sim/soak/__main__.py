@@ -58,6 +58,11 @@ def _print(found: Verdict) -> None:
             f"{out:.1f} s, {back:.2f} s"
             for out, back in zip(found.outage_s, found.recovery_s, strict=True)
         ),
+        *(
+            f"{' '.join(anyway)} late after a fault, by touches missed without it, too"
+            for anyway in found.late_anyway
+            if anyway
+        ),
         *(f"false alarm of {leg} at {at_s:.2f} s" for leg, at_s in found.alarms),
         *(f"touch of {leg} at {at_s:.2f} s missed" for leg, at_s in found.misses),
         *(f"loaded {leg} released at {at_s:.2f} s" for leg, at_s in found.wrong_released),

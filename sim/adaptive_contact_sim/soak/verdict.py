@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.score import Events, Gatherer, match
+from adaptive_contact.score import Events, Gatherer, LegOutcome, LegStream, match
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key
 from adaptive_contact_sim.soak.accounts import (
@@ -36,6 +36,7 @@ from adaptive_contact_sim.soak.sections import (
     spans_between,
     windows_of,
 )
+from adaptive_contact_sim.soak.unbroken import missed_anyway, unbroken
 
 __all__ = ["Verdict", "judge"]
 
@@ -55,6 +56,9 @@ MISSED_SHARE: Final = 0.01
 FORGIVEN: Final = 2
 # While a drift is under way its cause has not ended; so many errors per touch are honest there.
 RAMP_SHARE: Final = 0.05
+# Within so many seconds of a fault a leg that touches in every swing has been found again, or the
+# fault is why it was not.
+_ANYWAY_S: Final = 10
 _NS: Final = 1_000_000_000
 
 
@@ -84,6 +88,8 @@ class Verdict:
         recovery_s: from there until every leg's first right event was heard here; infinite where
             one never was.
         late_legs: those for whom that was later than 2 s and than their first whole swing.
+        late_anyway: those of them whose touches until then the same learner misses without the
+            fault, too.
         memory_mb: of each life of the service.
         worker_mb: the same of its child processes.
         memory_curve: of each life: s after its start, MB of the service and of its children.
@@ -120,6 +126,7 @@ class Verdict:
     outage_s: list[float]
     recovery_s: list[float]
     late_legs: list[list[str]]
+    late_anyway: list[list[str]]
     memory_mb: list[Grown]
     worker_mb: list[Grown]
     memory_curve: list[list[Point]]
@@ -173,6 +180,15 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
     edges = [(window.begin_ns, window.end_ns) for window in windows]
     right = right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
     back = [recovery_of(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
+    anyway = [
+        [
+            leg
+            for leg in late
+            if leg in streams
+            and _late_anyway(take, streams[leg], outcomes, robot, clock.of_wall(fault.to_ns))
+        ]
+        for fault, (_, late) in zip(take.broken, back, strict=True)
+    ]
     shaken = [(one.begin_ns, one.end_ns) for one in windows_of(faults, (), epoch_ns)]
 
     newest = {status.leg: status for _, status in take.heard.statuses}
@@ -226,6 +242,7 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
         outage_s=[(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
         recovery_s=[recovery_s for recovery_s, _ in back],
         late_legs=[late for _, late in back],
+        late_anyway=anyway,
         memory_mb=grown(take.resident, plan.warm_up_s, lambda one: one.mb),
         worker_mb=grown(take.resident, plan.warm_up_s, lambda one: one.workers_mb),
         memory_curve=curves_of(take.resident),
@@ -268,9 +285,12 @@ def _failures(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
         )
     if len(found.recovery_s) != len(plan.faults):
         lines.append(f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned")
-    for recovery_s, late in zip(found.recovery_s, found.late_legs, strict=True):
-        if late:
-            lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(late)}")
+    for recovery_s, late, anyway in zip(
+        found.recovery_s, found.late_legs, found.late_anyway, strict=True
+    ):
+        by_fault = [leg for leg in late if leg not in anyway]
+        if by_fault:
+            lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(by_fault)}")
     promoted = found.refits.get("promoted", 0)
     if not promoted + found.refits.get("refused", 0):
         lines.append("no refit came to an end, be it promoted or refused")
@@ -343,6 +363,16 @@ def _state_failures(found: Verdict, robot: Robot) -> list[str]:
         if lost_s > FORGETS_S
     ]
     return lines
+
+
+def _late_anyway(
+    take: Take, stream: LegStream, outcomes: list[LegOutcome], robot: Robot, from_ns: int
+) -> bool:
+    """Whether a late leg would have been as late without the fault."""
+    outcome = next(one for one in outcomes if one.leg == stream.leg)
+    until_ns = from_ns + _ANYWAY_S * _NS
+    without_fault = unbroken(take.recording, stream, robot, until_ns)
+    return missed_anyway(outcome, without_fault, from_ns)
 
 
 def _walked_s(at_ns: Any, epoch_ns: int) -> float:
