@@ -3,14 +3,13 @@
 Lifts are the witnesses of a change (``monitor.py``).  One that shows on descents only leaves every
 lift as it was, and makes each descent look like a touch: the swing is quarantined from there on,
 and nothing would ever tell.  But the foot does: it cannot have met the ground in swing after swing
-where it has hardly begun to come down, and what it goes on through as far as it is asked did not
-stop it.
+where it has hardly begun to come down.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
 __all__ = ["BeliedTouches"]
 
@@ -55,6 +54,17 @@ class BeliedTouches:
             return None
         return (
             f"in {sum(self._lately)} of {len(self._lately)} swings a touch was reported at the top "
-            "of the swing, or the foot went on through it: a change that only descents show, or "
-            "something that is always in the way"
+            "of the swing: a change that only descents show, or something that is always in the way"
         )
+
+    def snapshot(self) -> dict[str, Any]:
+        """What was heard, for :meth:`restore`."""
+        return {"lately": [int(belied) for belied in self._lately], "told": self.told}
+
+    def restore(self, saved: Any) -> None:
+        """Take over what was heard; what is none is left."""
+        if not isinstance(saved, dict) or not isinstance(saved.get("lately"), list):
+            return
+        self.forget()
+        self._lately.extend(bool(belied) for belied in saved["lately"])
+        self.told = saved.get("told") is True and sum(self._lately) > END

@@ -27,6 +27,9 @@ MAX_SEGMENTS: Final = 120
 # A large library needs more rows than that, and its segments are kept for longer; 1,000 segments of
 # the paper's library are 20 MB.
 MOST_SEGMENTS: Final = 1000
+# Swings of many seconds bring hundreds of rows each: so many, 5 MB of the shipped library, are kept
+# in all.  Segments of a walk hold a dozen, and a thousand of those are as many.
+MOST_ROWS: Final = 12_000
 
 
 class Segment(NamedTuple):
@@ -93,6 +96,11 @@ class SlidingBuffer:
             self._held > self.rows or len(self._segments) > MOST_SEGMENTS
         ):
             self._evict()
+        self._bound()
+
+    def _bound(self) -> None:
+        while self._held > MOST_ROWS and len(self._segments) > 1:
+            self._evict()
 
     def _evict(self) -> None:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
@@ -153,3 +161,4 @@ class SlidingBuffer:
         self._segments = deque(segments[-MOST_SEGMENTS:])
         self._held = sum(len(segment.target) for segment in self._segments)
         self._of_source = 0
+        self._bound()

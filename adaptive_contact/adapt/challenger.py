@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -39,6 +39,8 @@ TRIAL_ROWS: Final = 200
 # Until they have come a trial goes on, over the newest ticks.  They are stored while the leg is
 # known; one whose model is wrong does not wait for them.
 TRIAL_CONTACTS: Final = 3
+# One that waits is looked at again after so many rows; a newer refit takes its place.
+LOOK_AGAIN_ROWS: Final = 10
 # The candidate must be better by so many standard errors of the paired difference.
 PROMOTE_ERRORS: Final = 3.0
 # Of the stored contacts that the champion finds, it may miss this share.
@@ -64,6 +66,7 @@ class Challenger:
         scale: (p,) typical size of each regressor.
         refitter: does the work.
         domain: where the baseline's model has been; None if that is not known.
+        plausible: whether coefficients can be a leg's; others are refused untried.
 
     Attributes:
         domain: and the leg's, by the newest fit to it as it is.
@@ -77,7 +80,9 @@ class Challenger:
         scale: Array,
         refitter: Refitter,
         domain: Domain | None = None,
+        plausible: Callable[[Array], bool] = lambda _: True,
     ) -> None:
+        self._plausible = plausible
         self.domain = self._of_baseline = domain
         self.contacts = StoredContacts()
         self._leg = leg
@@ -96,6 +101,7 @@ class Challenger:
         self._tally = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
         self._reason: str | None = None
         self._wait: str | None = None
+        self._again = 0  # rows until a candidate that waits for contacts is looked at again
 
     @property
     def counts(self) -> RefitCounts:
@@ -115,7 +121,8 @@ class Challenger:
             learned: some of the swing's ticks were confirmed.
         """
         self._swings += learned
-        if self._pending or self._candidate is not None:
+        waits = self.trying and bool(self._again)
+        if self._pending or (self.trying and not waits):
             return
         waited_s = self._ticks * model.library.period_s
         if self._swings < REFIT_EVERY_SWINGS and waited_s < REFIT_EVERY_S and not self._early:
@@ -123,13 +130,17 @@ class Challenger:
         p, joints = model.coefficients.shape
         fit, held_out = buffer.factors(p, joints, era=era)
         if fit.rows < MIN_ROWS_PER_TERM * p:
+            if waits:
+                return
             self._wait = (
                 f"waiting: {fit.rows:.0f} free ticks of the leg as it is to fit to, "
                 f"{MIN_ROWS_PER_TERM * p} are needed"
             )
             return
         self._swings = self._ticks = 0
-        self._early, self._wait = False, None
+        self._early = False
+        if not waits:
+            self._wait = None
         self._jobs += 1
         prior = self._prior(model)
         self._refitter.submit(
@@ -156,7 +167,10 @@ class Challenger:
             if result.status is FitStatus.LOST and self._retries:
                 self._retries, self._early = self._retries - 1, True
             return
-        self.domain = result.domain
+        if not self._plausible(result.coefficients):
+            self._refuse("a coefficient is not finite, or implausible")
+            return
+        self.domain, self._wait = result.domain, None
         self._try(result.coefficients, probation=False)
 
     @property
@@ -166,8 +180,9 @@ class Challenger:
 
     @property
     def deciding(self) -> bool:
-        """Whether the row to come is the last of a trial."""
-        return len(self._off) + 1 >= (PROBATION_ROWS if self._probation else TRIAL_ROWS)
+        """Whether the row to come is the last of a trial, or one at which it is looked at again."""
+        full = len(self._off) + 1 >= (PROBATION_ROWS if self._probation else TRIAL_ROWS)
+        return full and self._again <= 1
 
     def compare(
         self, row: Row, champion: Sequence[float], model: LegModel, *, known: bool = True
@@ -185,6 +200,7 @@ class Challenger:
         decided = self.deciding
         self._off.append((champion, row.target - row.theta @ self._candidate))
         if not decided:
+            self._again = max(self._again - 1, 0)
             return None
         of_champion = np.square([champion for champion, _ in self._off])
         of_candidate = np.square(np.array([off for _, off in self._off]) / self._noise)
@@ -200,8 +216,10 @@ class Challenger:
                 f"waiting: a candidate is {words}, and there are {len(self.contacts)} contacts to "
                 f"try it on, {TRIAL_CONTACTS} are needed"
             )
+            self._again = LOOK_AGAIN_ROWS
             return None
         coefficients, self._candidate, self._wait = self._candidate, None, None
+        self._again = 0
         if self._probation:
             self._probation = False
             if not better:
@@ -216,6 +234,7 @@ class Challenger:
         if missed > MISSED_SHARE * found.sum():
             self._refuse(f"{words}, but misses {missed} of {found.sum()} stored contacts")
             return None
+        self._pending = None  # a newer refit that was to take its place
         self._tally["promoted"] += 1
         self._reason = f"promoted: {words}"
         self._try(model.coefficients, probation=True)
@@ -224,7 +243,7 @@ class Challenger:
     def withdraw(self) -> None:
         """The leg has changed: what was fitted to its past is void, a new fit does not wait."""
         self._pending, self._candidate, self._probation = None, None, False
-        self._early, self._retries, self._wait = True, 1, None
+        self._early, self._retries, self._wait, self._again = True, 1, None, 0
         self.domain = self._of_baseline
         self.contacts.clear()
 
@@ -256,6 +275,7 @@ class Challenger:
     def _try(self, coefficients: Array, *, probation: bool) -> None:
         """Begin to compare coefficients with the model in force."""
         self._candidate, self._probation = coefficients, probation
+        self._again = 0
         self._off.clear()
 
     def _prior(self, model: LegModel) -> Factor:

@@ -136,7 +136,7 @@ class Champion:
             ImplausibleError: the two are none of a leg's; nothing is changed.
         """
         # A model that moves a typical tick by radians is none of a servo's.
-        if self._implausible(state.coefficients):
+        if not self.plausible(state.coefficients):
             raise ImplausibleError("its model is implausible")
         # A promoted model has a support of its own.
         rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
@@ -152,15 +152,15 @@ class Champion:
             rls.doubt(self._recent.domain.gram)
         return rls
 
-    def _implausible(self, coefficients: Array) -> bool:
-        """Whether a model would move a typical tick by more than any servo's can; NaN is, too."""
-        return not np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad
+    def plausible(self, coefficients: Array) -> bool:
+        """Whether a model moves a typical tick by no more than a servo can; NaN does not."""
+        return bool(np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad)
 
     def _publish(self) -> None:
         version = max(1, self._model.version)
         self._moved = False
         coefficients = self._rls.coefficients
-        if not self._implausible(coefficients):
+        if self.plausible(coefficients):
             self._model = self._model.moved(coefficients, version)
             return
         good = self._good or _Good(self.baseline, self._recursion(self.baseline), loosened=False)

@@ -136,6 +136,11 @@ class ColdStart:
             self._starts.append(self.samples)
         self._swung = False
 
+    def drop(self, last: int) -> None:
+        """The last samples were of ticks of another length; what comes does not connect to them."""
+        self.samples = max(self.samples - last, self._starts[-1])
+        self.interrupt()
+
     def add(self, measured: list[float], desired: list[float], *, swing: bool, sound: bool) -> None:
         """Take in a sample."""
         self.swings += self._swung and not swing

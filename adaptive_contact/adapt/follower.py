@@ -122,7 +122,9 @@ class Follower:
         self._swings = 0  # since covariances were made anew
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
-        self._challenger = Challenger(leg, self._noise, self._scale, refitter, known.domain)
+        self._challenger = Challenger(
+            leg, self._noise, self._scale, refitter, known.domain, self._champion.plausible
+        )
 
     # -- what the detector asks -------------------------------------------------------------------
 
@@ -251,7 +253,8 @@ class Follower:
             return
         known = self.monitor.status == "valid"
         if known and belied is not None and self._belied.hear(belied):
-            self._challenger.contacts.clear()  # they were none
+            # They were none.  None come while it is told, so that no refit is promoted, either.
+            self._challenger.contacts.clear()
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
@@ -296,6 +299,7 @@ class Follower:
             "status": self.monitor.status,
             "held": self.monitor.held,
             "heard": list(self.monitor.heard),
+            "belied": self._belied.snapshot(),
             "era": self._era,
             "refits": self._challenger.snapshot(),
             "recent": self._recent.snapshot(),
@@ -314,6 +318,7 @@ class Follower:
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
         self.monitor.resume(state.level, state.status, held=state.held, heard=state.heard)
+        self._belied.restore(saved.get("belied"))
         self._era = state.era
         self._challenger.restore(saved.get("refits"))
         self.buffer.restore(state.segments)

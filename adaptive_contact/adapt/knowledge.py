@@ -97,6 +97,11 @@ class Knowledge:
         sound = sample.valid is None or all(sample.valid)
         self.cold.add(sample.measured, sample.desired, swing=swing, sound=sound)
 
+    def drop_collected(self, last: int) -> None:
+        """The last samples, for a first model, were of ticks of another length."""
+        if self.cold is not None:
+            self.cold.drop(last)
+
     def try_cold(self) -> None:
         """Hand in a first fit when it is time, and take its result when it is there."""
         if self.cold is None:

@@ -18,7 +18,7 @@ from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
-from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
+from adaptive_contact.adapt.stream import RATE_STEPS, Accepted, RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
@@ -162,6 +162,7 @@ class ContactLearner:
             ticks=self._tally.counts["ticks"],
             rejects={str(reason): n for reason, n in sorted(self._tally.rejects.items())},
             missed=self._guard.missed,
+            restarts=self._guard.restarts,
             contact=self._state.contact,
             contacts=self._tally.counts["contacts"],
             note=self._ailment(),
@@ -206,11 +207,15 @@ class ContactLearner:
             return False
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
+        known_off = self._rate.off
         connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
         self._connect(result, sample, paused=not connected)
         self._follow_phase(sample)
-        broken = result.restart or result.missed > 0 or self._rate.off or not connected
-        self._knowledge.collect(sample, swing=self._swing.ticks > 0, broken=broken)
+        if not self._rate.off:
+            broken = result.restart or result.missed > 0 or not connected
+            self._knowledge.collect(sample, swing=self._swing.ticks > 0, broken=broken)
+        elif not known_off:  # those that told are as far off as those that come after
+            self._knowledge.drop_collected(RATE_STEPS)
         return True
 
     def released(self, sample: ServoSample) -> ContactEvent | None:

@@ -138,6 +138,10 @@ class SwingBook:
                 self._lift.append(row)
                 if not descending:
                     self._commanded = len(self._lift)
+                over = len(self._lift) - MAX_ROWS
+                if over > 0:
+                    del self._lift[:over]
+                    self._commanded = max(self._commanded - over, 0)
             return
         self._topped = True
         if not self._closed:

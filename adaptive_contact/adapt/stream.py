@@ -66,12 +66,13 @@ class StreamGuard:
         joints: J, what a sample must bring.
         run: of the publisher in force.
         missed: samples lost so far.
+        restarts: times the source began anew, what it lost at them being nobody's to count.
     """
 
     def __init__(self, joints: int) -> None:
         self.joints = joints
         self.run: int | None = None
-        self.missed = 0
+        self.missed = self.restarts = 0
         self._last: tuple[int, int] | None = None  # (t_ns, seq)
         self._late: tuple[int, int] | None = None
         self._late_count = 0
@@ -99,12 +100,15 @@ class StreamGuard:
 
     def snapshot(self) -> dict[str, Any]:
         """Who publishes, and who did before, for :meth:`restore`."""
-        return {"begun": self._begun, "run": self.run, "old_runs": list(self.older_runs)}
+        runs = {"run": self.run, "old_runs": list(self.older_runs)}
+        return {"begun": self._begun, "restarts": self.restarts, **runs}
 
     def restore(self, saved: object) -> None:
         """Take over who published, so that the newer still wins; what is none is left."""
         if not isinstance(saved, dict) or saved.get("begun") is not True:
             return
+        if _is_count(saved.get("restarts")):
+            self.restarts = saved["restarts"]
         old_runs = saved.get("old_runs")
         runs = [saved.get("run"), *(old_runs if isinstance(old_runs, list) else [])]
         if all(run is None or _is_run(run) for run in runs):
@@ -149,6 +153,8 @@ class StreamGuard:
         return Accepted(missed=missed, restart=False)
 
     def _restart(self, sample: ServoSample, now: tuple[int, int]) -> Accepted:
+        # The first sample after a start of our own is no restart of the source's.
+        self.restarts += self._last is not None or (self._begun and sample.run != self.run)
         self.run, self._last, self._begun = sample.run, now, True
         self._late, self._late_count, self._other_count = None, 0, 0
         if self.run not in self._runs:
@@ -191,6 +197,10 @@ class StreamGuard:
         if sample.run is not None and not _is_run(sample.run):
             return Reject.OUT_OF_RANGE
         return None
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and 0 <= value <= MAX_TIME_NS
 
 
 def _is_run(value: object) -> bool:

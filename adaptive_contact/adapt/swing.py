@@ -45,10 +45,10 @@ HEIGHTS: Final = 12  # ticks remembered
 LIFTED_M: Final = 0.006
 # A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
 CLEAR_TICKS: Final = 11
-# A touch told where the foot has come down by less than this share of its rise is told early; one
-# after which it goes on by this share of what it is asked, at least so far, has not stopped it.
+# A touch told where the foot has come down by less than this share of its rise is told early.
 EARLY_SHARE: Final = 1 / 3
-THROUGH_SHARE: Final = 0.8
+# Commands kept of one swing, to foretell where they take a foot; 8 s, as long as the slowest.
+PATH_TICKS: Final = 400
 # Without geometry the first half of a swing stands for its lift, if it holds enough ticks after the
 # foot has let go; the shortest of the last few swings says how long they are.
 LIFT_TICKS: Final = 10
@@ -98,8 +98,8 @@ class SwingWatch:
         self._heights: deque[float] = deque(maxlen=HEIGHTS)  # m, newest last
         self._surface = -math.inf  # height of soft ground that the swing began in, m
         self._touch: tuple[float, float] | None = None  # heights at a touch, and before it
-        self._course: list[tuple[float, float]] = []  # of the swing: heights, commanded and come to
-        self._touch_tick: int | None = None  # where in it the first touch was told to have begun
+        self._top = -math.inf  # height of the foot, the highest of the swing so far, m
+        self._fallen: float | None = None  # from there to where its first touch began, m
 
     @property
     def blind(self) -> bool:
@@ -184,23 +184,14 @@ class SwingWatch:
         return self.held
 
     def touch_belied(self) -> bool | None:
-        """Whether the foot belies the touch that was told in the swing that ends.
+        """Whether the swing that ends told a touch where its foot had hardly begun to come down.
 
         Returns:
             None where it cannot be told; False also where no touch was told.
         """
         if not (self.measures and self.whole and self.lifted) or self.held:
             return None
-        at = self._touch_tick
-        if at is None:
-            return False
-        commanded, come = zip(*self._course, strict=True)
-        fallen = max(come[: at + 1]) - come[at]
-        if fallen < EARLY_SHARE * self._rise:
-            return True
-        # The foot is where its command was some ticks before, at the touch and at the end.
-        asked = commanded[max(at - LAG_TICKS, 0)] - commanded[max(len(come) - 1 - LAG_TICKS, 0)]
-        return bool(asked > LEAST_WAY_M and come[at] - come[-1] > THROUGH_SHARE * asked)
+        return self._fallen is not None and self._fallen < EARLY_SHARE * self._rise
 
     def interrupt(self) -> None:
         """What comes does not connect to what was: it may be another swing already."""
@@ -247,8 +238,9 @@ class SwingWatch:
                 at, before = self._touch or (-math.inf, -math.inf)
                 self._surface = before if self._start[2] < at - SUNK_M else -math.inf
                 self._touch = None
-                self._course, self._touch_tick = [], None
-            self._path.append(sample.desired)
+                self._top, self._fallen = self._start[2], None
+            if len(self._path) < PATH_TICKS:  # what is longer is not foretold
+                self._path.append(sample.desired)
             self._path_seq = (self._path_seq[0], sample.seq)
             now = place or self._place(sample.desired)
             self._commanded_up = now[2] > self._commanded[2]
@@ -270,7 +262,7 @@ class SwingWatch:
         self.rising = now[2] > self._measured[2]
         self._measured = now
         self._heights.append(now[2])
-        self._course.append((self._commanded[2], now[2]))
+        self._top = max(self._top, now[2])
         self._rise = max(self._rise, now[2] - self._start[2])
         self._moved = max(self._moved, math.dist(now, self._start))
         self._asked.append(math.dist(self._commanded, self._start))
@@ -280,8 +272,8 @@ class SwingWatch:
         if self._heights:
             back = [min(past, len(self._heights) - 1) for past in (ticks, ticks + SURFACE_TICKS)]
             self._touch = (self._heights[-1 - back[0]], self._heights[-1 - back[1]])
-        if self._course and self._touch_tick is None:
-            self._touch_tick = max(len(self._course) - 1 - ticks, 0)
+            if self._fallen is None:
+                self._fallen = self._top - self._heights[-1 - back[0]]
 
     def command(self) -> None:
         """The sample's command is now in force."""

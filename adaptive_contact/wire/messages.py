@@ -141,6 +141,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         ticks: samples accepted since start.
         rejects: samples refused, by reason.
         missed: samples lost, from gaps in ``seq``.
+        restarts: times the source began anew; what is lost there, no number tells.
         contacts: contact events so far; ``state`` is the present one.
         note: one line for a person when something is wrong, None when all is well.
     """
@@ -157,6 +158,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     ticks: int = 0
     rejects: dict[str, int] = {}
     missed: int = 0
+    restarts: int = 0
     contact: bool = False
     contacts: int = 0
     note: str | None = None

@@ -9,6 +9,7 @@ from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import (
     DOMAIN_ROWS,
+    LOOK_AGAIN_ROWS,
     PRIOR_ROWS,
     PROBATION_ROWS,
     REFIT_DUE_TICKS,
@@ -103,10 +104,25 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challe
     return challenger, promoted or model
 
 
-def compared(challenger: Challenger, new: Row, model: LegModel) -> LegModel | None:
+def compared(
+    challenger: Challenger, new: Row, model: LegModel, *, known: bool = True
+) -> LegModel | None:
     """A row of the trial, as the follower lets it be tried."""
     off = (new.target - new.theta @ model.coefficients) / NOISE
-    return challenger.compare(new, off.tolist(), model)
+    return challenger.compare(new, off.tolist(), model, known=known)
+
+
+def looked_at(
+    challenger: Challenger, model: LegModel, *, known: bool = True, truth: float = 0.06
+) -> LegModel | None:
+    """The rows within which a candidate that waits is looked at again; what came of it."""
+    rng = np.random.default_rng(2)
+    for _ in range(LOOK_AGAIN_ROWS):
+        new = row(rng, model.library.size, truth=truth)
+        won = compared(challenger, new, model, known=known)
+        if won is not None or not challenger.trying:
+            return won
+    return None
 
 
 def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
@@ -139,20 +155,105 @@ def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -
     assert counts.last_reason.startswith("waiting: a candidate is +")
     assert "there are 2 contacts to try it on, 3 are needed" in counts.last_reason
     challenger.contacts.add([stopped(model)])
-    new = row(np.random.default_rng(2), model.library.size, truth=0.06)
-    assert compared(challenger, new, model) is None
+    assert looked_at(challenger, model) is None
     assert "misses 3 of 3 stored contacts" in (challenger.counts.last_reason or "")
     assert "waiting" not in (challenger.counts.last_reason or "")
+
+
+def test_a_candidate_that_waits_is_looked_at_now_and_then_only(model: LegModel) -> None:
+    challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
+    rng, deciding = np.random.default_rng(3), 0
+    for _ in range(10 * LOOK_AGAIN_ROWS):
+        deciding += challenger.deciding
+        compared(challenger, row(rng, model.library.size, truth=0.06), model)
+    assert challenger.trying
+    assert deciding == 10
+
+
+def test_a_newer_refit_takes_the_place_of_a_candidate_that_waits(model: LegModel) -> None:
+    """A leg that touches nothing is refitted as often as any; the newest refit waits."""
+    given = Given(model.coefficients * 1.2)
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
+    buffer, rng, p = SlidingBuffer(), np.random.default_rng(0), model.library.size
+    fill(buffer, rng, p, truth=0.06)
+    for turn in range(3):
+        for _ in range(REFIT_EVERY_SWINGS):
+            challenger.swing_done(model, buffer, 0)
+        assert given.asked == turn + 1
+        for _ in range(REFIT_DUE_TICKS + 1):
+            challenger.tick()
+        challenger.swing_done(model, buffer, 0)
+        assert given.asked == turn + 1, "one that is being tried is not replaced"
+        for _ in range(2 * TRIAL_ROWS):
+            assert compared(challenger, row(rng, p, truth=0.06), model) is None
+        assert "waiting: a candidate" in (challenger.counts.last_reason or "")
+    newest = given.coefficients = model.coefficients * 1.21
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0)
+    assert "waiting: a candidate" in (challenger.counts.last_reason or "")
+    for _ in range(REFIT_DUE_TICKS + 1):
+        challenger.tick()
+    for _ in range(TRIAL_CONTACTS):
+        challenger.contacts.add([stopped(model)])
+    for _ in range(TRIAL_ROWS):
+        won = compared(challenger, row(rng, p, truth=0.06), model)
+    assert won is not None
+    np.testing.assert_array_equal(won.coefficients, newest)
+
+
+def test_a_refit_under_way_does_not_disturb_the_probation_of_another(model: LegModel) -> None:
+    given = Given(model.coefficients * 1.2)
+    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
+    buffer, rng, p = SlidingBuffer(), np.random.default_rng(0), model.library.size
+    fill(buffer, rng, p, truth=0.06)
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0)
+    for _ in range(REFIT_DUE_TICKS + 1):
+        challenger.tick()
+    for _ in range(TRIAL_ROWS):
+        compared(challenger, row(rng, p, truth=0.06), model)
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0)
+    assert given.asked == 2
+    for _ in range(TRIAL_CONTACTS):
+        challenger.contacts.add([stopped(model)])
+    won = looked_at(challenger, model)
+    assert won is not None
+    for _ in range(2 * REFIT_DUE_TICKS):
+        challenger.tick()
+    for _ in range(PROBATION_ROWS):
+        assert compared(challenger, row(rng, p, truth=0.06), won) is None
+    assert not challenger.trying
+    assert challenger.counts.promoted == 1
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e6])
+def test_a_candidate_that_no_servo_can_be_is_refused_untried(model: LegModel, wild: float) -> None:
+    candidate = model.coefficients.copy()
+    candidate[3, 1] = wild
+    challenger = Challenger(
+        "rf", NOISE, np.ones(model.library.size), Given(candidate), plausible=_below_a_radian
+    )
+    buffer = SlidingBuffer()
+    fill(buffer, np.random.default_rng(0), model.library.size)
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0)
+    for _ in range(REFIT_DUE_TICKS + 1):
+        challenger.tick()
+    assert not challenger.trying
+    assert challenger.counts.refused == 1
+    assert challenger.counts.last_reason == ("refused: a coefficient is not finite, or implausible")
+
+
+def _below_a_radian(coefficients: np.ndarray) -> bool:
+    return bool(np.abs(coefficients).max() <= 1.0)
 
 
 def test_a_leg_that_is_not_known_does_not_wait_for_contacts_that_nobody_stores(
     model: LegModel,
 ) -> None:
     challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
-    new = row(np.random.default_rng(2), model.library.size, truth=0.06)
-    off = (new.target - new.theta @ model.coefficients) / NOISE
-    promoted = challenger.compare(new, off.tolist(), model, known=False)
-    assert promoted is not None
+    assert looked_at(challenger, model, known=False) is not None
     assert challenger.counts.promoted == 1
 
 

@@ -217,3 +217,39 @@ def test_a_leg_of_any_build_is_learned_from_nothing(joints: int) -> None:
     found = {n for n in alarms if n >= 100}
     assert len(found & set(range(100, 120, 2))) >= 8
     assert sum(n < 100 for n in alarms) + len(found - set(range(100, 120, 2))) <= 2
+
+
+def test_ticks_of_another_length_are_no_part_of_a_first_model(cold: ColdStart) -> None:
+    add(cold, 30, swing=True, value=1.0)
+    add(cold, 5, swing=True, value=2.0)
+    cold.drop(5)
+    swings(cold, FIRST_TRY_SWINGS)
+    job = cold.job()
+    assert job is not None
+    assert len(job.stretches[0].measured) == 30
+    assert not any((stretch.measured == 2.0).any() for stretch in job.stretches)
+    cold.interrupt()
+    add(cold, 3, swing=True, value=2.0)
+    cold.drop(8)  # what was before the break stays
+    assert cold.samples == 30 + FIRST_TRY_SWINGS * (SWING + REST)
+
+
+def test_a_leg_that_starts_cold_at_another_rate_collects_what_is_at_its_own(robot: Robot) -> None:
+    learner = ContactLearner(robot, "rf")
+    measured, desired, swing, _ = FakeLeg(seed=3).run(8)
+    late_ns = 0
+    for k in range(len(measured)):
+        late_ns += 4_000_000 if k >= 100 else 0
+        learner.update(
+            ServoSample(
+                t_ns=20_000_000 * k + late_ns,
+                seq=k,
+                measured=measured[k].tolist(),
+                desired=desired[k].tolist(),
+                phase="swing" if swing[k] else "stance",
+            )
+        )
+    cold = learner._knowledge.cold
+    assert cold is not None
+    assert "24.0 ms apart" in (learner.status.note or "")
+    assert 80 <= cold.samples <= 100

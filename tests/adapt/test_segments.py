@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.buffer import MAX_SEGMENTS, SlidingBuffer
+from adaptive_contact.adapt.buffer import MAX_SEGMENTS, MOST_ROWS, SlidingBuffer
 from adaptive_contact.adapt.ground import Push
 from adaptive_contact.adapt.quarantine import _Regions
 from adaptive_contact.adapt.segments import (
@@ -13,6 +13,7 @@ from adaptive_contact.adapt.segments import (
     GUARD_TICKS,
     HOLE_TICKS,
     LAST_TICKS,
+    MAX_ROWS,
     MISSED_LEVEL,
     PUSHED_SIGMA,
     TOUCHING_TICKS,
@@ -268,3 +269,30 @@ def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
     assert len(places(60)) < 6, "beside that everything is near"
     places(MAX_SEGMENTS)
     assert places(60) == set(range(6))
+
+
+def test_a_lift_that_does_not_end_keeps_its_newest_ticks() -> None:
+    """A leg held up for an hour, or a source that says "swing" for good."""
+    book = SwingBook()
+    book.begin()
+    for tick in range(1, 10 * MAX_ROWS):
+        book.add(row(tick, lift=True, calm=True), tick, descending=False)
+        assert len(book._lift) <= MAX_ROWS
+    assert book._commanded == MAX_ROWS
+    book.add(row(10 * MAX_ROWS, lift=False), 10 * MAX_ROWS, descending=True)
+    assert ticks(book.take_lift()) == list(range(9 * MAX_ROWS, 10 * MAX_ROWS))
+
+
+def test_a_buffer_of_very_slow_swings_is_bounded_in_rows() -> None:
+    buffer = SlidingBuffer()
+    for k in range(60):
+        slow = [row(MAX_ROWS * k + i, lift=k % 2 == 0) for i in range(MAX_ROWS)]
+        buffer.add(slow, k % 3, 0)
+        held = buffer.counts.lift_ticks + buffer.counts.descent_ticks
+        assert held == MAX_ROWS * min(k + 1, MOST_ROWS // MAX_ROWS)
+    again = SlidingBuffer()
+    again.restore([s._replace(era=0) for s in buffer.segments * 3])
+    assert again.counts.lift_ticks + again.counts.descent_ticks <= MOST_ROWS
+    assert {segment.cell for segment in buffer.segments} == {
+        (a, b) for a in (0, 1) for b in range(3)
+    }

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.swing import CLEARANCE_M, SwingWatch
+from adaptive_contact.adapt.swing import CLEARANCE_M, PATH_TICKS, SwingWatch
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.geometry import inverse
 from adaptive_contact.wire import ServoSample
@@ -98,3 +98,21 @@ def test_a_foot_is_out_of_ground_that_gave_when_it_is_above_it(
     assert soft or above_onset < 0.024
     # And the next one starts from where nothing was touched.
     assert next(rise for rise, cleared in swing(watch, 1.0)[5:] if cleared) < 0.024
+
+
+def test_a_swing_without_end_takes_no_more_memory(robot: Robot) -> None:
+    """A leg held up for an hour: it is followed, but no longer foretold."""
+    watch = SwingWatch(robot.leg("rf"))
+    swing(watch, follow=0.5)
+    at = inverse(HIGH, LENGTHS).tolist()
+    for k in range(100, 3 * PATH_TICKS):
+        sample = ServoSample(t_ns=k, seq=k, measured=at, desired=at, phase="swing")
+        watch.follow(sample)
+        watch.observe(sample.measured)
+        watch.command()
+    assert len(watch._path) == PATH_TICKS
+    asked: list[object] = []
+    watch.held = False
+    watch._moved = 0.01
+    assert watch.judge_lift(lambda path: asked.append(path) or []) is True  # type: ignore[func-returns-value]
+    assert not asked

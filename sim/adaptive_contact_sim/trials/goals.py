@@ -123,6 +123,7 @@ def _follow(_: Tree, full: Tree) -> list[Goal]:
     return [
         _recall(full),
         Goal("longest lock-out, swings", LOCK_OUT_SWINGS, float(full["longest_lock_out"])),
+        Goal("harm", 0.0, float(full["harmful"])),
     ]
 
 

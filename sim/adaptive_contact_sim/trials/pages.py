@@ -1,8 +1,8 @@
 """A page of plots for every scenario: one leg-run in detail, all of them below.
 
-Top to bottom: the statistic over its threshold and the residual on ticks where the leg was truly
-free, swing by swing; what became of every swing; how the model's terms moved; what the full
-learner said of itself; and, over all leg-runs, how many swings were lost.
+Top to bottom: the statistic over its threshold, the threshold itself and the residual on ticks
+where the leg was truly free, swing by swing; what became of every swing; how the model's terms
+moved; what the full learner said of itself; and, over all leg-runs, how many swings were lost.
 """
 
 from __future__ import annotations
@@ -67,25 +67,26 @@ def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     replayed = load_replay(spec, replay_file(spec, folders.replays))
     if recording is None or replayed is None:
         return False
-    page = figure(11.5, 13.0)
+    page = figure(11.5, 14.5)
     page.suptitle(f"{scenario.name}: {scenario.about}", x=0.01, ha="left", color=INK, fontsize=12)
-    axes = page.subplots(6, 1, gridspec_kw={"height_ratios": [3, 2.4, 1.9, 2.4, 1.7, 3]})
+    axes = page.subplots(7, 1, gridspec_kw={"height_ratios": [3, 1.7, 2.4, 1.9, 2.4, 1.7, 3]})
     variants = replayed[leg]
     swings = judgement.variants[Variant.FROZEN][0].outcome
     _scores(axes[0], recording, leg, swings, variants)
-    _residuals(axes[1], recording, leg, swings, variants)
-    _outcomes(axes[2], judgement)
-    _terms(axes[3], leg, variants[Variant.FULL])
-    _status(axes[4], variants[Variant.FULL])
-    for ax in axes[:5]:
+    _thresholds(axes[1], recording, leg, swings, variants)
+    _residuals(axes[2], recording, leg, swings, variants)
+    _outcomes(axes[3], judgement)
+    _terms(axes[4], leg, variants[Variant.FULL])
+    _status(axes[5], variants[Variant.FULL])
+    for ax in axes[:6]:
         ax.set_xlim(0.0, spec.recording.seconds)
         _moments(ax, scenario)
     axes[0].set_title(
         f"Leg {leg}, seed {spec.recording.settings.seed}: largest statistic over threshold while "
         "truly free; above 1 it would be a false alarm"
     )
-    axes[4].set_xlabel("s")
-    _all_leg_runs(axes[5], judgement)
+    axes[5].set_xlabel("s")
+    _all_leg_runs(axes[6], judgement)
     save(page, path)
     return True
 
@@ -125,6 +126,27 @@ def _scores(
     _log(ax)
     ax.set_ylabel("score")
     _legend(ax)
+
+
+def _thresholds(
+    ax: Any, recording: Recording, leg: str, outcome: LegOutcome, variants: dict[Variant, LegReplay]
+) -> None:
+    ax.set_title(
+        "Threshold of a tick's squared distance, × the first: with level, tail and the model's own "
+        "doubt; largest per swing"
+    )
+    for variant, replayed in variants.items():
+        trace = replayed.trace
+        if trace is None or not np.isfinite(trace.threshold).any():
+            continue
+        first = trace.threshold[np.isfinite(trace.threshold)][0]
+        t, limit = _free_by_swing(recording, leg, outcome, trace.threshold / first, largest=True)
+        wide = 1.6 if variant is Variant.FULL else 0.9
+        ax.plot(t, limit, color=COLOURS[variant], lw=wide, label=variant.value)
+    _log(ax)
+    ax.set_ylabel("× the first")
+    if ax.lines:
+        _legend(ax)
 
 
 def _residuals(

@@ -81,12 +81,15 @@ class Trace(NamedTuple):
     Attributes:
         residual_rad: (n, J), NaN where nothing was predicted.
         score: (n,) statistic over threshold, NaN where the tick was not judged.
+        threshold: (n,) of a tick's squared distance, in the baseline's noise, NaN likewise: with
+            level, tail and the model's own doubt in it.
         coefficients: (s, p, J) after each swing, of the terms in ``names``.
         names: (p,) terms.
     """
 
     residual_rad: Array
     score: Array
+    threshold: Array
     coefficients: Array
     names: NDArray[np.str_]
 
@@ -127,6 +130,7 @@ class _Watch:
         joints = len(self.learner.leg.joints)
         self._residual = np.full((ticks, joints), np.nan) if spec.trace else None
         self._score = np.full(ticks, np.nan)
+        self._threshold = np.full(ticks, np.nan)
 
     def tick(self, k: int) -> None:
         """After the learner has taken a tick in, if it is traced."""
@@ -139,6 +143,7 @@ class _Watch:
             tracker.residuals, tracker.increments, detector.whitening, np.array(tracker.usable)
         )
         self._score[k] = np.nanmax(said.value / detector.thresholds)
+        self._threshold[k] = detector.thresholds[0] * float(np.mean(detector.unit))
 
     def swing_over(self) -> None:
         """At the first sample after a swing."""
@@ -185,7 +190,8 @@ class _Watch:
             shape = self._coefficients[0].shape if self._coefficients else (0, 0)
             known = [np.zeros(shape)] * late + self._coefficients
             coefficients = np.stack(known) if known else np.zeros((0, 0, 0))
-            trace = Trace(self._residual, self._score, coefficients, np.array(self._names))
+            names = np.array(self._names)
+            trace = Trace(self._residual, self._score, self._threshold, coefficients, names)
         return LegReplay(events, log, len(confirmed), touched, trace)
 
 
