@@ -10,10 +10,12 @@ from __future__ import annotations
 from typing import Final
 
 import msgspec
+import structlog
 
 from adaptive_contact.service.admission import Admission
 from adaptive_contact.service.answers import Answers
 from adaptive_contact.service.link import Declared, Link
+from adaptive_contact.service.meters import Brake
 from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.ports import Learner
 from adaptive_contact.service.settings import leg_token
@@ -31,6 +33,8 @@ from adaptive_contact.wire import (
 )
 
 __all__ = ["SILENT_AFTER_S", "STATUS_PERIOD_S", "Desk"]
+
+_log = structlog.get_logger()
 
 SILENT_AFTER_S: Final = 0.5
 STATUS_PERIOD_S: Final = 1.0
@@ -68,7 +72,8 @@ class Desk:
     ) -> None:
         self.leg = leg
         self.learner = learner
-        self.model_version = learner.status.model_version
+        self._told_of = learner.status  # as of the last look, to tell what is new since
+        self.model_version = self._told_of.model_version
         self.heard_samples = 0
         self.position = resumes
         self._admission = Admission(joints, resumes)
@@ -86,6 +91,7 @@ class Desk:
         self._refused_ns = 0
         self._published: Status | None = None
         self._published_ns = now_ns
+        self._brake = Brake()
 
     def heard(self, sample: ServoSample, now_ns: int) -> Reject | None:
         """Note a readable sample.
@@ -133,6 +139,8 @@ class Desk:
             The new status where it has changed, otherwise None.
         """
         status = self.status(now_ns)
+        self._tell_news(self._told_of, status, now_ns)
+        self._told_of = status
         self.model_version = status.model_version
         changed = status.status != self._published
         if not (changed or anyway) and now_ns - self._published_ns < _STATUS_PERIOD_NS:
@@ -167,6 +175,19 @@ class Desk:
         return msgspec.structs.replace(
             status, status="silent" if quiet else status.status, note="; ".join(notes)
         )
+
+    def _tell_news(self, before: LearnerStatus, now: LearnerStatus, now_ns: int) -> None:
+        """Log what became of refits, and that the source began anew."""
+        for name in ("promoted", "refused", "rolled_back"):
+            if getattr(now.refits, name) > getattr(before.refits, name):
+                # Most are refused, each minute of a leg that has not changed.
+                say = _log.debug if name == "refused" else _log.info
+                why, version = now.refits.last_reason, now.model_version
+                say("refit", leg=self.leg, outcome=name, why=why, model_version=version)
+        restarts = now.restarts - before.restarts
+        stands_for = self._brake.passes("restart", now_ns, restarts) if restarts > 0 else None
+        if stands_for is not None:
+            _log.info("source began anew", leg=self.leg, times=stands_for)
 
     def report(self) -> ModelReport | None:
         """The leg's model, None before there is one."""

@@ -55,6 +55,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     ticks: int = 0
     rate_hz: float | None = None
     missed: int = 0
+    restarts: int = 0
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
     note: str | None = None
     stale: bool = False
@@ -213,6 +214,7 @@ class Watch:
             ticks=status.ticks,
             rate_hz=_rate(leg.ticks),
             missed=status.missed,
+            restarts=status.restarts,
             rejects=status.rejects,
             note=status.note,
             stale=now_ns - leg.status_ns > _STALE_NS,

@@ -94,12 +94,20 @@ def table(view: View) -> Table:
         cells += _model(leg)
         cells += [
             Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}"),
-            Text(str(leg.missed), style="yellow" if leg.missed else "dim"),
+            _lost(leg),
             Text(_counts(leg.rejects) or "-", style="yellow" if leg.rejects else "dim"),
             Text(leg.note or "", style="yellow"),
         ]
         shown.add_row(*cells, style="dim" if leg.stale else "")
     return shown
+
+
+def _lost(leg: LegView) -> Text:
+    """Samples missed; what a source lost while it began anew, no number tells."""
+    words = f"{leg.missed}"
+    if leg.restarts:
+        words += f", {leg.restarts} {'restart' if leg.restarts == 1 else 'restarts'}"
+    return Text(words, style="yellow" if leg.missed or leg.restarts else "dim")
 
 
 def _state(contact: bool | None) -> Text:

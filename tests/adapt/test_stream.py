@@ -125,6 +125,23 @@ def test_a_source_that_starts_anew_again_and_again_is_told_of(samples: int) -> N
     assert guard.note is None
 
 
+def test_restarts_are_counted_and_outlive_ours() -> None:
+    guard = StreamGuard(2)
+    for seq in range(5):
+        guard.admit(sample(seq, run=1))
+    assert guard.restarts == 0, "the first sample is none"
+    guard.admit(sample(0, run=2))
+    assert guard.restarts == 1
+    again = StreamGuard(2)
+    again.restore(guard.snapshot())
+    again.admit(sample(1, run=2))
+    assert again.restarts == 1, "the source went on while the service was away"
+    another = StreamGuard(2)
+    another.restore(guard.snapshot())
+    another.admit(sample(0, run=3))
+    assert another.restarts == 2, "it began anew meanwhile"
+
+
 def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
     guard = StreamGuard(2)
     for k in range(10 * SHORT_RUN_SAMPLES):

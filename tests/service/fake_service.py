@@ -20,6 +20,7 @@ from adaptive_contact.wire import (
     LearnerStatus,
     ModelReport,
     ModelTerm,
+    RefitCounts,
     Reject,
     ServoSample,
     Status,
@@ -56,6 +57,7 @@ class FakeLearner:
         self.rejects: Counter[str] = Counter()
         self.guard = StreamGuard(joints)
         self.note: str | None = None
+        self.refits = RefitCounts()
         self.owes_release = False
         self.fault: Exception | None = None  # raised by whoever asks
         self.report: ModelReport | None = ModelReport(
@@ -106,7 +108,9 @@ class FakeLearner:
             noise_floor=[0.001] * self.joints,
             ticks=self.ticks,
             missed=self.guard.missed,
+            restarts=self.guard.restarts,
             rejects=dict(self.rejects),
+            refits=self.refits,
             contact=self.contact,
             contacts=self.contacts,
             note=self.note,

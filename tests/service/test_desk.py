@@ -28,6 +28,7 @@ from adaptive_contact.service.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     MSGPACK,
     LearnerStatus,
+    RefitCounts,
     ServoSample,
     encode,
     learner_key,
@@ -288,3 +289,33 @@ def test_a_leg_that_cannot_say_how_it_is_begins_anew_and_says_that(
         life.hear(*(sample(seq) for seq in range(1, 100)))
         found = got.wait(lambda items: items[-1].status == "valid")[-1]
         assert found.note == "begun anew: in its status"
+
+
+def test_what_became_of_refits_is_logged_once(live: Live, sample: Sample) -> None:
+    with live() as life, capture_logs() as logs:
+        life.hear(sample(1))
+        life.learner.refits = RefitCounts(promoted=1, last_reason="promoted: +0.2 better")
+        life.idle(100)
+        life.learner.refits = RefitCounts(promoted=1, refused=1, last_reason="refused: -0.1")
+        life.idle(100)
+        life.learner.refits = RefitCounts(promoted=1, refused=1, rolled_back=1, last_reason="back")
+        life.idle(100)
+    told = [
+        (line["outcome"], line["why"], line["log_level"])
+        for line in logs
+        if line["event"] == "refit"
+    ]
+    assert told == [
+        ("promoted", "promoted: +0.2 better", "info"),
+        ("refused", "refused: -0.1", "debug"),
+        ("rolled_back", "back", "info"),
+    ]
+
+
+def test_a_source_that_begins_anew_is_logged_now_and_then(live: Live, sample: Sample) -> None:
+    with live() as life, capture_logs() as logs:
+        for run in range(1, 6):
+            life.hear(sample(1, run=run), sample(2, run=run))
+            life.idle(20)
+    lines = [line for line in logs if line["event"] == "source began anew"]
+    assert [(line["leg"], line["times"]) for line in lines] == [("rf", 1)]

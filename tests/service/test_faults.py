@@ -144,9 +144,13 @@ def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run:
         rejects = listener.statuses["rf"].rejects
         # Without `run` the service cannot know at once: it counts what it does not believe yet.
         assert rejects == ({} if run else {"time_backwards": 9})
+        assert listener.statuses["rf"].restarts == 1
+        watched = rig.watched(listener.link)
+        assert "0, 1 restart" in watched
         if run is None:
-            assert "time_backwards 9" in rig.watched(listener.link)
+            assert "time_backwards 9" in watched
     assert served.stop() == 0
+    assert re.search(r"source began anew .*leg=rf", served.log.read_text())
 
 
 def test_a_source_restarted_that_counts_anew(serve: Any, rig: ModuleType) -> None:

@@ -82,11 +82,12 @@ def seen(image: np.ndarray, colour: tuple[int, int, int], tolerance: int = 60) -
 def test_a_moment_can_be_set_up_again() -> None:
     sim = Simulation(HITS)
     kept, feet = [], []
+    stage = Stage(sim)
     for _ in range(80):
         sim.advance()
         kept.append(Moment.of(sim))
-        feet.append(Stage(sim).feet_m.copy())
-    stage = Stage(sim)
+        stage.set(kept[-1])
+        feet.append(stage.feet_m.copy())
     before = sim.plant.data.qpos.copy()
     for k in (70, 3, 40):
         stage.set(kept[k])

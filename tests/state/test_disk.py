@@ -14,6 +14,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from adaptive_contact.service.state import Record, StateKeeper, StateStore
+from adaptive_contact.service.state import keeper as keeper_module
 from adaptive_contact.service.state.keeper import Position
 
 from .conftest import Desk, Folder, Learner, S
@@ -87,6 +88,43 @@ def test_a_disk_that_is_too_slow_at_the_end_is_told(
     (line,) = logs
     assert line["event"] == "state not saved in time, the one before it stays"
     assert line["legs"] == "lr rm"
+
+
+def test_a_disk_that_does_not_answer_is_told(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A card that dies neither saves nor fails: nobody would ever hear of it."""
+    monkeypatch.setattr(keeper_module, "HANGS_S", 0.01)
+    keeper, desk = folder.open(), Desk()
+    keeper.restore("rf", desk.learner, "servo", 0)
+    writing, go_on = threading.Event(), threading.Event()
+    save = folder.store.save
+
+    def hangs(record: Record) -> None:
+        writing.set()
+        assert go_on.wait(20)
+        save(record)
+
+    monkeypatch.setattr(folder.store, "save", hangs)
+    with capture_logs() as logs:
+        desk.hear()
+        keeper.take(desk, 0)
+        assert writing.wait(5)
+        until_s = time.monotonic() + 5.0
+        while keeper.facts.error is None and time.monotonic() < until_s:
+            threading.Event().wait(0.005)
+        error = keeper.facts.error
+        for _ in range(3):
+            keeper.take(desk, 0)
+        assert error is not None
+        assert error.startswith(f"rf not saved in {folder.store.shown}: the disk has not answered")
+        assert [(line["event"], line["log_level"]) for line in logs] == [
+            ("state not saved", "warning")
+        ]
+        go_on.set()
+        assert keeper.flush(5)
+    assert keeper.facts.error is None
+    assert keeper.facts.failed == 0
 
 
 def test_a_full_disk_is_told_once_and_tried_again(

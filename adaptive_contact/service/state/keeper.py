@@ -25,6 +25,8 @@ __all__ = ["Keepable", "Kept", "Position", "StateFacts", "StateKeeper"]
 _log = structlog.get_logger()
 
 SAVE_PERIOD_S: Final = 10.0
+# A write that takes this long is not slow, the disk does not answer.
+HANGS_S: Final = 10.0
 # Refusals told in ServiceStatus; more than a robot has legs would not fit its 4 kB.
 _TOLD: Final = 4
 _LINE: Final = 160
@@ -54,7 +56,8 @@ class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
         refused: one line for each state that was not used; of many, the first and how many more.
         saved: states written.
         failed: states that could not be written.
-        error: why the last one could not, None when it could.
+        error: why the last one could not, or what the one under way waits for; None when all is
+            well.
     """
 
     folder: str
@@ -137,6 +140,7 @@ class StateKeeper:
         self._brake = Brake(60.0)
         self._waiting: dict[str, Record] = {}
         self._writing = False
+        self._under_way: tuple[str, int] | None = None  # leg and begin of a write, monotonic ns
         self._ending = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
@@ -148,13 +152,14 @@ class StateKeeper:
     def facts(self) -> StateFacts:
         """How it goes."""
         more = len(self._refused) - _TOLD
+        error = self._hanging or self._error
         return StateFacts(
             folder=self._store.shown,
             restored=self._restored,
             refused=self._refused[:_TOLD] + ([f"{more} more, as the log says"] if more > 0 else []),
             saved=self._saved,
             failed=self._failed,
-            error=None if self._error is None else self._error[:_ERROR_LINE],
+            error=None if error is None else error[:_ERROR_LINE],
         )
 
     def restore(self, leg: str, learner: object, library: str, now_ns: int) -> Position | None:
@@ -242,6 +247,12 @@ class StateKeeper:
             self._waiting[desk.leg] = record  # replaces one that still waits
             self._changed.notify_all()
         self._start()
+        hanging = self._hanging
+        if hanging is not None:
+            with self._counting:
+                told = self._brake.passes("hangs", time.monotonic_ns())
+            if told is not None:
+                _log.warning("state not saved", why=hanging)
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until everything taken is on disk; False when it is not in time."""
@@ -263,6 +274,20 @@ class StateKeeper:
             self._thread.join(0.1)
         self._store.close()
 
+    @property
+    def _hanging(self) -> str | None:
+        """One line while the disk does not answer: who writes to it can count no failure."""
+        under_way = self._under_way
+        if under_way is None:
+            return None
+        leg, since_ns = under_way
+        for_s = (time.monotonic_ns() - since_ns) / 1e9
+        if for_s < HANGS_S:
+            return None
+        return (
+            f"{leg} not saved in {self._store.shown}: the disk has not answered for {for_s:.0f} s"
+        )
+
     def _start(self) -> None:
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="state", daemon=True)
@@ -283,9 +308,11 @@ class StateKeeper:
             if not waits:
                 self._reopen()
                 continue
+            self._under_way = (leg, time.monotonic_ns())
             try:
                 self._write(leg, record)
             finally:
+                self._under_way = None
                 with self._changed:
                     self._writing = False
                     self._changed.notify_all()

@@ -6,6 +6,7 @@ the leg is right again late, and the fault is not why; only a learner without it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,9 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegOutcome, LegStream, match
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ServoSample, decode, servo_key
+from adaptive_contact_sim.soak.arrival import SourceClock
+from adaptive_contact_sim.soak.conduct import Broken
+from adaptive_contact_sim.soak.recovery import heard_by_ns, whole_touches
 
 __all__ = ["missed_anyway", "unbroken"]
 
@@ -22,7 +26,8 @@ __all__ = ["missed_anyway", "unbroken"]
 def unbroken(recording: Path, stream: LegStream, robot: Robot, until_ns: int) -> LegOutcome:
     """Take a new learner through a leg's samples.
 
-    Its refits are the service's, of the same rows; when each of them came is not, by a tick or so.
+    As the simulator sent them: what a service lost on the way is not lost here.  Its refits take
+    effect where the service's do, unless the service's process was late.
 
     Args:
         recording: of the samples.
@@ -55,22 +60,32 @@ def unbroken(recording: Path, stream: LegStream, robot: Robot, until_ns: int) ->
     return match(stream, events)
 
 
-def missed_anyway(outcome: LegOutcome, without_fault: LegOutcome, from_ns: int) -> bool:
-    """Whether what made a leg late after a fault would have been missed without it, too.
+def missed_anyway(
+    outcome: LegOutcome,
+    without_fault: Callable[[int], LegOutcome],
+    fault: Broken,
+    first_right_ns: int | None,
+    clock: SourceClock,
+) -> bool:
+    """Whether a leg that was late after a fault would have been as late without it.
+
+    It has until the first touch that a learner without the fault finds, and no longer: what comes
+    late, or never, is the fault's doing all the same.
 
     Args:
         outcome: of the leg's events, as they were heard.
-        without_fault: of the same stream, by a learner that was not broken.
-        from_ns: samples' time of the end of the fault's cause.
-
-    Returns:
-        True if in the whole swings from there to the first touch that was found there were touches
-        that count, and the other learner found none of them, either.
+        without_fault: the same stream, by a learner that was not broken, up to a samples' time.
+        fault: which.
+        first_right_ns: when the leg's first right event was heard, ns of the wall.
+        clock: of the samples.
     """
-    touches = outcome.touches
-    whole = (outcome.swings.start_ns[touches.swing] > from_ns) & touches.counted
-    found = np.flatnonzero(whole & touches.found)
-    if not len(found):
+    from_ns = clock.of_wall(fault.to_ns)
+    asked = whole_touches(outcome, from_ns)
+    found = np.flatnonzero(asked & outcome.touches.found)
+    if first_right_ns is None or not len(found):
         return False  # never right again
-    until = whole & (touches.onset_ns < touches.onset_ns[found[0]])
-    return bool(until.any()) and not bool(without_fault.touches.found[until].any())
+    touches = outcome.touches
+    until_ns = int(touches.onset_ns[found[0]] + touches.window_ns[found[0]])
+    other = without_fault(until_ns)
+    limit_ns = heard_by_ns(other, asked & other.touches.found, clock)
+    return limit_ns is not None and first_right_ns <= limit_ns

@@ -7,13 +7,14 @@ missed must together be the ticks that the source has gone through, whoever was 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections import Counter
 from typing import Any, Final
 
 import numpy as np
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.score import Events, Gatherer, LegOutcome, LegStream, match
+from adaptive_contact.score import Events, Gatherer, match
 from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key
 from adaptive_contact_sim.soak.accounts import (
@@ -28,7 +29,7 @@ from adaptive_contact_sim.soak.arrival import Arrivals, SourceClock, judge_arriv
 from adaptive_contact_sim.soak.conduct import Take
 from adaptive_contact_sim.soak.memory import Grown, Point, curves_of, grown
 from adaptive_contact_sim.soak.plan import SoakPlan
-from adaptive_contact_sim.soak.recovery import recovery_of, right_events
+from adaptive_contact_sim.soak.recovery import first_right_ns, recovery_of, right_events
 from adaptive_contact_sim.soak.releases import judge_releases
 from adaptive_contact_sim.soak.sections import (
     Section,
@@ -56,9 +57,6 @@ MISSED_SHARE: Final = 0.01
 FORGIVEN: Final = 2
 # While a drift is under way its cause has not ended; so many errors per touch are honest there.
 RAMP_SHARE: Final = 0.05
-# Within so many seconds of a fault a leg that touches in every swing has been found again, or the
-# fault is why it was not.
-_ANYWAY_S: Final = 10
 _NS: Final = 1_000_000_000
 
 
@@ -185,7 +183,13 @@ def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
             leg
             for leg in late
             if leg in streams
-            and _late_anyway(take, streams[leg], outcomes, robot, clock.of_wall(fault.to_ns))
+            and missed_anyway(
+                next(one for one in outcomes if one.leg == leg),
+                functools.partial(unbroken, take.recording, streams[leg], robot),
+                fault,
+                first_right_ns(fault, right[leg], clock),
+                clock,
+            )
         ]
         for fault, (_, late) in zip(take.broken, back, strict=True)
     ]
@@ -363,16 +367,6 @@ def _state_failures(found: Verdict, robot: Robot) -> list[str]:
         if lost_s > FORGETS_S
     ]
     return lines
-
-
-def _late_anyway(
-    take: Take, stream: LegStream, outcomes: list[LegOutcome], robot: Robot, from_ns: int
-) -> bool:
-    """Whether a late leg would have been as late without the fault."""
-    outcome = next(one for one in outcomes if one.leg == stream.leg)
-    until_ns = from_ns + _ANYWAY_S * _NS
-    without_fault = unbroken(take.recording, stream, robot, until_ns)
-    return missed_anyway(outcome, without_fault, from_ns)
 
 
 def _walked_s(at_ns: Any, epoch_ns: int) -> float:
