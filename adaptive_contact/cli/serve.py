@@ -103,6 +103,7 @@ def serve(
             link, bank, robot, baseline=origin, now_ns=time.monotonic_ns(), keeper=keeper
         )
         _tell(_ready_line(link, robot, origin))
+        refitter.start()
         service.run(stop)
         service.log_figures()
     finally:

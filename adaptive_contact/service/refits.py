@@ -1,10 +1,10 @@
 """Refits in another process, so that no tick waits for one.
 
 A fit in a thread of the service raises a callback's latency from 0.4 to 12 ms (measured); in a
-process of its own, with one BLAS thread, it costs the service nothing but the pipe.  The process
-is started with the first job, and anew when it dies; one that has not answered in a minute is
-killed.  A job that loses its process twice is given up and answered as lost, so that its leg
-goes on asking.
+process of its own, with one BLAS thread, it costs the service nothing but the pipe.  The process is
+started with the service, as its imports take seconds, and anew when it dies; one that has not
+answered in a minute is killed.  A job that loses its process twice is given up and answered as
+lost, so that its leg goes on asking.
 """
 
 from __future__ import annotations
@@ -61,15 +61,20 @@ class ProcessRefitter:
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None
 
+    def start(self) -> None:
+        """Start the process, so that the first result is no later than others."""
+        with self._changed:
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="refits", daemon=True)
+                self._thread.start()
+
     def submit(self, job: Job) -> None:
         """Take a job; one of the same leg that still waits is void."""
         with self._changed:
             self._results.pop(job.leg, None)
             self._waiting[job.leg] = job
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="refits", daemon=True)
-                self._thread.start()
             self._changed.notify_all()
+        self.start()
 
     def collect(self, leg: str, number: int) -> object | None:
         """The result of a job, or None while there is none."""
@@ -94,6 +99,9 @@ class ProcessRefitter:
             self._end_process()
 
     def _work(self) -> None:
+        with contextlib.suppress(OSError):  # a job that finds no process says so
+            if self._process is None:
+                self._process = _start()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: bool(self._waiting) or self._ending)

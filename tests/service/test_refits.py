@@ -100,6 +100,17 @@ class Threads:
         return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
 
+@dataclasses.dataclass(frozen=True)
+class Needs:
+    """Tells what a fit would still have to import."""
+
+    leg: str
+    number: int
+
+    def run(self) -> list[str]:
+        return [name for name in ("pysindy.optimizers", "sklearn") if name not in sys.modules]
+
+
 class Vanishing(ProcessRefitter):
     """Its process is there when it is first looked at, and gone when it is looked at again."""
 
@@ -119,7 +130,7 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless, Large, Deadly, Threads):
+    for kind in (Stubborn, Endless, Large, Deadly, Threads, Needs):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=20.0)
@@ -142,6 +153,24 @@ def wait(refitter: Refitter, leg: str, number: int) -> object:
         assert time.monotonic() < until
         time.sleep(0.01)
     return found
+
+
+def test_a_process_is_there_before_the_first_job(refitter: ProcessRefitter) -> None:
+    """Its first result is no later than others: all that a fit needs has been imported."""
+    refitter.start()
+    refitter.start()
+    deadline = time.monotonic() + 30
+    while refitter._process is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process = refitter._process
+    assert process is not None
+    assert wait(refitter, "rf", _submitted(refitter, Needs("rf", 1))) == []
+    assert refitter._process is process
+
+
+def _submitted(refitter: ProcessRefitter, job: Needs) -> int:
+    refitter.submit(job)  # type: ignore[arg-type]
+    return job.number
 
 
 def test_the_result_is_that_of_a_refit_in_line(refitter: ProcessRefitter) -> None:
