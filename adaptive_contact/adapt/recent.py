@@ -42,6 +42,9 @@ SHRINK_TICKS: Final = 1000.0
 CLIP: Final = 3.0
 # The baseline's tail weighs like so many exceedances.
 PRIOR_EXCEEDANCES: Final = 50.0
+# An exceedance counts for so many times the mean of the tail as it is known, at most: one tick of a
+# touch that passed for a lift had made the threshold three times as high for twenty minutes.
+MOST_EXCESS: Final = 5.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
@@ -90,7 +93,8 @@ class RecentNoise:
 
     def count(self, rows: Sequence[Row]) -> None:
         """Take in the free ticks of a lift of a leg that is known."""
-        level = self._tails[0].level
+        tail = self._tails[0]
+        level = tail.level
         self._ticks += len(rows)
         for row in rows:
             if not row.value > level:  # NaN is not
@@ -99,8 +103,9 @@ class RecentNoise:
             spread = 0.0 if self.domain is None else float(self.domain.leverage(row.theta))
             value = row.value / (1.0 + spread)
             if value > level:
+                most = MOST_EXCESS * self.tail_factors[1] * tail.scale / (1.0 - tail.shape)
                 self._above += 1.0
-                self._excess += value - level
+                self._excess += min(value - level, most)
         if self._ticks > MEMORY_TICKS:
             fade = MEMORY_TICKS / self._ticks
             self._ticks *= fade

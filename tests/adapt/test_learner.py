@@ -10,7 +10,10 @@ import pytest
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline, LearnerMode
+from adaptive_contact.adapt.champion import Champion
 from adaptive_contact.adapt.follower import Follower
+from adaptive_contact.adapt.learner import ROWS_PER_TICK
+from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.training import Stretch, learn
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.robot import Robot
@@ -287,3 +290,45 @@ def test_servos_that_are_far_behind_their_commands_are_not_taken_for_a_held_foot
     assert sum(confirmed[41:70]) == 0
     assert told[76:].count("valid") >= 30
     assert sum(confirmed[76:]) > 150
+
+
+def test_a_swing_s_rows_are_learned_a_few_per_tick(
+    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A swing confirms a dozen rows or two at once; no tick pays for all of them."""
+    learned: list[int] = []
+    whole = Champion.learn
+
+    def count(champion: Champion, row: Row) -> list[float]:
+        learned[-1] += 1
+        return whole(champion, row)
+
+    monkeypatch.setattr(Champion, "learn", count)
+    run = FakeLeg(seed=3).run(80, change=lambda n: 0.7 if n >= 40 else 1.0)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(*run[:3]):
+        learned.append(0)
+        learner.update(sample)
+    assert max(learned) == ROWS_PER_TICK, "while it adapts"
+    calm = learned[28 * 20 : 28 * 40]
+    assert max(calm) == 1, "a leg that is known can wait"
+    assert sum(calm) > 150
+
+
+@pytest.mark.parametrize("tick", [15, 18, 21])
+def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tick: int) -> None:
+    """Two hundred swings that all end in a touch, against the same leg without."""
+    limits, levels, tails = [], [], []
+    for touch in (None, tick):
+        run = FakeLeg(seed=8).run(240, touch=lambda n, t=touch: t if n >= 20 else None)
+        learner = ContactLearner(robot, "rf", baseline)
+        play(learner, samples(*run[:3]))
+        detector, follower = learner.detector, learner._knowledge.follower
+        assert detector is not None
+        assert follower is not None
+        limits.append(detector.thresholds)
+        levels.append(follower.level_in_force)
+        tails.append(detector.recent.tail_factors)
+    np.testing.assert_array_less(limits[1], 1.05 * limits[0])
+    assert levels[1] <= 1.05 * levels[0]
+    assert tails[1] <= tuple(1.05 * factor for factor in tails[0])
