@@ -163,6 +163,9 @@ class FakeBank:
 
 
 class FakeRefitter:
+    def start(self) -> None:
+        """There is no process."""
+
     def close(self) -> None:
         """There is nothing to end."""
 
