@@ -56,9 +56,11 @@ class Quarantine:
     def lift_first(self) -> bool:
         """Whether an alarm waits: a foot on its way up speaks of the leg, to be heard at its top.
 
-        What stops it from the side or from above does not let it come up any further.
+        So does one whose command goes up and which has yet to follow: it may still come down from
+        the swing before.  What stops a foot in its lift is told once the command has turned.
         """
-        return self._gated and self._swing.rising and not self._book.topped
+        up = self._swing.rising or not self._swing.descending
+        return self._gated and up and not self._book.topped
 
     @property
     def lift_over(self) -> bool:

@@ -332,3 +332,15 @@ def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tic
     np.testing.assert_array_less(limits[1], 1.05 * limits[0])
     assert levels[1] <= 1.05 * levels[0]
     assert tails[1] <= tuple(1.05 * factor for factor in tails[0])
+
+
+def test_a_foot_stopped_in_its_lift_is_told_once_its_command_has_turned(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Until then it speaks of the leg: one that still falls as its command rises does, too."""
+    run = FakeLeg(seed=4).run(120, touch=lambda n: 6 if n >= 20 and n % 4 == 0 else None)
+    events = play(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
+    at = [e.seq % 28 for e in events if e.contact and e.seq // 28 % 4 == 0]
+    assert len(at) >= 20
+    assert min(at) >= 10
+    assert np.median(at) <= 13
