@@ -10,8 +10,8 @@ from adaptive_contact.adapt.baseline import (
     save_baseline,
     shipped_baseline,
 )
-from adaptive_contact.adapt.follower import LearnerMode
 from adaptive_contact.adapt.learner import ContactLearner
+from adaptive_contact.adapt.mode import LearnerMode
 
 __all__ = [
     "Baseline",

@@ -6,7 +6,7 @@ replaced by it, or by the baseline where there was none.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from adaptive_contact.adapt.snapshot import ImplausibleError, SavedState, array_
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 
-__all__ = ["Champion"]
+__all__ = ["Champion", "residuals_of"]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,9 @@ MAX_TERM_RAD: Final = 0.5
 # Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
 # times what the baseline's do.
 BALANCE: Final = 5.0
+# The baseline is taken up again when it has been this much better for so many lifts.
+RETURN_RATIO: Final = 0.6
+RETURN_SWINGS: Final = 3
 
 
 class _Good(NamedTuple):
@@ -77,6 +80,7 @@ class Champion:
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
         self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
         self._good: _Good | None = None
+        self._better_baseline = 0  # lifts in a row
 
     @property
     def model(self) -> LegModel:
@@ -112,6 +116,21 @@ class Champion:
         """Another model is in force; the recursion begins from it."""
         self._model, self._moved = model, False
         self._rls, self.loosened = self._recursion(model), False
+
+    def baseline_is_better(self, rows: Sequence[Row]) -> bool:
+        """Whether the baseline has fitted lifts much better than the model, with this one enough.
+
+        Args:
+            rows: of a lift, all free.
+        """
+        if self.model.version == 0:
+            return False
+        now, before = (self._error(rows, of.coefficients) for of in (self.model, self.baseline))
+        self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
+        if self._better_baseline < RETURN_SWINGS:
+            return False
+        self._better_baseline = 0
+        return True
 
     def take_up_baseline(self) -> None:
         """Back to what was known; the version goes on."""
@@ -152,6 +171,10 @@ class Champion:
             rls.doubt(self._recent.domain.gram)
         return rls
 
+    def _error(self, rows: Sequence[Row], coefficients: Array) -> float:
+        _, residual = residuals_of(rows, coefficients)
+        return float(np.square(residual / self._noise).mean())
+
     def plausible(self, coefficients: Array) -> bool:
         """Whether a model moves a typical tick by no more than a servo can; NaN does not."""
         return bool(np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad)
@@ -167,3 +190,9 @@ class Champion:
         self._model = self._model.moved(good.model.coefficients, version)
         self._rls, self.loosened = good.rls.copy(), good.loosened
         self._on_fall("the baseline" if self._good is None else "the last good model")
+
+
+def residuals_of(rows: Sequence[Row], coefficients: Array) -> tuple[Array, Array]:
+    """Regressors (n, p) of rows; what (p, J) coefficients leave of their targets, (n, J) rad."""
+    theta = np.array([row.theta for row in rows])
+    return theta, np.array([row.target for row in rows]) - theta @ coefficients

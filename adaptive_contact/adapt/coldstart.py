@@ -19,6 +19,7 @@ from scipy import stats
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.gather import cautious
 from adaptive_contact.adapt.refit import Refitter
+from adaptive_contact.adapt.stream import RATE_STEPS
 from adaptive_contact.adapt.training import Stretch, learn_leg
 from adaptive_contact.detect import Tail
 from adaptive_contact.detect.noise import WINDOWS
@@ -136,9 +137,9 @@ class ColdStart:
             self._starts.append(self.samples)
         self._swung = False
 
-    def drop(self, last: int) -> None:
-        """The last samples were of ticks of another length; what comes does not connect to them."""
-        self.samples = max(self.samples - last, self._starts[-1])
+    def drop_off_rate(self) -> None:
+        """Ticks have another length: those that told are as far off as those that come after."""
+        self.samples = max(self.samples - RATE_STEPS, self._starts[-1])
         self.interrupt()
 
     def add(self, measured: list[float], desired: list[float], *, swing: bool, sound: bool) -> None:

@@ -6,7 +6,6 @@ legs change, and learns from the lifts at once.
 
 from __future__ import annotations
 
-import enum
 import zlib
 from collections import deque
 from collections.abc import Sequence
@@ -19,9 +18,10 @@ from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.belied import BeliedTouches
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
-from adaptive_contact.adapt.champion import Champion
+from adaptive_contact.adapt.champion import RETURN_SWINGS, Champion, residuals_of
 from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.kinds import kind_of_change
+from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.monitor import (
     LEAST_LEVEL,
     LEVEL_RANGE,
@@ -41,13 +41,10 @@ from adaptive_contact.adapt.snapshot import (
 from adaptive_contact.identify import LegModel
 from adaptive_contact.wire import RefitCounts, Status
 
-__all__ = ["Follower", "LearnerMode"]
+__all__ = ["Follower"]
 
 Array = NDArray[np.float64]
 
-# The baseline is taken up again when it has been this much better for so many lifts.
-RETURN_RATIO: Final = 0.6
-RETURN_SWINGS: Final = 3
 # Rows that may wait while nothing has changed: those of one long swing.
 CALM_QUEUE: Final = 24
 # Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
@@ -61,16 +58,6 @@ REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
 REFRESH_TICKS: Final = 16
-
-
-class LearnerMode(enum.StrEnum):
-    """How a learner follows its leg; the lesser ones are there for comparison."""
-
-    FROZEN = "frozen"
-    UNGATED = "ungated"
-    REFIT = "refit"
-    RLS = "rls"
-    FULL = "full"
 
 
 class Follower:
@@ -103,7 +90,7 @@ class Follower:
     ) -> None:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
-        self.gated = mode not in (LearnerMode.FROZEN, LearnerMode.UNGATED)
+        self.gated = mode.gated
         self.baseline = known.model
         least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
         self.monitor = DriftMonitor(len(known.noise.rms), least)
@@ -117,7 +104,6 @@ class Follower:
         self._champion = Champion(known, recent, provisional=provisional, on_fall=self._fallen)
         self._queue: deque[Row] = deque()
         self._doubted: list[Row] = []  # the descent after a lift that was not believed
-        self._better_baseline = 0
         self._era = 0
         self._swings = 0  # since covariances were made anew
         self._learned_swing = False
@@ -260,7 +246,7 @@ class Follower:
             self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
         if self.monitor.status == "valid" and self.monitor.level < SETTLED_LEVEL:
             self._champion.remember()
-        if self.mode in (LearnerMode.REFIT, LearnerMode.FULL):
+        if self.mode.refits:
             self._challenger.swing_done(self.model, self.buffer, self._era, learned=learned)
 
     def tick(self, budget: int) -> None:
@@ -334,11 +320,10 @@ class Follower:
         """Something about the leg has changed: let the recursion move."""
         if first:
             self._belied.forget()
-            theta = np.array([row.theta for row in rows])
-            residual = np.array([row.target for row in rows]) - theta @ self.model.coefficients
+            theta, residual = residuals_of(rows, self.model.coefficients)
             self.monitor.kind = kind_of_change(theta, residual, self.model, self._noise)
         self._era += 1
-        if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
+        if self.mode.recursive:
             self._champion.loosen()
         self._challenger.withdraw()
         self._refresh()
@@ -350,7 +335,7 @@ class Follower:
             self._recent.count(rows)  # of a descent, soft ground may be among the last of them
         self.confirmed_ns.extend(row.t_ns for row in rows)
         self.buffer.add(rows, region, self._era)
-        if self.mode in (LearnerMode.RLS, LearnerMode.FULL):
+        if self.mode.recursive:
             self._queue.extend(rows)
         else:
             for row in rows:
@@ -358,14 +343,8 @@ class Follower:
 
     def _consider_baseline(self, rows: list[Row]) -> None:
         """Mud is washed off, a battery is changed: what was known may hold again."""
-        if self.model.version == 0:
+        if not self._champion.baseline_is_better(rows):
             return
-        now = self._error(rows, self.model.coefficients)
-        before = self._error(rows, self._champion.baseline.coefficients)
-        self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
-        if self._better_baseline < RETURN_SWINGS:
-            return
-        self._better_baseline = 0
         self._champion.take_up_baseline()
         self._queue.clear()
         self._challenger.withdraw()
@@ -393,11 +372,6 @@ class Follower:
         if won is not None:
             self._champion.replace(won)
             self._refresh()
-
-    def _error(self, rows: list[Row], coefficients: Array) -> float:
-        theta = np.array([row.theta for row in rows])
-        target = np.array([row.target for row in rows])
-        return float(np.square((target - theta @ coefficients) / self._noise).mean())
 
     def _refresh(self, *, at_once: bool = True) -> None:
         """Make covariances and thresholds those of the model in force and the leg as it is.

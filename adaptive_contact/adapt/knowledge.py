@@ -13,7 +13,8 @@ from typing import Any
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline, leg_of_tree, leg_tree
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.detector import LegDetector
-from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.follower import Follower
+from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.detect import Tail
@@ -82,25 +83,24 @@ class Knowledge:
         floor: list[float] = self._known.noise.rms.tolist()
         return floor
 
-    def collect(self, sample: ServoSample, *, swing: bool, broken: bool) -> None:
+    def collect(self, sample: ServoSample, *, swing: bool, broken: bool, off: bool) -> None:
         """A sample for a first model, where one is wanted.
 
         Args:
             sample: accepted.
             swing: the leg is in one.
             broken: it does not connect to the one before.
+            off: ticks have another length than the robot's.
         """
         if self.cold is None:
+            return
+        if off:
+            self.cold.drop_off_rate()
             return
         if broken:
             self.cold.interrupt()
         sound = sample.valid is None or all(sample.valid)
         self.cold.add(sample.measured, sample.desired, swing=swing, sound=sound)
-
-    def drop_collected(self, last: int) -> None:
-        """The last samples, for a first model, were of ticks of another length."""
-        if self.cold is not None:
-            self.cold.drop(last)
 
     def try_cold(self) -> None:
         """Hand in a first fit when it is time, and take its result when it is there."""

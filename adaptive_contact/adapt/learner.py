@@ -13,12 +13,13 @@ import numpy as np
 
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.detector import LegDetector, Verdict
-from adaptive_contact.adapt.follower import Follower, LearnerMode
+from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
+from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
-from adaptive_contact.adapt.stream import RATE_STEPS, Accepted, RateWatch, StreamGuard
+from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
@@ -207,15 +208,12 @@ class ContactLearner:
             return False
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
-        known_off = self._rate.off
         connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
         self._connect(result, sample, paused=not connected)
         self._follow_phase(sample)
-        if not self._rate.off:
-            broken = result.restart or result.missed > 0 or not connected
-            self._knowledge.collect(sample, swing=self._swing.ticks > 0, broken=broken)
-        elif not known_off:  # those that told are as far off as those that come after
-            self._knowledge.drop_collected(RATE_STEPS)
+        broken = result.restart or result.missed > 0 or not connected
+        swing, off = self._swing.ticks > 0, self._rate.off
+        self._knowledge.collect(sample, swing=swing, broken=broken, off=off)
         return True
 
     def released(self, sample: ServoSample) -> ContactEvent | None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.score.contacts import TruthChanges
+from adaptive_contact.wire import ContactEvent
 
 __all__ = [
     "COUNTED",
@@ -72,6 +74,17 @@ class Events(NamedTuple):
     t_ns: Times
     contact: Flags
     onset_ns: Times
+
+    @classmethod
+    def of(cls, messages: Iterable[ContactEvent]) -> Events:
+        """From messages, in their order."""
+        rows = [(event.t_ns, event.contact, event.onset_ns) for event in messages]
+        t_ns, contact, onset_ns = zip(*rows, strict=True) if rows else ((), (), ())
+        return cls(
+            np.array(t_ns, dtype=np.int64),
+            np.array(contact, dtype=np.bool_),
+            np.array(onset_ns, dtype=np.int64),
+        )
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

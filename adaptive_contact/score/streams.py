@@ -155,12 +155,7 @@ class Gatherer:
 
     def events(self, leg: str) -> Events:
         """The events heard of a leg."""
-        rows = sorted(self._events.get(leg, []), key=lambda event: event.t_ns)
-        return Events(
-            t_ns=np.array([event.t_ns for event in rows], dtype=np.int64),
-            contact=np.array([event.contact for event in rows], dtype=bool),
-            onset_ns=np.array([event.onset_ns for event in rows], dtype=np.int64),
-        )
+        return Events.of(sorted(self._events.get(leg, []), key=lambda event: event.t_ns))
 
     def stream(self, leg: str) -> LegStream:
         """What is known of one of :attr:`legs`.

@@ -24,7 +24,7 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_sim.arrays import Run
 from adaptive_contact_sim.training import truth_of
 
-__all__ = ["Played", "events_of", "leg_stream", "play", "samples_of", "score_run"]
+__all__ = ["Played", "leg_stream", "play", "samples_of", "score_run"]
 
 MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
 
@@ -117,15 +117,6 @@ def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
     )
 
 
-def events_of(events: Sequence[ContactEvent]) -> Events:
-    """Messages as the scoring takes them."""
-    return Events(
-        np.array([e.t_ns for e in events], dtype=np.int64),
-        np.array([e.contact for e in events], dtype=np.bool_),
-        np.array([e.onset_ns for e in events], dtype=np.int64),
-    )
-
-
 def score_run(run: Run, robot: Robot, events: dict[str, list[ContactEvent]]) -> list[LegOutcome]:
     """Judge every leg's events against the run's truth."""
-    return [match(leg_stream(run, leg, robot), events_of(e)) for leg, e in events.items()]
+    return [match(leg_stream(run, leg, robot), Events.of(e)) for leg, e in events.items()]

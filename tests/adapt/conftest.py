@@ -11,6 +11,7 @@ import pytest
 from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.training import Stretch, learn
+from adaptive_contact.identify import LegModel
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.robot.geometry import inverse
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -124,3 +125,12 @@ def outcome(events: list[ContactEvent], first: int, stop: int | None) -> str:
 
 def outcomes(events: list[ContactEvent], swings: range, stops: list[int | None]) -> list[str]:
     return [outcome(events, 28 * n, stops[n]) for n in swings]
+
+
+@pytest.fixture
+def model(baseline: Baseline) -> LegModel:
+    """The first term alone, for every joint."""
+    of = baseline.legs["rf"].model
+    coefficients = np.zeros_like(of.coefficients)
+    coefficients[0] = 0.05
+    return of.moved(coefficients, 0)

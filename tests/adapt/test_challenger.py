@@ -9,120 +9,19 @@ from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import (
     DOMAIN_ROWS,
-    LOOK_AGAIN_ROWS,
     PRIOR_ROWS,
     PROBATION_ROWS,
     REFIT_DUE_TICKS,
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
-    TRIAL_CONTACTS,
-    TRIAL_ROWS,
     Challenger,
 )
 from adaptive_contact.adapt.coldstart import ColdJob
-from adaptive_contact.adapt.contacts import MOST, StoredContacts, Touch
+from adaptive_contact.adapt.contacts import MOST, StoredContacts
 from adaptive_contact.adapt.refit import InlineRefitter, RefitResult
-from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import Domain, Factor, FitStatus, LegModel
 
-NOISE = np.array([0.01, 0.01, 0.01])
-
-
-class Given:
-    """Answers every job with the same candidate."""
-
-    def __init__(self, coefficients: np.ndarray) -> None:
-        self.coefficients = coefficients
-        self.asked = 0
-
-    def submit(self, job: object) -> None:
-        """Count it."""
-        self.asked += 1
-
-    def collect(self, leg: str, number: int) -> RefitResult:
-        """The candidate."""
-        return RefitResult(number, FitStatus.OK, self.coefficients, 0.1, 1.0)
-
-
-@pytest.fixture
-def model(baseline: Baseline) -> LegModel:
-    """The first term alone, for every joint."""
-    of = baseline.legs["rf"].model
-    coefficients = np.zeros_like(of.coefficients)
-    coefficients[0] = 0.05
-    return of.moved(coefficients, 0)
-
-
-def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
-    """A free tick, in which only the first term is excited."""
-    theta = np.zeros(p)
-    theta[0] = rng.normal() + 2.0
-    target = theta[0] * truth + rng.normal(size=3) * NOISE
-    return Row(theta, target, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True)
-
-
-def fill(
-    buffer: SlidingBuffer,
-    rng: np.random.Generator,
-    p: int,
-    segments: int = 60,
-    *,
-    truth: float = 0.05,
-) -> None:
-    """Lifts of a dozen free ticks, in three regions by turns; 60 are enough for a refit."""
-    for k in range(segments):
-        buffer.add([row(rng, p, truth=truth) for _ in range(12)], k % 3, 0)
-
-
-def stopped(model: LegModel) -> Touch:
-    """A leg that should move by 0.1 rad and stands; the second term is excited there only."""
-    theta = np.zeros((3, model.library.size))
-    theta[:, 0], theta[:, 1] = 2.0, 1.0
-    whiten = np.broadcast_to(np.eye(3) / NOISE, (3, 3, 3))
-    return Touch.of(theta, np.zeros((3, 3)), whiten, np.full(3, 30.0), 1)
-
-
-def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challenger, LegModel]:
-    """After a whole trial on ticks that the candidate fits."""
-    challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(candidate))
-    buffer = SlidingBuffer()
-    rng = np.random.default_rng(0)
-    p = model.library.size
-    fill(buffer, rng, p, truth=0.06)
-    for _ in range(contacts):
-        challenger.contacts.add([stopped(model)])
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
-    assert challenger.trying
-    promoted = None
-    for _ in range(2 * TRIAL_ROWS):
-        promoted = compared(challenger, row(rng, p, truth=0.06), model)
-        if promoted is not None or not challenger.trying:
-            break
-    return challenger, promoted or model
-
-
-def compared(
-    challenger: Challenger, new: Row, model: LegModel, *, known: bool = True
-) -> LegModel | None:
-    """A row of the trial, as the follower lets it be tried."""
-    off = (new.target - new.theta @ model.coefficients) / NOISE
-    return challenger.compare(new, off.tolist(), model, known=known)
-
-
-def looked_at(
-    challenger: Challenger, model: LegModel, *, known: bool = True, truth: float = 0.06
-) -> LegModel | None:
-    """The rows within which a candidate that waits is looked at again; what came of it."""
-    rng = np.random.default_rng(2)
-    for _ in range(LOOK_AGAIN_ROWS):
-        new = row(rng, model.library.size, truth=truth)
-        won = compared(challenger, new, model, known=known)
-        if won is not None or not challenger.trying:
-            return won
-    return None
+from .trials import NOISE, Given, compared, fill, row, stopped, tried
 
 
 def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
@@ -141,90 +40,6 @@ def test_a_candidate_that_explains_contacts_away_is_refused(model: LegModel) -> 
     assert after is model
     assert challenger.counts.refused == 1
     assert "misses 20 of 20 stored contacts" in (challenger.counts.last_reason or "")
-
-
-def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -> None:
-    blind = model.coefficients * 1.2
-    blind[1] = -2.0 * blind[0]
-    challenger, after = tried(model, blind, contacts=TRIAL_CONTACTS - 1)
-    assert after is model
-    assert challenger.trying, "on free ticks alone it has won"
-    counts = challenger.counts
-    assert (counts.promoted, counts.refused) == (0, 0)
-    assert counts.last_reason is not None
-    assert counts.last_reason.startswith("waiting: a candidate is +")
-    assert "there are 2 contacts to try it on, 3 are needed" in counts.last_reason
-    challenger.contacts.add([stopped(model)])
-    assert looked_at(challenger, model) is None
-    assert "misses 3 of 3 stored contacts" in (challenger.counts.last_reason or "")
-    assert "waiting" not in (challenger.counts.last_reason or "")
-
-
-def test_a_candidate_that_waits_is_looked_at_now_and_then_only(model: LegModel) -> None:
-    challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
-    rng, deciding = np.random.default_rng(3), 0
-    for _ in range(10 * LOOK_AGAIN_ROWS):
-        deciding += challenger.deciding
-        compared(challenger, row(rng, model.library.size, truth=0.06), model)
-    assert challenger.trying
-    assert deciding == 10
-
-
-def test_a_newer_refit_takes_the_place_of_a_candidate_that_waits(model: LegModel) -> None:
-    """A leg that touches nothing is refitted as often as any; the newest refit waits."""
-    given = Given(model.coefficients * 1.2)
-    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
-    buffer, rng, p = SlidingBuffer(), np.random.default_rng(0), model.library.size
-    fill(buffer, rng, p, truth=0.06)
-    for turn in range(3):
-        for _ in range(REFIT_EVERY_SWINGS):
-            challenger.swing_done(model, buffer, 0)
-        assert given.asked == turn + 1
-        for _ in range(REFIT_DUE_TICKS + 1):
-            challenger.tick()
-        challenger.swing_done(model, buffer, 0)
-        assert given.asked == turn + 1, "one that is being tried is not replaced"
-        for _ in range(2 * TRIAL_ROWS):
-            assert compared(challenger, row(rng, p, truth=0.06), model) is None
-        assert "waiting: a candidate" in (challenger.counts.last_reason or "")
-    newest = given.coefficients = model.coefficients * 1.21
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    assert "waiting: a candidate" in (challenger.counts.last_reason or "")
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
-    for _ in range(TRIAL_CONTACTS):
-        challenger.contacts.add([stopped(model)])
-    for _ in range(TRIAL_ROWS):
-        won = compared(challenger, row(rng, p, truth=0.06), model)
-    assert won is not None
-    np.testing.assert_array_equal(won.coefficients, newest)
-
-
-def test_a_refit_under_way_does_not_disturb_the_probation_of_another(model: LegModel) -> None:
-    given = Given(model.coefficients * 1.2)
-    challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
-    buffer, rng, p = SlidingBuffer(), np.random.default_rng(0), model.library.size
-    fill(buffer, rng, p, truth=0.06)
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
-    for _ in range(TRIAL_ROWS):
-        compared(challenger, row(rng, p, truth=0.06), model)
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    assert given.asked == 2
-    for _ in range(TRIAL_CONTACTS):
-        challenger.contacts.add([stopped(model)])
-    won = looked_at(challenger, model)
-    assert won is not None
-    for _ in range(2 * REFIT_DUE_TICKS):
-        challenger.tick()
-    for _ in range(PROBATION_ROWS):
-        assert compared(challenger, row(rng, p, truth=0.06), won) is None
-    assert not challenger.trying
-    assert challenger.counts.promoted == 1
 
 
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e6])
@@ -247,24 +62,6 @@ def test_a_candidate_that_no_servo_can_be_is_refused_untried(model: LegModel, wi
 
 def _below_a_radian(coefficients: np.ndarray) -> bool:
     return bool(np.abs(coefficients).max() <= 1.0)
-
-
-def test_a_leg_that_is_not_known_does_not_wait_for_contacts_that_nobody_stores(
-    model: LegModel,
-) -> None:
-    challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
-    assert looked_at(challenger, model, known=False) is not None
-    assert challenger.counts.promoted == 1
-
-
-def test_a_candidate_that_waits_for_contacts_is_tried_on_the_newest_ticks(model: LegModel) -> None:
-    challenger, _ = tried(model, model.coefficients * 1.2, contacts=0)
-    assert challenger.trying
-    rng = np.random.default_rng(2)
-    for _ in range(TRIAL_ROWS):  # the leg is again what it was
-        compared(challenger, row(rng, model.library.size, truth=0.05), model)
-    assert not challenger.trying
-    assert challenger.counts.refused == 1
 
 
 def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -> None:

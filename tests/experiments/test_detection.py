@@ -12,7 +12,7 @@ import pytest
 from adaptive_contact.adapt import ContactLearner, LearnerMode, shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegStream, Row, TruthChanges, summarise
-from adaptive_contact_sim.evaluate import events_of, samples_of
+from adaptive_contact_sim.evaluate import samples_of
 from adaptive_contact_sim.experiments import detection as study
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.evaluation import AIM, FACTORS, _tail
@@ -303,7 +303,7 @@ def test_the_ungated_learner_is_the_products_own(robot: Robot, touched_stream: S
         pytest.skip("no shipped baseline: run `make baseline`")
     (told,) = play_ungated(robot, {0: baseline}, [touched_stream])
     learner = ContactLearner(robot, "rf", baseline, mode=LearnerMode.UNGATED)
-    expected = events_of(
+    expected = Events.of(
         [
             event
             for sample in samples_of(touched_stream.run, "rf")

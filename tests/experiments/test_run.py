@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 from adaptive_contact.adapt import shipped_baseline
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
-from adaptive_contact_sim.evaluate import events_of, play
+from adaptive_contact.score import Events
+from adaptive_contact_sim.evaluate import play
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.online import play_streams
 from adaptive_contact_sim.experiments.plan import QUICK
@@ -124,7 +125,7 @@ def test_streams_side_by_side_decide_what_they_decide_alone(
     )
     together = play_streams(robot, {0: baseline}, [touched_stream, short])
     for stream, events in zip((touched_stream, short), together, strict=True):
-        alone = events_of(play(stream.run, robot, baseline).events["rf"])
+        alone = Events.of(play(stream.run, robot, baseline).events["rf"])
         assert len(alone.t_ns) > 3
         for a, b in zip(events, alone, strict=True):
             np.testing.assert_array_equal(a, b)

@@ -93,14 +93,7 @@ def test_a_learner_that_nobody_broke_tells_what_a_learner_tells(tmp_path: Path) 
         gathered.take(record)
     stream = gathered.stream("rf")
     alone = unbroken(path, stream, shipped_robot(), until_ns=8 * S)
-    expected = match(
-        stream,
-        Events(
-            np.array([e.t_ns for e in told], dtype=np.int64),
-            np.array([e.contact for e in told], dtype=np.bool_),
-            np.array([e.onset_ns for e in told], dtype=np.int64),
-        ),
-    )
+    expected = match(stream, Events.of(told))
     np.testing.assert_array_equal(alone.touches.found, expected.touches.found)
     assert alone.touches.found[alone.touches.onset_ns < 7 * S].mean() > 0.9
     assert not alone.touches.found[alone.touches.onset_ns > 8 * S].any()

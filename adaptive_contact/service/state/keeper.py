@@ -139,7 +139,6 @@ class StateKeeper:
         self._counting = threading.Lock()  # the worker and the thread both see failures
         self._brake = Brake(60.0)
         self._waiting: dict[str, Record] = {}
-        self._writing = False
         self._under_way: tuple[str, int] | None = None  # leg and begin of a write, monotonic ns
         self._ending = False
         self._changed = threading.Condition()
@@ -258,7 +257,7 @@ class StateKeeper:
         """Wait until everything taken is on disk; False when it is not in time."""
         with self._changed:
             return self._changed.wait_for(
-                lambda: not self._waiting and not self._writing, timeout_s
+                lambda: not self._waiting and self._under_way is None, timeout_s
             )
 
     def close(self, timeout_s: float = 1.0) -> None:
@@ -304,17 +303,15 @@ class StateKeeper:
                 if waits:
                     leg = next(iter(self._waiting))
                     record = self._waiting.pop(leg)
-                    self._writing = True
+                    self._under_way = (leg, time.monotonic_ns())
             if not waits:
                 self._reopen()
                 continue
-            self._under_way = (leg, time.monotonic_ns())
             try:
                 self._write(leg, record)
             finally:
-                self._under_way = None
                 with self._changed:
-                    self._writing = False
+                    self._under_way = None
                     self._changed.notify_all()
 
     def _reopen(self) -> None:

@@ -10,7 +10,7 @@ from adaptive_contact.adapt.team import Team
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, ServoSample
-from adaptive_contact_sim.evaluate import events_of, samples_of
+from adaptive_contact_sim.evaluate import samples_of
 from adaptive_contact_sim.experiments.data import Stream
 
 __all__ = ["play_streams"]
@@ -42,4 +42,4 @@ def play_streams(
         for own, event in zip(events, team.advance(tick), strict=True):
             if event is not None:
                 own.append(event)
-    return [events_of(own) for own in events]
+    return [Events.of(own) for own in events]

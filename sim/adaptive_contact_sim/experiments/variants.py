@@ -15,7 +15,7 @@ import msgspec
 from adaptive_contact.adapt import Baseline, ContactLearner, LearnerMode
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
-from adaptive_contact_sim.evaluate import events_of, samples_of
+from adaptive_contact_sim.evaluate import samples_of
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.online import play_streams
 from adaptive_contact_sim.experiments.plan import Piece, Plan
@@ -80,5 +80,5 @@ def play_ungated(
             mode=LearnerMode.UNGATED,
         )
         told = [learner.update(sample) for sample in samples_of(stream.run, stream.leg)]
-        found.append(events_of([event for event in told if event is not None]))
+        found.append(Events.of([event for event in told if event is not None]))
     return found

@@ -15,7 +15,7 @@ from adaptive_contact.adapt import ContactLearner, shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegOutcome, LegStream, match
 from adaptive_contact.service.recording import read_recording
-from adaptive_contact.wire import ServoSample, decode, servo_key
+from adaptive_contact.wire import ContactEvent, ServoSample, decode, servo_key
 from adaptive_contact_sim.soak.arrival import SourceClock
 from adaptive_contact_sim.soak.conduct import Broken
 from adaptive_contact_sim.soak.recovery import heard_by_ns, whole_touches
@@ -39,7 +39,8 @@ def unbroken(recording: Path, stream: LegStream, robot: Robot, until_ns: int) ->
         The touches, all that the stream holds; later ones are not found.
     """
     learner = ContactLearner(robot, stream.leg, shipped_baseline(robot.name))
-    key, told = servo_key(stream.leg), []
+    key = servo_key(stream.leg)
+    told: list[ContactEvent] = []
     for record in read_recording(recording):
         if record.key != key:
             continue
@@ -50,14 +51,8 @@ def unbroken(recording: Path, stream: LegStream, robot: Robot, until_ns: int) ->
             break
         event = learner.update(sample)
         if event is not None:
-            told.append((event.t_ns, event.contact, event.onset_ns))
-    t_ns, contact, onset_ns = zip(*told, strict=True) if told else ((), (), ())
-    events = Events(
-        np.array(t_ns, dtype=np.int64),
-        np.array(contact, dtype=np.bool_),
-        np.array(onset_ns, dtype=np.int64),
-    )
-    return match(stream, events)
+            told.append(event)
+    return match(stream, Events.of(told))
 
 
 def missed_anyway(

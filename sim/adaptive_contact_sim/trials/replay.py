@@ -172,11 +172,6 @@ class _Watch:
     def result(self, touching: NDArray[np.bool_], t_ns: Times) -> LegReplay:
         """All that was seen."""
         self.confirmed.extend(self.learner.drain_confirmed())
-        events = Events(
-            np.array([e.t_ns for e in self.events], dtype=np.int64),
-            np.array([e.contact for e in self.events], dtype=np.bool_),
-            np.array([e.onset_ns for e in self.events], dtype=np.int64),
-        )
         columns = list(zip(*self._rows, strict=True)) or [()] * len(SwingLog._fields)
         log = SwingLog._make(
             np.array(column, dtype=np.float64 if name in _FLOATS else np.int64)
@@ -192,7 +187,7 @@ class _Watch:
             coefficients = np.stack(known) if known else np.zeros((0, 0, 0))
             names = np.array(self._names)
             trace = Trace(self._residual, self._score, self._threshold, coefficients, names)
-        return LegReplay(events, log, len(confirmed), touched, trace)
+        return LegReplay(Events.of(self.events), log, len(confirmed), touched, trace)
 
 
 def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
