@@ -23,6 +23,8 @@ _DETECTION_NS: Final = 120_000_000
 _JUDGE_AFTER_NS: Final = 250_000_000
 _STALE_NS: Final = 2_500_000_000
 _RATE_OVER_S: Final = 3.0
+# Times of contacts that are kept, of a leg.
+_MOST_HEARD: Final = 256
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -34,6 +36,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
         latency_ms: of the last detection, with its median; None without truth.
         touches, seen, false_alarms: since ``watch`` began; None without truth.
         residual_rms, noise_floor: (J,) rad.
+        unheard: contacts that the service told since ``watch`` began and that did not arrive.
         rate_hz: accepted samples per second.
         stale: the service has not spoken of this leg for a while.
     """
@@ -43,6 +46,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     status: Status | None = None
     contact_age_s: float | None = None
     contacts: int = 0
+    unheard: int = 0
     latency_ms: float | None = None
     median_latency_ms: float | None = None
     touches: int | None = None
@@ -119,11 +123,51 @@ class _Truth:
 
 
 @dataclass(slots=True)
+class _Heard:
+    """Contacts of one leg that arrived, against those that its statuses count.
+
+    A status counts the contacts up to its own time; which of them arrived is told by theirs, in
+    whatever order they come.  What is told of a new clock, or of a state from before, begins anew.
+    """
+
+    base: LearnerStatus | None = None
+    last: LearnerStatus | None = None
+    times_ns: set[int] = field(default_factory=set)  # of events after the base
+    before: int = 0  # unheard before the base
+
+    @property
+    def unheard(self) -> int:
+        if self.base is None or self.last is None:
+            return self.before
+        until_ns = self.last.t_ns
+        heard = sum(t_ns <= until_ns for t_ns in self.times_ns)
+        return self.before + max(self.last.contacts - self.base.contacts - heard, 0)
+
+    def event(self, t_ns: int) -> None:
+        if self.base is not None and t_ns > self.base.t_ns:
+            self.times_ns.add(t_ns)
+
+    def status(self, status: LearnerStatus) -> None:
+        last = self.last
+        if last is None or status.contacts < last.contacts or status.t_ns < last.t_ns:
+            self._begin(status)
+        self.last = status
+        if len(self.times_ns) > _MOST_HEARD:
+            self._begin(status)
+
+    def _begin(self, status: LearnerStatus) -> None:
+        self.before = self.unheard
+        self.base = self.last = status
+        self.times_ns = {t_ns for t_ns in self.times_ns if t_ns > status.t_ns}
+
+
+@dataclass(slots=True)
 class _Leg:
     status: LearnerStatus | None = None
     status_ns: int = 0
     contact: bool | None = None
     contact_ns: int | None = None
+    heard: _Heard = field(default_factory=_Heard)
     truth: _Truth | None = None
     pending: list[tuple[int, ContactEvent]] = field(default_factory=list)
     ticks: list[tuple[int, int]] = field(default_factory=list)
@@ -142,6 +186,7 @@ class Watch:
         leg.contact = event.contact
         if event.contact:
             leg.contact_ns = now_ns - age_ns
+            leg.heard.event(event.t_ns)
             if age_ns < _JUDGE_AFTER_NS:
                 leg.pending.append((now_ns, event))
 
@@ -150,6 +195,7 @@ class Watch:
         leg = self._leg(status.leg)
         leg.status, leg.status_ns = status, now_ns
         leg.contact = status.contact
+        leg.heard.status(status)
         if leg.ticks and status.ticks < leg.ticks[-1][1]:  # the service was restarted
             leg.ticks = []
         oldest_ns = now_ns - int(_RATE_OVER_S * 1e9)
@@ -207,6 +253,7 @@ class Watch:
             row,
             status=status.status,
             contacts=status.contacts,
+            unheard=leg.heard.unheard,
             residual_rms=status.residual_rms,
             noise_floor=status.noise_floor,
             model_version=status.model_version,

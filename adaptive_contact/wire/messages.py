@@ -142,7 +142,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         rejects: samples refused, by reason.
         missed: samples lost, from gaps in ``seq``.
         restarts: times the source began anew; what is lost there, no number tells.
-        contacts: contact events so far; ``state`` is the present one.
+        contact: whether the leg touches, by its last event.
+        contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
         note: one line for a person when something is wrong, None when all is well.
     """
 

@@ -20,6 +20,10 @@ from typing import Any
 
 import pytest
 
+from adaptive_contact.service.feed import Feed
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.watch import LegView
+from adaptive_contact.service.watch_table import headline
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 pytestmark = pytest.mark.e2e
@@ -102,6 +106,45 @@ def test_a_cut_link_is_mended_and_no_other_leg_suffers(serve: Any, rig: ModuleTy
         seqs = [event.seq for event in listener.of("lf")]
         assert seqs == list(range(seqs[0], seqs[-1] + 1, rig.HALF)), "the other leg lost nothing"
         assert listener.statuses["lf"].missed == 0
+    assert served.stop() == 0
+
+
+def test_contacts_told_while_a_subscribers_link_is_cut_are_counted(
+    serve: Any, rig: ModuleType
+) -> None:
+    served = serve()
+    wire = rig.Wire(served.endpoint)
+    robot, listener = rig.Robot50(served.endpoint), rig.Listener(served.endpoint)
+    with (
+        rig.closing(wire, listener, robot),
+        Link.open(client_settings([wire.endpoint], wait=False)) as link,
+    ):
+        feed = Feed(link)
+
+        def seen(test: Callable[[LegView], bool]) -> LegView:
+            until = time.monotonic() + 30.0
+            while True:
+                rows = [leg for leg in feed.view(time.monotonic_ns()).legs if leg.leg == "rf"]
+                if rows and test(rows[0]):
+                    return rows[0]
+                assert time.monotonic() < until, rows
+                time.sleep(0.05)
+
+        assert seen(lambda leg: leg.contacts > 2).unheard == 0
+        wire.cut()
+        began = len(listener.of("rf"))
+        # Longer than the lease of 2 s, so that the link is given up and made anew.
+        listener.wait(lambda me: len(me.of("rf")) >= began + 18)
+        wire.mend()
+        lost = seen(lambda leg: leg.unheard > 0)
+        told = sum(event.contact for event in listener.of("rf"))
+        assert lost.unheard <= told
+        after = seen(lambda leg: leg.contacts > lost.contacts + 4)
+        assert after.unheard == lost.unheard, "what is heard again is not lost"
+        assert (
+            f"{lost.unheard} contacts told and not heard here"
+            in headline(feed.view(time.monotonic_ns())).plain
+        )
     assert served.stop() == 0
 
 

@@ -61,6 +61,20 @@ def truth(t_ms: float, contact: bool) -> ContactTruth:
     return ContactTruth(t_ns=int(t_ms * MS), contact=contact, force=2.0 if contact else 0.0)
 
 
+def service(**fields: Any) -> ServiceStatus:
+    return ServiceStatus(
+        **{
+            "version": "1",
+            "robot": "mini",
+            "period_s": 0.02,
+            "baseline": None,
+            "legs": {"rf": LegFacts(joints=["a"]), "lf": LegFacts(joints=["a"])},
+            "uptime_s": 75.0,
+            **fields,
+        }
+    )
+
+
 def drawn(view: View) -> str:
     console = Console(width=180, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
     console.print(table(view))
@@ -101,6 +115,58 @@ def test_a_restarted_service_gives_no_negative_rate() -> None:
     watch.learner(status(ticks=10), 1 * S)
     watch.learner(status(ticks=60), 2 * S)
     assert row(watch, 2 * S).rate_hz == 50.0
+
+
+def test_contacts_that_did_not_arrive_are_counted() -> None:
+    watch = Watch()
+    watch.event(event(400), 0)  # before anything is known of how many there were
+    watch.learner(status(t_ns=1 * S, contacts=7), 1 * S)
+    watch.event(event(1500), 2 * S)
+    watch.event(event(1700, contact=False), 2 * S)
+    watch.learner(status(t_ns=2 * S, contacts=8), 2 * S)
+    assert row(watch).unheard == 0
+    watch.event(event(3900), 4 * S)
+    watch.event(event(4100), 4 * S)  # told after the status that is still on its way
+    watch.learner(status(t_ns=4 * S, contacts=11), 4 * S)
+    assert row(watch).unheard == 2
+    watch.event(event(2500), 4 * S)  # late is not lost
+    watch.event(event(2500), 4 * S)  # nor is twice more than once
+    assert row(watch).unheard == 1
+    watch.service(service())
+    assert "1 contact told and not heard here" in headline(watch.view(4 * S)).plain
+
+
+@pytest.mark.parametrize(
+    "fresh",
+    [status(t_ns=5 * S, contacts=0), status(t_ns=1 * S, contacts=9)],
+    ids=["another service", "another clock"],
+)
+def test_the_count_of_what_did_not_arrive_begins_anew_and_keeps_what_it_has(
+    fresh: LearnerStatus,
+) -> None:
+    watch = Watch()
+    watch.learner(status(t_ns=2 * S, contacts=5), 1 * S)
+    watch.learner(status(t_ns=4 * S, contacts=6), 2 * S)
+    watch.learner(fresh, 3 * S)
+    assert row(watch).unheard == 1
+    t_ns = fresh.t_ns + S
+    watch.learner(status(t_ns=t_ns, contacts=fresh.contacts + 2), 4 * S)
+    assert row(watch).unheard == 3
+
+
+def test_counting_what_did_not_arrive_takes_no_memory_over_days() -> None:
+    watch = Watch()
+    watch.learner(status(t_ns=0), 0)
+    told = 0
+    for second in range(1, 2000):
+        for _ in range(3):
+            told += 1
+            if told % 100:
+                watch.event(event(second * 1000 - 100 * (told % 3)), second * S)
+        watch.learner(status(t_ns=second * S, contacts=told), second * S)
+    assert row(watch).unheard == told // 100
+    (leg,) = watch._legs.values()
+    assert len(leg.heard.times_ns) < 300
 
 
 @pytest.mark.parametrize(
@@ -151,20 +217,6 @@ def test_chatter_is_one_touch_and_one_event_matches_once() -> None:
     watch.event(event(450), 1 * S)
     leg = row(watch, 2 * S)
     assert (leg.touches, leg.seen, leg.false_alarms) == (1, 1, 1)
-
-
-def service(**fields: Any) -> ServiceStatus:
-    return ServiceStatus(
-        **{
-            "version": "1",
-            "robot": "mini",
-            "period_s": 0.02,
-            "baseline": None,
-            "legs": {"rf": LegFacts(joints=["a"]), "lf": LegFacts(joints=["a"])},
-            "uptime_s": 75.0,
-            **fields,
-        }
-    )
 
 
 def test_rows_come_in_the_order_of_the_robot() -> None:
