@@ -34,7 +34,9 @@ from adaptive_contact.wire import (
 TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
 SERVICE, ROBOT, TLS_SERVICE, TLS_CLIENT = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)
 (USERS,) = re.findall(r"```text\n(.*?)```", TEXT, re.DOTALL)
-SECRETS = ("CHANGE-ME-1", "CHANGE-ME-2", "CHANGE-ME-3")
+# A wrong password is one, too: it is a right one mistyped, or somebody's of another robot.
+MISTYPED = "CHANGE-MY-2"
+SECRETS = ("CHANGE-ME-1", "CHANGE-ME-2", "CHANGE-ME-3", MISTYPED)
 
 Sample = Callable[..., ServoSample]
 
@@ -56,7 +58,7 @@ def files(tmp_path: Path) -> Folder:
         "service": SERVICE.replace("/etc/adaptive-contact/users", str(users)),
         "robot": ROBOT,
         "viewer": ROBOT.replace('"robot"', '"viewer"').replace("CHANGE-ME-2", "CHANGE-ME-3"),
-        "stranger": ROBOT.replace("CHANGE-ME-2", "guessed"),
+        "stranger": ROBOT.replace("CHANGE-ME-2", MISTYPED),
     }
     for name, text in texts.items():
         (tmp_path / f"{name}.json5").write_text(text)
@@ -290,21 +292,25 @@ def test_zenohs_own_log_holds_no_password(
 ) -> None:
     code = (
         "import sys; from pathlib import Path\n"
-        "from adaptive_contact.service.link import Link, client_settings, router_settings\n"
-        "service, robot = map(Path, sys.argv[1:])\n"
+        "from adaptive_contact.service.link import Link, NoRouterError\n"
+        "from adaptive_contact.service.link import client_settings, router_settings\n"
+        "service, robot, stranger = map(Path, sys.argv[1:])\n"
         "with Link.open(router_settings(['127.0.0.1:0'], zenoh_config=service)) as router:\n"
-        "    with Link.open(client_settings(router.endpoints, zenoh_config=robot)): pass"
+        "    with Link.open(client_settings(router.endpoints, zenoh_config=robot)): pass\n"
+        "    try: Link.open(client_settings(router.endpoints, wait=False, zenoh_config=stranger))\n"
+        "    except NoRouterError as refused: print(refused)"
     )
     for level in ("debug", "trace"):
         monkeypatch.setenv("RUST_LOG", level)
         process = command(
-            *("-c", code, str(files.service), str(files.robot)),
+            *("-c", code, str(files.service), str(files.robot), str(files.stranger)),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )
         log, _ = process.communicate(timeout=30)
         assert process.returncode == 0
         assert "DEBUG" in log
+        assert "refused: " in log
         assert not [line[:300] for line in log.splitlines() for one in SECRETS if one in line]
 
 
