@@ -103,7 +103,7 @@ class LegReplay:
         log: swing by swing.
         confirmed: ticks it took for free.
         touched_ns: those of them on which the leg touched something.
-        trace: of the traced recording.
+        trace: of the first leg of the traced recording.
     """
 
     events: Events
@@ -119,7 +119,9 @@ Replayed = dict[str, dict[Variant, LegReplay]]
 class _Watch:
     """Looks at one learner while it goes along."""
 
-    def __init__(self, leg: str, variant: Variant, spec: ReplaySpec, ticks: int) -> None:
+    def __init__(
+        self, leg: str, variant: Variant, spec: ReplaySpec, ticks: int, *, traced: bool
+    ) -> None:
         self.leg, self.variant = leg, variant
         self.learner: ContactLearner = learner(leg, spec.baseline, variant)
         self.events: list[ContactEvent] = []
@@ -128,7 +130,7 @@ class _Watch:
         self._coefficients: list[Array] = []
         self._names: tuple[str, ...] = ()
         joints = len(self.learner.leg.joints)
-        self._residual = np.full((ticks, joints), np.nan) if spec.trace else None
+        self._residual = np.full((ticks, joints), np.nan) if traced else None
         self._score = np.full(ticks, np.nan)
         self._threshold = np.full(ticks, np.nan)
 
@@ -204,8 +206,9 @@ def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
     ticks = len(recording.t_ns)
     streams = [recording.samples(leg) for leg in legs]
     swings = [recording.legs[leg].swing for leg in legs]
+    # The page shows one leg; to trace them all would take as long as the learners do.
     watches = [
-        (i, _Watch(leg, variant, spec, ticks))
+        (i, _Watch(leg, variant, spec, ticks, traced=spec.trace and i == 0))
         for i, leg in enumerate(legs)
         for variant in spec.variants
     ]

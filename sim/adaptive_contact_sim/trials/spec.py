@@ -112,7 +112,8 @@ class ReplaySpec:
         recording: what is replayed.
         baseline: what the learners start from.
         variants: replayed side by side.
-        trace: keep residuals and scores of every tick, and the models' terms, for a plot.
+        trace: of the first leg keep residuals and scores of every tick, and the models' terms, for
+            a plot.
     """
 
     recording: RecordingSpec
