@@ -25,6 +25,8 @@ _STALE_NS: Final = 2_500_000_000
 _RATE_OVER_S: Final = 3.0
 # Times of contacts that are kept, of a leg.
 _MOST_HEARD: Final = 256
+# No leg touches more often than this; a count that grows faster is another service's.
+_APART_NS: Final = 40_000_000
 
 
 class LegView(msgspec.Struct, frozen=True, kw_only=True):
@@ -127,12 +129,12 @@ class _Heard:
     """Contacts of one leg that arrived, against those that its statuses count.
 
     A status counts the contacts up to its own time; which of them arrived is told by theirs, in
-    whatever order they come.  What is told of a new clock, or of a state from before, begins anew.
+    whatever order they come.  Another clock, and another service, begin the count anew.
     """
 
     base: LearnerStatus | None = None
     last: LearnerStatus | None = None
-    times_ns: set[int] = field(default_factory=set)  # of events after the base
+    times_ns: set[int] = field(default_factory=set)  # of contacts after the base
     before: int = 0  # unheard before the base
 
     @property
@@ -149,11 +151,16 @@ class _Heard:
 
     def status(self, status: LearnerStatus) -> None:
         last = self.last
-        if last is None or status.contacts < last.contacts or status.t_ns < last.t_ns:
+        if last is None:
             self._begin(status)
+        elif status.t_ns < last.t_ns:
+            self._begin(status)
+            self.times_ns.clear()  # they are of another clock
+        elif not 0 <= status.contacts - last.contacts <= 1 + (status.t_ns - last.t_ns) // _APART_NS:
+            self._begin(status)
+        elif len(self.times_ns) > _MOST_HEARD:
+            self._begin(last)  # not this one: what it counts may be on its way
         self.last = status
-        if len(self.times_ns) > _MOST_HEARD:
-            self._begin(status)
 
     def _begin(self, status: LearnerStatus) -> None:
         self.before = self.unheard

@@ -138,20 +138,37 @@ def test_contacts_that_did_not_arrive_are_counted() -> None:
 
 @pytest.mark.parametrize(
     "fresh",
-    [status(t_ns=5 * S, contacts=0), status(t_ns=1 * S, contacts=9)],
-    ids=["another service", "another clock"],
+    [
+        status(t_ns=8 * S, contacts=0),
+        status(t_ns=1 * S, contacts=9),
+        status(t_ns=0, contacts=9),
+        status(t_ns=8 * S, contacts=5000),
+    ],
+    ids=["another service", "another clock", "before its first sample", "a rival"],
 )
 def test_the_count_of_what_did_not_arrive_begins_anew_and_keeps_what_it_has(
     fresh: LearnerStatus,
 ) -> None:
     watch = Watch()
     watch.learner(status(t_ns=2 * S, contacts=5), 1 * S)
-    watch.learner(status(t_ns=4 * S, contacts=6), 2 * S)
+    for t_ms in (2500, 3000, 3500):
+        watch.event(event(t_ms), 2 * S)
+    watch.learner(status(t_ns=4 * S, contacts=9), 2 * S)
+    assert row(watch).unheard == 1
     watch.learner(fresh, 3 * S)
     assert row(watch).unheard == 1
-    t_ns = fresh.t_ns + S
-    watch.learner(status(t_ns=t_ns, contacts=fresh.contacts + 2), 4 * S)
+    # Times that were heard of the other clock are none of this one's.
+    watch.learner(status(t_ns=fresh.t_ns + 4 * S, contacts=fresh.contacts + 2), 4 * S)
     assert row(watch).unheard == 3
+
+
+def test_two_services_whose_counts_differ_are_no_loss() -> None:
+    watch = Watch()
+    for second in range(60):
+        watch.event(event(1000 * second + 500), second * S)
+        watch.learner(status(t_ns=second * S, contacts=second), second * S)
+        watch.learner(status(t_ns=second * S + 1, contacts=5000 + second), second * S)
+    assert row(watch).unheard <= 1
 
 
 def test_counting_what_did_not_arrive_takes_no_memory_over_days() -> None:
@@ -167,6 +184,15 @@ def test_counting_what_did_not_arrive_takes_no_memory_over_days() -> None:
     assert row(watch).unheard == told // 100
     (leg,) = watch._legs.values()
     assert len(leg.heard.times_ns) < 300
+
+
+def test_a_contact_that_a_status_overtakes_is_not_lost() -> None:
+    watch = Watch()
+    watch.learner(status(t_ns=0), 0)
+    for second in range(1, 2000):
+        watch.learner(status(t_ns=second * S, contacts=second), second * S)
+        watch.event(event(second * 1000 - 300), second * S)
+    assert row(watch).unheard == 0
 
 
 @pytest.mark.parametrize(

@@ -264,7 +264,8 @@ class StateKeeper:
         """End: what waits is written if it can be in time, the folder is free for others."""
         if not self.flush(timeout_s):
             with self._changed:
-                late = " ".join(sorted(self._waiting)) or "the last one"
+                under_way = [] if self._under_way is None else [self._under_way[0]]
+                late = " ".join(sorted({*self._waiting, *under_way}))
             _log.warning("state not saved in time, the one before it stays", legs=late)
         with self._changed:
             self._ending = True
