@@ -36,7 +36,7 @@ def doctor(
 ) -> None:
     """Find out who publishes what, which legs look wrong, and why.
 
-    Exit code 0: all is well; 1: there are findings; 2: no router.
+    Exit code 0: nothing worse than a note; 1: warnings or errors; 2: no router.
     """
     from adaptive_contact.service.doctor import Diagnosis, examine
     from adaptive_contact.service.link import Link, NoRouterError

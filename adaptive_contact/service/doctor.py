@@ -24,6 +24,7 @@ from adaptive_contact.wire import (
     LearnerStatus,
     Rejected,
     ServoSample,
+    Status,
     decode,
     leg_of_key,
 )
@@ -335,6 +336,16 @@ def _stray(key: str) -> tuple[str, str] | None:
     return None
 
 
+_NOTES: Final = "docs/operating.md says what each note asks for"
+_REMEDIES: Final[dict[Status, str]] = {
+    "learning": f"let the leg swing freely, in many directions; {_NOTES}",
+    "adapting": _NOTES,
+    "ambiguous": f"look at the foot and its servos, trust its contacts less; {_NOTES}",
+    "valid": _NOTES,
+    "silent": _NOTES,
+}
+
+
 def _about_learner(before: LearnerStatus, status: LearnerStatus) -> list[Finding]:
     found = []
     refused = {reason: times for reason, times in status.rejects.items() if times}
@@ -351,16 +362,8 @@ def _about_learner(before: LearnerStatus, status: LearnerStatus) -> list[Finding
     if status.status == "silent":
         return found  # the stream itself has been judged
     if status.note is not None:
-        found.append(Finding("note", status.leg, f"{status.status}: {status.note}", "see `watch`"))
-    elif status.status in ("ambiguous", "learning"):
-        found.append(
-            Finding(
-                "note",
-                status.leg,
-                f"the learner is {status.status}",
-                "let the leg swing freely for a while; contacts are less sure until it is valid",
-            )
-        )
+        what = f"{status.status}: {status.note}"
+        found.append(Finding("note", status.leg, what, _REMEDIES[status.status]))
     return found
 
 

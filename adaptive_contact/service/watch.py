@@ -1,6 +1,6 @@
 """What ``watch`` knows of a running service, from its messages alone.
 
-Truth, where a simulator publishes it, is matched to events by the rule of ``docs/messages.md``:
+Truth, where a simulator publishes it, is matched to events by a simple form of ``docs/scoring.md``:
 a touch counts after 60 ms in the air, an event detects it within 120 ms, an event while the
 foot is loaded anyway is neither right nor wrong, any other is a false alarm.
 """

@@ -21,6 +21,7 @@ from adaptive_contact.wire import (
     Reject,
     Rejected,
     ServoSample,
+    Status,
     encode,
     learner_key,
     servo_key,
@@ -236,6 +237,30 @@ def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
     assert len(old.findings) == 2
     new = diagnose(hear(*good()[1:], whole(3), whole(4), status(2), status(9)), 3.0, alive=True)
     assert [finding.level for finding in new.findings] == ["warning", "warning"]
+
+
+@pytest.mark.parametrize(
+    ("status", "remedy"),
+    [
+        ("ambiguous", "look at the foot and its servos"),
+        ("learning", "let the leg swing freely"),
+        ("valid", "docs/operating.md says what each note asks for"),
+    ],
+)
+def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> None:
+    learner = LearnerStatus(
+        leg="rf",
+        t_ns=0,
+        status=status,
+        model_version=1,
+        residual_rms=[],
+        noise_floor=[],
+        note="the foot came 40 % of its command's way",
+    )
+    heard = hear(*good(), *2 * [(learner_key("rf"), encode(learner))])
+    finding = only(diagnose(heard, 3.0, alive=True).findings)
+    assert finding.what == f"{status}: the foot came 40 % of its command's way"
+    assert remedy in finding.remedy
 
 
 @pytest.mark.parametrize(

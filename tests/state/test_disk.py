@@ -87,7 +87,7 @@ def test_a_disk_that_is_too_slow_at_the_end_is_told(
     go_on.set()
     (line,) = logs
     assert line["event"] == "state not saved in time, the one before it stays"
-    assert line["legs"] == "lr rm"
+    assert line["legs"] == "lf lr rm"
 
 
 def test_a_disk_that_does_not_answer_is_told(
