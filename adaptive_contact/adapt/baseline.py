@@ -241,13 +241,15 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         found = table.get("format") if isinstance(table, dict) else None
         if found != FORMAT:
             raise BaselineError(
-                f"{source}: format is {found!r}; this version reads format {FORMAT}: "
+                f"{source}: a file of format {found!r}; expected a baseline of format {FORMAT}: "
                 "learn it anew with `adaptive-contact fit`"
             )
         file = msgspec.convert(table, _File)
         return _baseline(file)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:  # covers ValidationError
-        raise BaselineError(f"{source}: not a baseline file: {error}") from error
+        raise BaselineError(
+            f"{source}: not a baseline file ({error}); expected what `adaptive-contact fit` writes"
+        ) from error
     except (ConfigurationError, IdentificationError) as error:
         raise BaselineError(f"{source}: {error}") from error
 

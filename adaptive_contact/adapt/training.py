@@ -180,13 +180,21 @@ def learn(
         statistics.append(values)
     if not legs:
         raise IdentificationError(
-            "; ".join(skipped.values())
+            _of_all(skipped)
             or f"no leg has samples; expected robot/leg/*/servo of {', '.join(robot.leg_ids)}"
         )
     pooled = np.concatenate(statistics)
     tails = tuple(fit_tail(pooled[:, w]) for w in range(len(WINDOWS)))
     baseline = Baseline(robot.name, origin, robot.quantum_rad, legs, tails)
     return Training(baseline, figures, skipped)
+
+
+def _of_all(skipped: Mapping[str, str]) -> str:
+    """Why no leg could be learned, in one line; legs of one reason together."""
+    told: dict[str, list[str]] = {}
+    for leg, why in skipped.items():
+        told.setdefault(why.replace(f"leg '{leg}': ", ""), []).append(leg)
+    return "; ".join(f"leg {', '.join(legs)}: {why}" for why, legs in told.items())
 
 
 def learn_leg(

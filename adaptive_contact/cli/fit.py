@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption
+from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.gather import LegGatherer
@@ -65,6 +65,7 @@ def fit(
     from adaptive_contact.adapt.training import learn
     from adaptive_contact.robot import load_robot, shipped_robot
 
+    check_output(out, "--out")
     robot = shipped_robot() if config is None else load_robot(config)
     gathered = gather(recordings, robot)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads

@@ -6,10 +6,11 @@ that does not fit starts without PySINDy (1.6 s), MuJoCo or matplotlib.
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
-from typing import Final
+from typing import Any, Final, NoReturn
 
 import typer
 
@@ -26,6 +27,13 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+# The base of what typer raises for a command line; it is click's, or a copy of typer's own.
+_Misunderstood: Final[type[Exception]] = next(
+    kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "UsageError"
+)
+_INTERRUPTED: Final = 130  # as a shell has it
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 # Command -> module with a function of the same name; order is the help's.
 _COMMANDS: Final = (
@@ -59,17 +67,57 @@ def _register() -> None:
 
 
 def main() -> None:
-    """Run the command line; expected failures end in one line on stderr and exit code 2."""
-    _register()
+    """Run the command line.
+
+    Expected failures end in one line on stderr and exit code 2, Ctrl-C in 130, and a reader of
+    stdout that is gone (`| head`) in 141.
+    """
     try:
-        app()
+        _register()
+        code = app(prog_name="adaptive-contact", standalone_mode=False)
+        sys.stdout.flush()
+    except KeyboardInterrupt:  # while a command was still being loaded
+        sys.exit(_INTERRUPTED)
+    except typer.Abort as abort:
+        if isinstance(abort.__cause__, KeyboardInterrupt):
+            sys.exit(_INTERRUPTED)
+        print("adaptive-contact: nothing was done", file=sys.stderr)
+        sys.exit(1)
+    except _Misunderstood as error:
+        _refuse(error)
     except AdaptiveContactError as error:
         print(f"adaptive-contact: {error}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:
-        # The reader of our stdout is gone (`| head`); keep the interpreter's own flush quiet.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
         sys.exit(141)
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        _drop_stdout()
+        print(
+            f"adaptive-contact: the output cannot be written ({error.strerror}); make room, or "
+            "send it elsewhere",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _refuse(error: Any) -> NoReturn:
+    """One line for a command line that cannot be understood, and where its options are told."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # the help was its message
+        error.show()
+        sys.exit(error.exit_code)
+    path = "adaptive-contact" if error.ctx is None else error.ctx.command_path
+    words = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
+    print(f"adaptive-contact: {words}; see `{path} --help`", file=sys.stderr)
+    sys.exit(error.exit_code)
+
+
+def _drop_stdout() -> None:
+    """Nothing can be written there: keep the interpreter's own flush at the end quiet."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

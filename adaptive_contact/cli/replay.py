@@ -147,6 +147,12 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     _tell_legs(bank)
     if counts.samples == 0:
         raise RecordingError(f"{recording.path}: no servo sample (robot/leg/*/servo) in it")
+    known = [bank.learner(leg) for leg in robot.leg_ids]
+    if not any(learner is not None and learner.status.ticks for learner in known):
+        raise RecordingError(
+            f"{recording.path}: its legs are not those of robot '{robot.name}' "
+            f"({', '.join(robot.leg_ids)}); give the --config of the robot that was recorded"
+        )
 
 
 def _tell_legs(bank: LearnerBank) -> None:

@@ -191,6 +191,8 @@ def inject(
 
     drift: Drift | None = None
     if kind is not None:
+        if shape != "step" and duration == 0.0:
+            raise ConfigurationError(f"a {shape} needs a duration above 0 s; give --duration S")
         with needs_simulator():
             from adaptive_contact_sim import drift_from
         fields = given(kind=kind, value=value, leg=leg, joint=joint, shape=shape)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import math
 import struct
 import sys
@@ -119,24 +120,41 @@ def reset(
     found = [stored.path for stored in _found(state, robot, leg)]
     found += [path for path in list_rest(root) if _is_named(path, root, robot, leg)]
     if not found:
+        if robot is not None or leg is not None:
+            raise ConfigurationError(_nothing_of(state, root, robot, leg))
         typer.echo(f"nothing to forget in {shown_path(root)}")
         return
-    if not yes:
-        typer.confirm(f"forget {len(found)} files in {shown_path(root)}?", abort=True)
-    for folder in sorted({path.parent for path in found}):
-        store = StateStore(folder)
-        try:
-            store.reopen()
+    with contextlib.ExitStack() as held:
+        # Before anybody is asked; and nobody begins to save while he thinks.
+        for folder in sorted({path.parent for path in found}):
+            store = StateStore(folder)
+            held.callback(store.close)
+            try:
+                store.reopen()
+            except OSError as error:
+                raise ConfigurationError(
+                    f"{folder}: cannot be emptied ({error.strerror})"
+                ) from error
             if store.trouble is not None:
                 raise ConfigurationError(store.trouble)
-            for path in found:
-                if path.parent == folder:
-                    path.unlink(missing_ok=True)
-        except OSError as error:
-            raise ConfigurationError(f"{folder}: cannot be emptied ({error.strerror})") from error
-        finally:
-            store.close()
+        if not yes:
+            typer.confirm(f"forget {len(found)} files in {shown_path(root)}?", abort=True)
+        for path in found:
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise ConfigurationError(f"{path}: cannot be removed ({error.strerror})") from error
     typer.echo(f"forgot {len(found)} files")
+
+
+def _nothing_of(state: Path | None, root: Path, robot: str | None, leg: str | None) -> str:
+    """One line for a robot or a leg that nothing is kept of, with what there is."""
+    kept = sorted({(r.identity.robot, r.identity.leg) for r in _records(_found(state, None, None))})
+    asked = " of ".join(
+        [*([f"leg '{leg}'"] if leg else []), *([f"robot '{robot}'"] if robot else [])]
+    )
+    there = ", ".join(f"{one} of {of}" for of, one in kept) or "no sound state"
+    return f"nothing of {asked} is kept in {shown_path(root)}; there is {there}"
 
 
 def _folder(state: Path | None) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
 import threading
 import time
@@ -58,6 +59,8 @@ def watch(
     json: JsonOption = False,
 ) -> None:
     """Show every leg of a running service: contact, model, latency, losses, and what is wrong."""
+    # As Ctrl-C, so that the terminal gets its cursor back.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     from adaptive_contact.service.feed import Feed
 
     settings = client(connect, namespace, zenoh_config)
@@ -96,14 +99,19 @@ def _join(settings: LinkSettings, patience_s: float | None) -> Link:
 
 def _live(look: Look) -> None:
     """Redraw until Ctrl-C."""
+    from rich.console import Console
     from rich.live import Live
 
     from adaptive_contact.service.watch_table import table
 
-    with Live(table(look()), auto_refresh=False) as live:
-        while True:
-            live.update(table(look()), refresh=True)
-            time.sleep(_REFRESH_S)  # the period of the picture
+    console = Console()
+    try:
+        with Live(table(look()), console=console, auto_refresh=False) as live:
+            while True:
+                live.update(table(look()), refresh=True)
+                time.sleep(_REFRESH_S)  # the period of the picture
+    finally:
+        console.show_cursor()  # of a stop while it begins, too
 
 
 def _print(view: View, json: bool) -> None:

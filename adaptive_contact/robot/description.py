@@ -13,7 +13,7 @@ import tomllib
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import msgspec
 
@@ -274,15 +274,33 @@ def _explain(text: str) -> str:
     text = text.replace("$.", "").replace("`$`", "the top level").replace("[...]", "")
     if "unknown key" in text:
         wrong = text.split("`")[1]
-        near = difflib.get_close_matches(wrong, _FIELDS, n=1)
+        if wrong in _TABLES:  # TOML takes what stands below a table for a part of it
+            return f"{text}; write it above the first [table], or as a table of its own"
+        near = difflib.get_close_matches(wrong, [name for name in _FIELDS if name != wrong], n=1)
         hint = f"did you mean `{near[0]}`?" if near else "remove it"
         return f"{text}; {hint}"
+    if "missing key" in text:
+        name = text.split("`")[1]
+        return f"{text}; {_EXAMPLES.get(name, 'docs/robot.md has an example')}"
+    if "Invalid enum value" in text and ".axes" in text:
+        return f"{text}; expected {', '.join(get_args(Axis))}"
     wrong_type = re.fullmatch(r"Expected `(\S+)`, got `(\S+)` - at `(.+)`", text)
     if wrong_type:
         expected, got, where = wrong_type.groups()
         return f"{where} is {_KINDS.get(got, got)}; expected {_KINDS.get(expected, expected)}"
     return text
 
+
+_TABLES: Final = ("robot", "leg", "servo", "detector", "port")
+_EXAMPLES: Final = {
+    "robot": "begin with [robot], its name and period_s",
+    "leg": "describe each with [[leg]], id and joints",
+    "id": 'such as id = "rf"',
+    "joints": 'such as joints = ["coxa", "femur", "tibia"]',
+    "name": 'such as name = "mybot"',
+    "period_s": "such as period_s = 0.02",
+    "quantum_rad": "such as quantum_rad = 0.00511",
+}
 
 # What TOML calls msgspec's types.
 _KINDS: Final = {

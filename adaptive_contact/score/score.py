@@ -75,6 +75,11 @@ def score_messages(
             "no servo samples (robot/leg/*/servo) in the recording; record with "
             "--key 'robot/**' while the source runs"
         )
+    if not set(gathered.legs) & set(robot.leg_ids):
+        raise RecordingError(
+            f"its legs ({', '.join(gathered.legs)}) are not those of robot '{robot.name}' "
+            f"({', '.join(robot.leg_ids)}); give the --config of the robot that was recorded"
+        )
     if not gathered.legs_with_truth:
         raise RecordingError(
             "no truth (robot/leg/*/truth) in the recording; only recordings of the simulator, "

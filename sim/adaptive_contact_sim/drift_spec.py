@@ -48,7 +48,7 @@ def parse_drift(text: str) -> Injection:
     spec, at, when = text.partition("@")
     kind, colon, rest = spec.partition(":")
     kind = kind.strip()
-    _known(kind, KINDS, "drift", text)
+    _known(kind, KINDS, "drift", f"drift '{text}'")
     fields: dict[str, Any] = {"kind": kind}
     for item in rest.split(",") if colon else []:
         key, equals, value = (part.strip() for part in item.partition("="))
@@ -56,7 +56,7 @@ def parse_drift(text: str) -> Injection:
             raise ConfigurationError(
                 f"drift '{text}': '{item.strip()}' is not KEY=VALUE; expected such as {_EXAMPLE}"
             )
-        _known(key, _KEYS, "setting", text)
+        _known(key, _KEYS, "setting", f"drift '{text}'")
         if key in fields:
             raise ConfigurationError(f"drift '{text}': {key} is given twice; give it once")
         fields[key] = _number(key, value, text) if _KEYS[key] is not str else value
@@ -79,10 +79,12 @@ def drift_from(fields: Mapping[str, Any], *, at_s: float | None = None, where: s
     table = {name: value for name, value in fields.items() if value != "all"}
     start = table.pop("at_s", 0.0) if at_s is None else at_s
     _refuse_unknown(table, (*Drift.__struct_fields__, "at_s"), where)
+    if isinstance(table.get("kind"), str):
+        _known(table["kind"], KINDS, "drift", where)
     if "value" not in table:
         kind = next((k for name, k in KINDS.items() if name == table.get("kind")), None)
-        unit = "" if kind is None else f" in {kind.unit}, {kind.low:g} to {kind.high:g}"
-        raise ConfigurationError(f"{where}: has no value; give value=NUMBER{unit}")
+        unit = "" if kind is None else f" ({kind.unit}, {kind.low:g} to {kind.high:g})"
+        raise ConfigurationError(f"{where}: has no value; give a number{unit}")
     if isinstance(start, bool) or not isinstance(start, int | float) or not math.isfinite(start):
         raise ConfigurationError(f"{where}: begins at {start!r}; expected seconds, 0 or later")
     try:
@@ -95,13 +97,13 @@ def drift_from(fields: Mapping[str, Any], *, at_s: float | None = None, where: s
     return Injection(drift, float(start))
 
 
-def _known(name: str, known: Iterable[str], what: str, text: str) -> None:
+def _known(name: str, known: Iterable[str], what: str, where: str) -> None:
     names = list(known)
     if name in names:
         return
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(names)}"
-    raise ConfigurationError(f"drift '{text}': no {what} '{name}'; {hint}")
+    raise ConfigurationError(f"{where}: no {what} '{name}'; {hint}")
 
 
 def _refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,15 @@ from adaptive_contact_sim.virtual import (
     VirtualServo,
     parse_fault,
 )
-from adaptive_contact_sim.virtual.assembly import with_ports
+from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
 from adaptive_contact_sim.virtual.gaited import GaitedBackend
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend, order
 from adaptive_contact_sim.virtual.physics import LocalSource
+from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, QuadrupedPlant, quadruped_order
 from adaptive_contact_sim.virtual.quadruped_trials import SCENARIOS, play, record
+from adaptive_contact_sim.virtual.session import VirtualPlan, run
 
 
 def horns(robot: str = "hexapod") -> Horns:
@@ -312,3 +315,28 @@ def test_the_shipped_quadruped_baseline_detects() -> None:
     counted = play(recorded, robot, baseline).total.counted
     assert counted.touches >= 20
     assert counted.recall >= 0.9
+
+
+def test_two_buses_do_not_share_a_folder(tmp_path: Path) -> None:
+    plan = VirtualPlan(shipped_robot(), "hexapod", tmp_path, 1, VirtualSettings())
+
+    def second(_: str) -> None:
+        with pytest.raises(ConfigurationError, match="in use by another virtual bus; give another"):
+            run(plan, threading.Event())
+
+    ended = threading.Event()
+    ended.set()
+    for _ in range(2):  # a folder is free again when its bus has ended
+        run(plan, ended, on_start=second)
+    assert not (tmp_path / "port0").is_symlink()
+
+
+def test_a_port_takes_away_no_link_but_its_own(tmp_path: Path) -> None:
+    faults = FaultSchedule([], np.random.default_rng(0))
+    first, second = (VirtualPort("port0", tmp_path / "port0", [], faults) for _ in range(2))
+    first.open()
+    second.open()
+    first.close()
+    assert second.path.exists()
+    second.close()
+    assert not second.path.is_symlink()

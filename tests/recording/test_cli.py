@@ -105,6 +105,17 @@ class TestScore:
         assert text["false_alarms"] == 0
         assert json.loads(run(score, path, "--json", "--from", "0.8"))["swings"] == 3
 
+    def test_the_description_of_another_robot_is_refused(self, tmp_path: Path) -> None:
+        path, other = tmp_path / "a.mcap", tmp_path / "robot.toml"
+        write_walk(path)
+        other.write_text(
+            '[robot]\nname = "dog"\nperiod_s = 0.02\nquantum_rad = 0.001\n'
+            '[[leg]]\nid = "fl"\njoints = ["hip", "thigh", "calf"]\n'
+        )
+        for words in ([score, path], [replay, path, "--events", tmp_path / "events.jsonl"]):
+            with pytest.raises(RecordingError, match=r"not those of robot 'dog' \(fl\); give the"):
+                run(*words, "--config", other)
+
     def test_events_of_a_file(self, tmp_path: Path) -> None:
         path, events = tmp_path / "a.mcap", tmp_path / "events.jsonl"
         write_walk(path)

@@ -48,7 +48,9 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
     [
         ("period_s = 0.02", "period_s = 20", "period_s is 20"),
         ("period_s = 0.02", 'period_s = "fast"', "period_s"),
-        ("period_s = 0.02", "", "missing key `period_s`"),
+        ("period_s = 0.02", "", "missing key `period_s` - at `robot`; such as period_s = 0.02"),
+        ('["coxa", "femur", "tibia"]', '["a", "b"]\naxes = ["yaw", "up"]', "expected yaw, pitch"),
+        ("[[leg]]", "[detector]\nleg = 3\n[[leg]]", "or as a table of its own"),
         ("period_s = 0.02", "period_s = 0.02\nperiods = 1", "did you mean `period_s`?"),
         ("quantum_rad = 0.00511", "quantum_rad = 0", "quantum_rad is 0"),
         ('id = "rf"', 'id = "r*"', "an id is 1 to 32 letters"),

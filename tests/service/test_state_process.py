@@ -317,6 +317,9 @@ def test_show_export_and_reset(
     for path in (damaged, whole):
         path.with_suffix(".new").write_bytes(b"half of a st")
         path.with_suffix(".old").write_bytes(whole.read_bytes())
+    code, _, error = state("reset", "--state", str(folder), "--leg", "zz", "--yes")
+    assert code == 2
+    assert "nothing of leg 'zz' is kept in" in error
     code, out, _ = state("reset", "--state", str(folder), "--leg", "rf", "--yes")
     assert (code, out.startswith("forgot")) == (0, True)
     assert not list(folder.glob("*/rf-*"))

@@ -35,7 +35,7 @@ def test_short_forms(text: str, at_s: float) -> None:
     [
         ("", "expected one of mass"),
         ("frictoin:value=4", "did you mean 'friction'"),
-        ("friction", "give value=NUMBER"),
+        ("friction", "give a number"),
         ("friction:", "not KEY=VALUE"),
         ("friction:value", "not KEY=VALUE"),
         ("friction:value=", "not KEY=VALUE"),

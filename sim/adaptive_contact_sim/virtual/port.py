@@ -110,8 +110,9 @@ class VirtualPort:
 
     def close(self) -> None:
         """Hang up: the link is gone, and who has the terminal open sees the end of it."""
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
+        with contextlib.suppress(OSError):
+            if self.path.readlink() == Path(os.ttyname(self._slave)):  # nobody else's by now
+                self.path.unlink()
         for descriptor in (self.master, self._slave):
             if descriptor >= 0:
                 os.close(descriptor)

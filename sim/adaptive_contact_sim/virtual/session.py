@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.survey import write_robot
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
 
 __all__ = ["VirtualPlan", "run"]
+
+_LOCK: Final = ".in-use"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,6 +103,30 @@ def run(
         raise ConfigurationError(
             f"{plan.directory}: cannot be made ({error.strerror}); give another --dir"
         ) from error
+    with _alone(plan.directory):
+        _serve(plan, stop, on_start)
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Two buses would take each other's links away; the lock of one that was killed is gone."""
+    try:
+        lock = (directory / _LOCK).open("w")
+    except OSError as error:
+        raise ConfigurationError(
+            f"{directory}: cannot be written ({error.strerror}); give another --dir"
+        ) from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ConfigurationError(
+                f"{directory} is in use by another virtual bus; give another --dir"
+            ) from error
+        yield
+
+
+def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], None]) -> None:
     robot = with_ports(plan.robot, plan.directory.resolve(), plan.ports)
     plans = plan_ports(robot)
     check_faults(plans, plan.bus.faults)

@@ -1,0 +1,144 @@
+"""What the command line does when it is not understood, interrupted, or cannot print."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SOURCES = os.pathsep.join(path for path in sys.path if path)
+WIDE = {**os.environ, "PYTHONPATH": SOURCES, "COLUMNS": "200", "TERM": "xterm"}
+
+
+def ran(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *words]
+    given = {"capture_output": True, **options}
+    return subprocess.run(command, text=True, env=WIDE, timeout=60, check=False, **given)  # type: ignore[call-overload,no-any-return]
+
+
+def ours(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
+    return ran("-m", "adaptive_contact", *words, **options)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["nosuch"], "No such command 'nosuch'; see `adaptive-contact --help`"),
+        (["watch", "--bogus"], "No such option: --bogus; see `adaptive-contact watch --help`"),
+        (["fit"], "Missing argument 'RECORDING...'; see `adaptive-contact fit --help`"),
+        (["fit", "--library", "foo", "x"], "'foo' is not one of 'servo', 'paper', 'linear'"),
+        (["doctor", "--seconds", "0.1"], "Invalid value for '--seconds': "),
+        (["sim", "inject", "nosuch", "--value", "4"], "no drift 'nosuch'; expected one of mass,"),
+        (["sim", "inject", "friction"], "has no value; give a number (factor, 0.1 to 10)"),
+        (["sim", "inject", "mass", "--shape", "ramp"], "above 0 s; give --duration S"),
+        (["fit", "x.mcap", "-o", "/"], "/: cannot be written (it is a folder)"),
+    ],
+)
+def test_a_command_that_is_not_understood_is_one_line(words: list[str], says: str) -> None:
+    done = ours(*words)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("adaptive-contact: ")
+    assert done.stderr.count("\n") == 1
+    assert says in done.stderr
+    assert "Value error" not in done.stderr
+
+
+def test_no_command_is_the_help() -> None:
+    for words in ([], ["sim"]):
+        done = ours(*words)
+        assert "Usage:" in done.stdout + done.stderr
+        assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("words", [["--help"], ["sim", "list", "--json"]])
+def test_an_output_that_is_full_is_one_line(words: list[str]) -> None:
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = ours(*words, stdout=full, stderr=subprocess.PIPE, capture_output=False)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "adaptive-contact: the output cannot be written (No space left on device); make room, or "
+        "send it elsewhere\n"
+    )
+
+
+@pytest.mark.parametrize("where", ["_register", "app"])
+def test_an_interrupt_says_nothing(where: str) -> None:
+    """While commands are loaded, and in one that does not deal with it itself."""
+    code = (
+        "import adaptive_contact.cli.main as cli\n"
+        "def interrupted(*_, **__): raise KeyboardInterrupt\n"
+        "cli._register = lambda: None\n"
+        f"cli.{where} = interrupted\n"
+        "cli.main()"
+    )
+    done = ran("-c", code)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_the_help_loads_no_linear_algebra() -> None:
+    code = (
+        "import sys\n"
+        "from adaptive_contact.cli.main import main\n"
+        "sys.argv = ['adaptive-contact', '--help']\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "assert not {'scipy', 'pysindy', 'mujoco', 'zenoh'} & set(sys.modules), 'too much'"
+    )
+    done = ran("-c", code)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_watch_gives_the_terminal_its_cursor_back(number: signal.Signals) -> None:
+    """On a terminal, with a service to look at."""
+    code = (
+        "from adaptive_contact.service.link import Link, router_settings\n"
+        "import threading\n"
+        "with Link.open(router_settings(['tcp/127.0.0.1:0'])) as link:\n"
+        "    print(link.endpoints[0], flush=True)\n"
+        "    threading.Event().wait()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=WIDE
+    ) as router:
+        assert router.stdout is not None
+        master, slave = pty.openpty()
+        try:
+            words = ("watch", "--connect", router.stdout.readline().strip())
+            with subprocess.Popen(
+                [sys.executable, "-m", "adaptive_contact", *words],
+                stdout=slave,
+                stderr=slave,
+                env=WIDE,
+            ) as watch:
+                os.close(slave)
+                shown = until(master, b"\x1b[?25l")  # the cursor is hidden: it is drawing
+                watch.send_signal(number)
+                shown = until(master, b"\x1b[?25h")
+                assert watch.wait(20) == 0
+            assert b"Traceback" not in shown
+        finally:
+            os.close(master)
+            router.kill()
+
+
+def until(master: int, mark: bytes, timeout_s: float = 30.0) -> bytes:
+    """What a terminal shows, up to a mark."""
+    shown, end = b"", time.monotonic() + timeout_s
+    while mark not in shown:
+        ready, _, _ = select.select([master], [], [], max(0.0, end - time.monotonic()))
+        assert ready, shown
+        try:
+            shown += os.read(master, 65536)
+        except OSError:  # it has ended
+            raise AssertionError(f"{mark!r} is not in {shown!r}") from None
+    return shown
