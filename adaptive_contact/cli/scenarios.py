@@ -73,7 +73,8 @@ def list_(json: JsonOption = False) -> None:
     console.print(table)
     console.print(
         "`scenarios run NAME…` measures some, `scenarios run --all` all of them (two hours on two "
-        "cores), `--quick` looks whether everything runs.",
+        "fast cores), `--goals` in half the time what the learner is held to, `--quick` looks "
+        "whether everything runs.",
         highlight=False,
     )
 
@@ -104,6 +105,12 @@ def run(
     brief: Annotated[
         bool, typer.Option("--brief", help="Short recordings, six leg-runs: half an hour.")
     ] = False,
+    only_goals: Annotated[
+        bool,
+        typer.Option(
+            "--goals", help="The frozen and the full learner only: all goals, in half the time."
+        ),
+    ] = False,
     processes: Annotated[
         int, typer.Option("--processes", min=1, max=64, help="Recordings worked on at a time.")
     ] = 2,
@@ -112,6 +119,9 @@ def run(
     json: JsonOption = False,
 ) -> None:
     """Record what is missing, replay it through every learner, judge, and draw.
+
+    With --goals the learners between the frozen and the full one are left out; the figures are kept
+    apart, as `report` compares them all.
 
     What was made is kept and never made again: after Ctrl-C, the same command goes on where it
     stopped, and ends with the same numbers.
@@ -129,6 +139,7 @@ def run(
         )
         from adaptive_contact_sim.trials.runner import Folders, jobs
         from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
+        from adaptive_contact_sim.trials.spec import GOALS_VARIANTS
         from adaptive_contact_sim.trials.words import results_table
     from rich.console import Console
 
@@ -152,6 +163,9 @@ def run(
                 f"'{chosen[0].name}' and --all: all are run anyway; give names or --all"
             )
         chosen = list(scenarios(sizes).values())
+    if only_goals:
+        form = f"goals-{form}"
+        chosen = [dataclasses.replace(s, variants=GOALS_VARIANTS) for s in chosen]
     console = Console(stderr=True)
     folders = Folders.of(out, form)
     try:

@@ -14,7 +14,12 @@ from adaptive_contact.cli.scenarios import app
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact_sim.trials import figures, runner, runs
 from adaptive_contact_sim.trials.registry import scenarios
-from adaptive_contact_sim.trials.results import belongs, read_results, write_results
+from adaptive_contact_sim.trials.results import (
+    belongs,
+    best_form,
+    read_results,
+    write_results,
+)
 from adaptive_contact_sim.trials.runner import Folders, Job
 
 RUN = CliRunner()
@@ -85,6 +90,15 @@ def test_a_quick_run_makes_figures_pages_and_a_report(
     assert "quick look" in text
     assert (docs / "pictures" / "adaptation-summary.png").is_file()
 
+    # Goals do not depend on the learners in between, and are no table to publish.
+    result = RUN.invoke(app, [*arguments, "--goals", "--no-pages", "--out", str(out), "--json"])
+    assert result.exit_code == 0, result.output
+    goals_of = json.loads(result.stdout)["scenarios"]["step-friction4"]
+    assert set(goals_of["variants"]) == {"frozen", "full"}
+    assert goals_of["goals"] == figures_of["goals"]
+    assert goals_of["variants"]["full"] == figures_of["variants"]["full"]
+    assert best_form(out) == "quick-1"
+
     # A form that stands above it takes its place on the page, pictures and all.
     shutil.copy(out / "results-quick-1.json", out / "results-brief.json")
     tree = json.loads((out / "results-brief.json").read_text(encoding="utf-8"))
@@ -112,6 +126,8 @@ def test_another_form_leaves_the_full_figures_alone(
         "brief": ("--brief",),
         "brief-2": ("--brief", "--seeds", "2"),
         "quick": ("--quick", "--seeds", "2"),  # the usual number
+        "goals-full": ("--goals",),
+        "goals-brief-2": ("--goals", "--brief", "--seeds", "2"),
     }
     for extra in forms.values():
         result = RUN.invoke(app, ["run", "step-mass50", *extra, "--out", str(tmp_path)])

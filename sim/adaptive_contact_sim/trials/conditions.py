@@ -23,6 +23,7 @@ from adaptive_contact_sim.trials.runs import (
     without_staging,
 )
 from adaptive_contact_sim.trials.spec import (
+    GOALS_VARIANTS,
     BaselineChoice,
     Expect,
     Mark,
@@ -198,7 +199,7 @@ def steady(sizes: Sizes) -> list[Scenario]:
             phases=(Phase("all", 0.0, seconds),),
             judged=("all",),
             # Hours of walking; the variants in between have the contact runs.
-            variants=(Variant.FROZEN, Variant.FULL) if walking else tuple(Variant),
+            variants=GOALS_VARIANTS if walking else tuple(Variant),
             mixed=not walking,
         )
 

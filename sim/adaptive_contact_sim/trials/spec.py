@@ -16,6 +16,7 @@ from adaptive_contact_sim.simulation import SimulationSettings
 
 __all__ = [
     "ALL_VARIANTS",
+    "GOALS_VARIANTS",
     "BaselineChoice",
     "Expect",
     "LegRun",
@@ -40,6 +41,8 @@ class Variant(enum.StrEnum):
 
 
 ALL_VARIANTS: Final = tuple(Variant)
+# What goals are about, and what they are held against.
+GOALS_VARIANTS: Final = (Variant.FROZEN, Variant.FULL)
 
 # What the learners start from: the shipped baseline, none, or that of the leg diagonally opposite.
 BaselineChoice = Literal["shipped", "none", "other_leg"]
