@@ -12,11 +12,9 @@ from adaptive_contact.robot.description import (
     Robot,
     ServoBus,
     ServoLaw,
-    load_robot,
-    parse_robot,
-    shipped_robot,
 )
 from adaptive_contact.robot.geometry import foot, foot_point, height_gradient, inverse, link_angles
+from adaptive_contact.robot.load import load_robot, parse_robot, shipped_robot
 
 __all__ = [
     "ROBOT_HOUR_TICKS",

@@ -58,6 +58,11 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         ('["coxa", "femur", "tibia"]', '["a", "a", "b"]', "repeat a name"),
         ("[0.052, 0.066, 0.138]", "[0.052, 0.066]", "lengths_m has 2 values for 3 joints"),
         ("[0.052, 0.066, 0.138]", "[0.052, -1, 0.138]", "expected metres"),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            'lengths_m = [0.1, 0.1, 0.1]\naxes = ["yaw", "yaw", "yaw"]',
+            "no joint pitches, so that its foot never rises; leave lengths_m out",
+        ),
         ("[[leg]]", "[[leg", "not valid TOML"),
         ("[[leg]]", "[detector]\nfalse_alarms_per_hour = 0\n[[leg]]", "false_alarms_per_hour is 0"),
         ("[[leg]]", "[servo]\nslope_rad = 0\n[[leg]]", "slope_rad is 0"),

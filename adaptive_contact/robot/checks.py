@@ -1,0 +1,120 @@
+"""What a description must be for a robot of this world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NoReturn
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot.description import Leg, Robot
+from adaptive_contact.wire import is_leg_id
+
+__all__ = ["check"]
+
+_Fail = Callable[[str], NoReturn]
+
+
+def check(robot: Robot, source: str) -> None:
+    """Refuse a description that no robot can have; ``source`` names it in errors.
+
+    Raises:
+        ConfigurationError: in one line, what was found, what was expected.
+    """
+
+    def fail(what: str) -> NoReturn:
+        raise ConfigurationError(f"{source}: {what}")
+
+    if not robot.name:
+        fail("[robot] name is empty; give the robot a name")
+    if not 1e-4 <= robot.period_s <= 1.0:
+        fail(f"[robot] period_s is {robot.period_s}; expected 0.0001 to 1 s (0.02 for 50 Hz)")
+    if not robot.legs:
+        fail("no [[leg]]; describe at least one")
+    if not 1e-3 <= robot.servo.slope_rad <= math.pi:
+        fail(f"[servo] slope_rad is {robot.servo.slope_rad}; expected 0.001 to 3.14 rad")
+    if not 1e-3 <= robot.detector.false_alarms_per_hour <= 1e4:
+        fail(
+            f"[detector] false_alarms_per_hour is {robot.detector.false_alarms_per_hour}; "
+            "expected 0.001 to 10000"
+        )
+    _check_ports(robot, fail)
+    seen: set[str] = set()
+    for leg in robot.legs:
+        where = f"[[leg]] '{leg.id}'"
+        if not is_leg_id(leg.id):
+            fail(
+                f"{where}: an id is 1 to 32 letters, digits, '_', '.' or '-' (it is part of a key)"
+            )
+        if leg.id in seen:
+            fail(f"{where}: the id is used twice; ids must differ")
+        seen.add(leg.id)
+        _check_leg(robot, leg, where, fail)
+
+
+def _check_ports(robot: Robot, fail: _Fail) -> None:
+    for name, port in robot.ports.items():
+        if not is_leg_id(name):
+            fail(f"[port.{name}]: a name is 1 to 32 letters, digits, '_', '.' or '-'")
+        if port.fast and port.protocol == 1:
+            fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
+        if not 0.5 <= port.timeout_ms <= 100.0:
+            fail(f"[port.{name}] timeout_ms is {port.timeout_ms}; expected 0.5 to 100 (usual: 5)")
+    owner: dict[tuple[str | None, int], str] = {}
+    for leg in robot.legs:
+        servos = leg.servos
+        if servos is None:
+            continue
+        where = f"[[leg]] '{leg.id}'"
+        if servos.port is not None and servos.port not in robot.ports:
+            known = ", ".join(robot.ports) or "none"
+            fail(f"{where}: servos.port is '{servos.port}'; there is no such [port.NAME] ({known})")
+        if servos.port is None and len(robot.ports) > 1:
+            fail(f"{where}: servos.port is missing; name one of {', '.join(robot.ports)}")
+        if not 1e-3 <= servos.max_step_rad <= 1.0:
+            fail(f"{where}: servos.max_step_rad is {servos.max_step_rad}; expected 0.001 to 1 rad")
+        for servo in servos.ids:
+            if not 0 <= servo <= 252:
+                fail(f"{where}: servo id {servo}; ids are 0 to 252")
+            before = owner.setdefault((servos.port, servo), leg.id)
+            if before != leg.id or servos.ids.count(servo) > 1:
+                fail(
+                    f"{where}: servo id {servo} is used twice on a port (by leg '{before}'); give "
+                    "every servo an id of its own"
+                )
+
+
+def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
+    joints = len(leg.joints)
+    quantum = robot.quantum(leg.id)
+    if joints == 0:
+        fail(f"{where}: joints is empty; name at least one")
+    if len(set(leg.joints)) != joints:
+        fail(f"{where}: joints {list(leg.joints)} repeat a name; names must differ")
+    if not 1e-6 <= quantum <= 0.2:
+        fail(f"{where}: quantum_rad is {quantum}; expected 1e-6 to 0.2 rad (AX-12A: 0.00511)")
+    sized: list[tuple[str, tuple[object, ...] | None]] = [
+        ("lengths_m", leg.lengths_m),
+        ("axes", leg.axes),
+        ("limits.lower_rad", leg.limits.lower_rad if leg.limits else None),
+        ("limits.upper_rad", leg.limits.upper_rad if leg.limits else None),
+        ("servos.ids", leg.servos.ids if leg.servos else None),
+        ("servos.directions", leg.servos.directions if leg.servos else None),
+        ("servos.offsets_rad", leg.servos.offsets_rad if leg.servos else None),
+    ]
+    for name, values in sized:
+        if values is not None and len(values) != joints:
+            fail(f"{where}: {name} has {len(values)} values for {joints} joints")
+    if leg.lengths_m is not None and "pitch" not in leg.joint_axes:
+        fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
+    if leg.lengths_m is not None and not all(0 < x <= 5 for x in leg.lengths_m):
+        fail(f"{where}: lengths_m is {list(leg.lengths_m)}; expected metres above 0, up to 5")
+    if leg.limits is not None:
+        for low, high in zip(leg.limits.lower_rad, leg.limits.upper_rad, strict=True):
+            if not -2 * math.pi <= low < high <= 2 * math.pi:
+                fail(
+                    f"{where}: limits {low} .. {high} rad; expected lower below upper, within 2 pi"
+                )
+    directions = None if leg.servos is None else leg.servos.directions
+    if directions is not None and any(d not in (-1, 1) for d in directions):
+        fail(f"{where}: servos.directions are {list(directions)}; use 1 or -1")
