@@ -20,7 +20,7 @@ from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.gather import cautious
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.adapt.stream import RATE_STEPS
-from adaptive_contact.adapt.training import Stretch, learn_leg
+from adaptive_contact.adapt.training import LegFigures, Stretch, learn_leg
 from adaptive_contact.detect import Tail
 from adaptive_contact.detect.noise import WINDOWS
 from adaptive_contact.errors import IdentificationError
@@ -95,13 +95,31 @@ class ColdJob:
             )
         except IdentificationError as error:
             return ColdResult(self.number, None, str(error))
-        naive, held_out = np.array(figures.naive_rms), np.array(figures.held_out_rms)
-        moving = naive > STILL_QUANTA * self.quantum_rad
-        share = float(np.max(held_out[moving] / naive[moving])) if moving.any() else 1.0
-        words = f"held-out error {share:.2f} of the motion after {figures.swings} swings"
+        words = f"after {figures.swings} swings"
+        judged = self._judge(figures)
+        if judged is None:
+            words = f"the leg moves too little per tick for its position step {words}"
+            return ColdResult(self.number, None, f"not good enough yet: {words}")
+        span, share = judged
+        of = "the motion" if span == 1 else f"the motion of {span} ticks"
+        words = f"held-out error {share:.2f} of {of} {words}"
         if share > GOOD_SHARE:
             return ColdResult(self.number, None, f"not good enough yet: {words}")
         return ColdResult(self.number, known, f"first model: {words}")
+
+    def _judge(self, figures: LegFigures) -> tuple[int, float] | None:
+        tick = np.array(figures.held_out_rms), np.array(figures.naive_rms)
+        best = None
+        for span, (held_out, naive) in {1: tick, **figures.spans}.items():
+            moving = naive > STILL_QUANTA * self.quantum_rad
+            if not moving.any():
+                continue
+            share = float(np.max(held_out[moving] / naive[moving]))
+            if best is None or share < best[1]:
+                best = span, share
+            if span == 1 or share <= GOOD_SHARE:
+                break
+        return best
 
 
 class ColdStart:

@@ -3,18 +3,23 @@
 Samples go through the same stream guard as in the learner; a gap, a restart or a rejected sample
 ends a stretch.  What may be learned as free comes from the truth where a recording has it, and
 from the cautious part of each swing where it has not.
+
+A change of the truth tells its time by its source's clock, not which start of the source it is of;
+the next may count the same times anew.  So every run has a truth of its own, and where a change may
+be of either of two runs, it makes no tick of either free.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.stream import RATE_STEPS, RateWatch, StreamGuard
+from adaptive_contact.adapt.stream import RATE_STEPS, RESET_SAMPLES, RateWatch, StreamGuard
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
 from adaptive_contact.errors import IdentificationError
@@ -32,6 +37,9 @@ BEFORE_TICKS: Final = 1
 AFTER_TICKS: Final = 3
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
+# Truth comes 20 ms after its samples, for it tells a mean force, and on a key of its own, which
+# may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
+ASTRAY_NS: Final = 1_000_000_000
 
 
 class LegGatherer:
@@ -50,8 +58,8 @@ class LegGatherer:
         self.off_rate = 0
         self._guard = StreamGuard(len(leg.joints))
         self._rate = RateWatch(self._period_ns)
-        self._runs: list[list[ServoSample]] = []
-        self._truth: list[ContactTruth] = []
+        self._runs: list[_Run] = []
+        self._heard: list[_Heard] = []
 
     @property
     def missed(self) -> int:
@@ -61,7 +69,7 @@ class LegGatherer:
     @property
     def samples(self) -> int:
         """Samples accepted."""
-        return sum(map(len, self._runs))
+        return sum(len(rows) for run in self._runs for rows in run.stretches)
 
     def take_sample(self, sample: ServoSample) -> None:
         """Take in the next sample; a bad one is counted."""
@@ -69,61 +77,109 @@ class LegGatherer:
         if isinstance(result, Reject):
             self.rejects[result] += 1
             return
-        connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        if result.restart:  # as the first sample is
+            self._runs.append(_Run([], [[]]))
+        run = self._runs[-1]
+        run.t_ns.append(sample.t_ns)
         if self._rate.off:
             self.off_rate += 1
             # Those that told are as far off as those that came after.
-            if self._runs and self._runs[-1]:
-                del self._runs[-1][-RATE_STEPS:]
-                self._runs.append([])
+            if run.stretches[-1]:
+                del run.stretches[-1][-RATE_STEPS:]
+                run.stretches.append([])
             return
-        if result.restart or result.missed or not connected or not self._runs:
-            self._runs.append([])
-        self._runs[-1].append(sample)
+        if missed != 0:  # None after a pause; a late tick, too, is two periods from the last
+            run.stretches.append([])
+        run.stretches[-1].append(sample)
 
     def take_truth(self, truth: ContactTruth) -> None:
         """Take in a change of the true contact."""
-        self._truth.append(truth)
+        came = len(self._runs[-1].t_ns) if self._runs else 0
+        self._heard.append(_Heard(truth, len(self._runs) - 1, came))
 
     def stretches(self, *, free: bool = False) -> list[Stretch]:
         """What was collected.
 
         Args:
-            free: take every swing for contact-free where there is no truth.
+            free: take every swing for contact-free in a run that has no truth.
 
         Raises:
             IdentificationError: swings cannot be told: no phase, and no lengths to infer it.
         """
-        return [self._stretch(run, free) for run in self._runs if len(run) > 1]
+        return [
+            self._stretch(rows, truth, free)
+            for run, truth in zip(self._runs, self._truths(), strict=True)
+            for rows in run.stretches
+            if len(rows) > 1
+        ]
 
-    def _stretch(self, run: list[ServoSample], free: bool) -> Stretch:
+    def _truths(self) -> list[_Truth]:
+        """Every run's truth."""
+        truths = [_Truth([], []) for _ in self._runs]
+        if not truths:
+            return truths
+        for heard in self._heard:
+            owners = self._owners(heard)
+            for n in owners:
+                kept = truths[n].sure if len(owners) == 1 else truths[n].doubtful
+                kept.append(heard.change)
+        return truths
+
+    def _owners(self, heard: _Heard) -> list[int]:
+        """Numbers of the runs that a change may be of; more than one is doubt."""
+        t_ns = heard.change.t_ns
+        # Where `run` does not tell of a restart, that many samples of the new run are refused.
+        slack_ns = RESET_SAMPLES * self._period_ns
+        around = self._around(heard)
+        near = [n for n, came in around.items() if self._runs[n].near(t_ns, came)]
+        holding = [n for n in near or range(len(self._runs)) if self._runs[n].holds(t_ns, slack_ns)]
+        if near:
+            return holding or near
+        return list({*around, *holding})
+
+    def _around(self, heard: _Heard) -> dict[int, int]:
+        """Runs that were being heard, a little before and after too; samples of each by then."""
+        if heard.run < 0:
+            return {0: 0}
+        t_ns, n = self._runs[heard.run].t_ns, heard.run
+        now_ns = t_ns[heard.came - 1]
+        around = {n: heard.came}
+        if n > 0 and now_ns - t_ns[0] <= ASTRAY_NS:
+            around[n - 1] = len(self._runs[n - 1].t_ns)
+        if n + 1 < len(self._runs) and t_ns[-1] - now_ns <= ASTRAY_NS:
+            around[n + 1] = 0
+        return around
+
+    def _stretch(self, rows: list[ServoSample], truth: _Truth, free: bool) -> Stretch:
         joints = len(self.leg.joints)
-        desired = np.array([s.desired for s in run])
-        swing = self._swing(run, desired)
-        if self._truth:
-            t_ns = np.array([s.t_ns for s in run], dtype=np.int64)
-            mask = untouched(t_ns, self._truth, self._period_ns)
-        else:
-            mask = np.ones(len(run), dtype=bool) if free else cautious(swing)
-        sound = [s.valid is None or all(s.valid) for s in run]
+        desired = np.array([s.desired for s in rows])
+        swing = self._swing(rows, desired)
+        # A run that told of nothing may have touched nothing, or not know.
+        certain = bool(truth.sure) or free
+        mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
+        t_ns = np.array([s.t_ns for s in rows], dtype=np.int64)
+        for changes in truth.readings():
+            mask &= untouched(t_ns, changes, self._period_ns)
+        sound = [s.valid is None or all(s.valid) for s in rows]
         return Stretch(
-            measured=np.array([s.measured for s in run]).reshape(-1, joints),
+            measured=np.array([s.measured for s in rows]).reshape(-1, joints),
             desired=desired,
             swing=swing,
             free=mask,
             sound=np.array(sound),
-            certain=bool(self._truth) or free,
+            certain=certain,
         )
 
-    def _swing(self, run: list[ServoSample], desired: NDArray[np.float64]) -> Mask:
+    def _swing(self, rows: list[ServoSample], desired: NDArray[np.float64]) -> Mask:
         inferred = infer_phase(desired, self.leg)
-        told = np.array([s.phase is not None for s in run])
+        told = np.array([s.phase is not None for s in rows])
         if inferred is None and not told.all():
             raise IdentificationError(
                 f"leg '{self.leg.id}': {np.count_nonzero(~told)} samples carry no phase and "
                 "robot.toml has no lengths_m for it; give one or the other"
             )
-        swing = np.array([s.phase == "swing" for s in run])
+        swing = np.array([s.phase == "swing" for s in rows])
         return swing if inferred is None else np.where(told, swing, inferred)
 
 
@@ -175,3 +231,57 @@ def _exclude(mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, peri
     first = np.searchsorted(t_ns, onset - BEFORE_TICKS * period_ns)
     last = np.searchsorted(t_ns, release + AFTER_TICKS * period_ns, side="right")
     mask[first:last] = False
+
+
+@dataclasses.dataclass
+class _Run:
+    """From one start of the source to the next.
+
+    Attributes:
+        t_ns: of all samples accepted, used or not.
+        stretches: those used, cut where one is missing.
+    """
+
+    t_ns: list[int]
+    stretches: list[list[ServoSample]]
+
+    def near(self, t_ns: int, came: int) -> bool:
+        """Whether a time is near this run's when ``came`` of its samples had come."""
+        before, after = self.t_ns[max(came - 1, 0)], self.t_ns[min(came, len(self.t_ns) - 1)]
+        return before - ASTRAY_NS <= t_ns <= after + ASTRAY_NS
+
+    def holds(self, t_ns: int, slack_ns: int) -> bool:
+        """Whether a time is between those of the first sample and the last."""
+        return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
+
+
+class _Heard(NamedTuple):
+    """A change of contact, and when it was heard.
+
+    Attributes:
+        change: it.
+        run: number of the run in force, -1 before any sample.
+        came: samples of that run by then.
+    """
+
+    change: ContactTruth
+    run: int
+    came: int
+
+
+class _Truth(NamedTuple):
+    """Changes of contact in order of time: one run's own, and those that may be another's."""
+
+    sure: list[ContactTruth]
+    doubtful: list[ContactTruth]
+
+    def readings(self) -> Iterator[list[ContactTruth]]:
+        """What may have happened; free is what is free in each."""
+        onsets = [change for change in self.doubtful if change.contact]
+        yield sorted(self.sure + onsets, key=_time)
+        if self.doubtful:  # a release that may be another's must not end a contact
+            yield sorted(self.sure + self.doubtful, key=_time)
+
+
+def _time(change: ContactTruth) -> int:
+    return change.t_ns

@@ -25,7 +25,6 @@ from adaptive_contact.identify import (
     Factor,
     Fit,
     FitSettings,
-    FitStatus,
     LegModel,
     Library,
     LibraryName,
@@ -51,6 +50,8 @@ FOLD_SWINGS: Final = 10
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 # Ticks for the noise of a first model: its level is followed from there, downwards as well.
 FEW_TICKS: Final = 200
+# Ticks in a row over which a slow leg is judged.
+SPANS: Final = (2, 4, 8, 16)
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
 
@@ -90,6 +91,8 @@ class LegFigures:
         naive_rms: (J,) rad of predicting no motion.
         terms: (J,) kept, of ``library_size``.
         condition: of the scaled regressors.
+        spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
+            summed over so many.
     """
 
     rows: int
@@ -103,6 +106,7 @@ class LegFigures:
     terms: tuple[int, ...]
     library_size: int
     condition: float
+    spans: dict[int, tuple[Array, Array]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -245,25 +249,29 @@ def learn_leg(
     )
     folds = [_factor(rows, rows.fold == f) for f in range(FOLDS)]
     whole = Factor.merged(folds, library.size, len(leg.joints))
-    unit = tuple(_checked(leg, fit_sparse(whole, FitSettings())).rms.tolist())
+    naive = _rms(rows.target)
+    still: Mask = naive < quantum_rad  # the readings of such joints may be constant
+    rounding = quantum_rad / 12**0.5
+    plain = _checked(leg, fit_sparse(whole, FitSettings()), still)
+    unit = tuple(np.maximum(plain.rms, rounding).tolist())
     sweep = SWEEP if threshold is None else (threshold,)
     errors: dict[float, Array] = {}
     residuals: dict[float, Array] = {}
     for value in sweep:
-        held_out = _held_out(rows, folds, FitSettings(threshold=value, unit=unit))
+        held_out = _held_out(rows, folds, FitSettings(threshold=value, unit=unit), still)
         if held_out is not None:
             residuals[value] = held_out
-            errors[value] = np.sqrt(np.square(held_out).mean(axis=0))
+            errors[value] = _rms(held_out)
     if not errors:
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    best = np.min(list(errors.values()), axis=0)
+    best = np.maximum(np.min(list(errors.values()), axis=0), rounding)
     # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
     # there for joints whose best lie apart.
     near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
     chosen = max(near, default=min(errors))
-    fit = _checked(leg, fit_sparse(whole, FitSettings(threshold=chosen, unit=unit)))
+    fit = _checked(leg, fit_sparse(whole, FitSettings(threshold=chosen, unit=unit)), still)
     model = LegModel(library, fit.coefficients)
 
     # Noise and statistic from the ticks, and the windows, that a detector would judge.
@@ -282,10 +290,11 @@ def learn_leg(
         threshold=chosen,
         sweep={v: tuple(e.tolist()) for v, e in errors.items()},
         held_out_rms=tuple(errors[chosen].tolist()),
-        naive_rms=tuple(np.sqrt(np.square(rows.target).mean(axis=0)).tolist()),
+        naive_rms=tuple(naive.tolist()),
         terms=tuple(int(n) for n in model.support.sum(axis=0)),
         library_size=library.size,
         condition=fit.condition,
+        spans=_spans(residuals[chosen], rows),
     )
     scale = whole.scale()
     known = LegBaseline(model, noise, scale, len(rows.target), Domain.of(whole, scale))
@@ -354,8 +363,10 @@ def _factor(rows: _Rows, mask: Mask) -> Factor:
     return factor
 
 
-def _held_out(rows: _Rows, folds: Sequence[Factor], settings: FitSettings) -> Array | None:
-    """Residuals of every row by a model of the other folds; None if λ empties a joint.
+def _held_out(
+    rows: _Rows, folds: Sequence[Factor], settings: FitSettings, still: Mask
+) -> Array | None:
+    """Residuals of every row by a model of the other folds; None if λ empties a joint that moves.
 
     Each is divided by what that model can know there (:class:`Domain`).
     """
@@ -367,10 +378,10 @@ def _held_out(rows: _Rows, folds: Sequence[Factor], settings: FitSettings) -> Ar
             continue
         others = Factor.merged((o for i, o in enumerate(folds) if i != f), p, joints)
         fit = fit_sparse(others, settings)
-        if fit.status is not FitStatus.OK:
+        if not fit.usable(still):
             # A short recording may lie in one fold; then there is nothing to hold out.
             fit = fit_sparse(Factor.merged(folds, p, joints), settings)
-            if fit.status is not FitStatus.OK:
+            if not fit.usable(still):
                 return None
         theta = rows.theta[inside]
         # In a short recording the swings held out hold motions that no other swing has: there the
@@ -379,6 +390,25 @@ def _held_out(rows: _Rows, folds: Sequence[Factor], settings: FitSettings) -> Ar
         spread = np.sqrt(1.0 + Domain.of(others, others.scale()).leverage(theta))
         residual[inside] = (rows.target[inside] - theta @ fit.coefficients) / spread[:, None]
     return residual
+
+
+def _spans(residual: Array, rows: _Rows) -> dict[int, tuple[Array, Array]]:
+    """See :class:`LegFigures`; of spans that there are enough of."""
+    joints = rows.target.shape[1]
+    total = np.cumsum(np.concatenate([residual, rows.target], axis=1), axis=0)
+    total = np.concatenate([np.zeros_like(total[:1]), total])
+    found = {}
+    for span in SPANS:
+        # Places only grow, so that so many in a row have no gap.
+        apart = rows.position[span - 1 :] - rows.position[: len(total) - span]
+        sums = (total[span:] - total[:-span])[apart == span - 1]
+        if len(sums) >= FEW_TICKS:
+            found[span] = (_rms(sums[:, :joints]), _rms(sums[:, joints:]))
+    return found
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.square(values).mean(axis=0)))
 
 
 def _histories(values: Array, position: Ints) -> Array:
@@ -391,8 +421,8 @@ def _histories(values: Array, position: Ints) -> Array:
     return out
 
 
-def _checked(leg: Leg, fit: Fit) -> Fit:
-    if fit.status is not FitStatus.OK:
+def _checked(leg: Leg, fit: Fit, still: Mask) -> Fit:
+    if not fit.usable(still):
         raise IdentificationError(
             f"leg '{leg.id}': the fit ended with '{fit.status}' on {fit.rows:.0f} rows; "
             "record more, and more varied, free swings"

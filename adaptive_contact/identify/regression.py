@@ -205,6 +205,17 @@ class Fit:
     rows: float
     condition: float
 
+    def usable(self, still: NDArray[np.bool_]) -> bool:
+        """Whether it says of every joint how it moves; of one that stands still nothing says it.
+
+        Args:
+            still: (J,) which stand; not all can.
+        """
+        if self.status is not FitStatus.EMPTIED:
+            return self.status is FitStatus.OK
+        moved = self.support.any(axis=0)
+        return bool(moved.any() and (moved | still).all())
+
 
 def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
     """Fit a sparse linear model to all rows a factor holds, with PySINDy's STLSQ.

@@ -178,7 +178,7 @@ def test_motion_that_nothing_explains_is_refused_with_its_figure(
 def test_a_leg_of_any_build_is_learned_from_nothing(joints: int) -> None:
     """Of so many joints, and lengths of its own, through the learner; then a stop is an alarm."""
     names = [f"j{i}" for i in range(joints)]
-    axes = ["yaw", "pitch", "pitch", "pitch"][:joints]
+    axes = ["yaw", "pitch", "pitch", "pitch"][:joints] if joints > 1 else ["pitch"]
     robot = parse_robot(
         '[robot]\nname = "other"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
         f'[[leg]]\nid = "a"\njoints = {names}\naxes = {axes}\n'
