@@ -70,6 +70,7 @@ def serve(
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.adapt import LearnerBank
+    from adaptive_contact.service.faults import FaultLog
     from adaptive_contact.service.link import Link, router_settings
     from adaptive_contact.service.logs import configure_logs
     from adaptive_contact.service.refits import ProcessRefitter
@@ -90,7 +91,7 @@ def serve(
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     robot, learned, origin = _load(config, baseline)
     refitter = ProcessRefitter()
-    bank = LearnerBank(robot, learned, refitter=refitter, shielded=True)
+    bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
     try:
         link = Link.open(settings, on_wait=_say, stop=stop)
     except LinkError:

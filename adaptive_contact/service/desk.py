@@ -14,6 +14,7 @@ import structlog
 
 from adaptive_contact.service.admission import Admission
 from adaptive_contact.service.answers import Answers
+from adaptive_contact.service.faults import FaultLog
 from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.meters import Brake
 from adaptive_contact.service.outbox import Outbox
@@ -92,6 +93,7 @@ class Desk:
         self._published: Status | None = None
         self._published_ns = now_ns
         self._brake = Brake()
+        self._faults = FaultLog()
 
     def heard(self, sample: ServoSample, now_ns: int) -> Reject | None:
         """Note a readable sample.
@@ -177,13 +179,17 @@ class Desk:
         )
 
     def _tell_news(self, before: LearnerStatus, now: LearnerStatus, now_ns: int) -> None:
-        """Log what became of refits, and that the source began anew."""
+        """Log what became of refits, what the leg changed in, and that the source began anew."""
         for name in ("promoted", "refused", "rolled_back"):
             if getattr(now.refits, name) > getattr(before.refits, name):
                 # Most are refused, each minute of a leg that has not changed.
                 say = _log.debug if name == "refused" else _log.info
                 why, version = now.refits.last_reason, now.model_version
                 say("refit", leg=self.leg, outcome=name, why=why, model_version=version)
+        kind = now.drift.kind
+        news = kind is not None and kind != before.drift.kind
+        if news and self._brake.passes(("kind", kind), now_ns) is not None:
+            _log.info("leg changed", leg=self.leg, kind=kind, level=round(now.drift.level, 2))
         restarts = now.restarts - before.restarts
         stands_for = self._brake.passes("restart", now_ns, restarts) if restarts > 0 else None
         if stands_for is not None:
@@ -194,15 +200,19 @@ class Desk:
         try:
             return self.learner.model_report
         except Exception as fault:  # of one leg, which must not end the others' service
-            self.learner.begin_anew(fault)
+            self._begin_anew(fault)
             return self.learner.model_report
 
     def _told(self) -> LearnerStatus:
         try:
             return self.learner.status
         except Exception as fault:  # of one leg, as in `report`
-            self.learner.begin_anew(fault)
+            self._begin_anew(fault)
             return self.learner.status
+
+    def _begin_anew(self, fault: Exception) -> None:
+        self.learner.begin_anew(fault)
+        self._faults(self.leg, fault)
 
     def _silence(self, now_ns: int) -> str:
         """One line on a silent leg: samples that are all refused are another fault than none."""

@@ -3,7 +3,8 @@
 An event is put reliably, so a subscriber that hangs holds the put up (a quarter of a second,
 then Zenoh drops its link, and with it the event).  The learners must not wait for that: the worker
 only appends, and what cannot be sent for so long that the queue is full is dropped, oldest first,
-and counted.  Each put that was slow, or failed, is logged: the watchdog sees only those that go on.
+and counted; so is what is left at the end.  Each put that was slow, or failed, is logged: the
+watchdog sees only those that go on.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class Outbox:
             dropped, and the message with it; None where nothing is ever dropped.
 
     Attributes:
-        lost: messages dropped because the queue was full, or that could not be put.
+        lost: messages dropped because the queue was full, that could not be put, or that were left
+            at the end.
         slow: puts that took longer than a tenth of a second.
         cut_off: puts that blocked until the link of a subscriber was dropped: that one never got
             the event.
@@ -82,12 +84,24 @@ class Outbox:
         self._thread.start()
 
     def close(self, timeout_s: float = 0.5) -> None:
-        """Send what waits, as far as that goes in time, and end."""
+        """Send what waits, as far as that goes in time, count the rest as lost, and end.
+
+        A put that goes on beyond that is not counted: it may yet arrive, and is counted by itself
+        if it fails.  Whoever closes again waits for nothing.
+        """
         with self._changed:
+            if self._ending:
+                return
             self._ending = True
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join(timeout_s)
+        with self._changed:
+            left = len(self._queue)
+            self._queue.clear()  # what is counted as lost must not be sent after all
+            self.lost += left
+        if left:
+            _log.warning("contact events lost", why="not sent by the end", times=left)
 
     def post(self, publisher: Publishes, message: Message, arrival_ns: int) -> None:
         """Send a message; waits for nothing once the thread runs.
@@ -102,6 +116,9 @@ class Outbox:
             self._put(letter)
             return
         with self._changed:
+            if self._ending:  # nobody may be left to send it
+                self.lost += 1
+                return
             if len(self._queue) >= self._size:
                 self._queue.popleft()
                 self.lost += 1
@@ -146,7 +163,8 @@ class Outbox:
             self._slow(done_ns, done_ns - began_ns)
 
     def _unsent(self, fault: Exception) -> None:
-        self.lost += 1
+        with self._changed:  # others count, too
+            self.lost += 1
         kind = type(fault).__name__
         why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
         times = self._brake.passes(kind, time.monotonic_ns())

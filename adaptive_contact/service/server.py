@@ -303,12 +303,13 @@ class Service:
         self._status.put(self.status(time.monotonic_ns()))
 
     def _end(self, now_ns: int) -> None:
-        """Publish the last counts, and have every leg saved."""
+        """Have every leg saved, send the last events, and publish the last counts."""
         for desk in self._order:
             desk.publish_status(now_ns, anyway=True)
             if self._keeper is not None and desk.ever_heard:
                 self._keeper.take(desk, now_ns)
-        self._status.put(self.status(now_ns))
+        self._outbox.close()  # first: what it cannot send any more is to be told of
+        self._status.put(self.status(time.monotonic_ns()))
 
     def _ask(self, request: Request) -> None:
         if not self._intake.ask(request):

@@ -39,6 +39,9 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
         touches, seen, false_alarms: since ``watch`` began; None without truth.
         residual_rms, noise_floor: (J,) rad.
         unheard: contacts that the service told since ``watch`` began and that did not arrive.
+        drift: level of the residuals of recent lifts, 1 without drift.
+        changed_s: since the newest change of the leg, None without one.
+        kind: of that change, None where it cannot be told.
         rate_hz: accepted samples per second.
         stale: the service has not spoken of this leg for a while.
     """
@@ -58,6 +61,8 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     noise_floor: list[float] = msgspec.field(default_factory=list)
     model_version: int | None = None
     drift: float | None = None
+    changed_s: float | None = None
+    kind: str | None = None
     ticks: int = 0
     rate_hz: float | None = None
     missed: int = 0
@@ -265,6 +270,8 @@ class Watch:
             noise_floor=status.noise_floor,
             model_version=status.model_version,
             drift=status.drift.level,
+            changed_s=_since(status),
+            kind=status.drift.kind,
             ticks=status.ticks,
             rate_hz=_rate(leg.ticks),
             missed=status.missed,
@@ -283,6 +290,12 @@ class Watch:
         leg.pending = [pair for pair in leg.pending if now_ns - pair[0] < _JUDGE_AFTER_NS]
         for _, event in ripe:
             leg.truth.judge(event)
+
+
+def _since(status: LearnerStatus) -> float | None:
+    """Since the leg's newest change, by the clock of its samples."""
+    since_ns = status.drift.since_ns
+    return None if since_ns is None else max(status.t_ns - since_ns, 0) / 1e9
 
 
 def _rate(ticks: list[tuple[int, int]]) -> float | None:

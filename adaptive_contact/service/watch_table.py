@@ -70,10 +70,13 @@ def headline(view: View) -> Text:
 def table(view: View) -> Table:
     """One row per leg; columns that need truth only where there is some."""
     with_truth = any(leg.touches is not None for leg in view.legs)
+    with_changes = any(leg.changed_s is not None or leg.kind is not None for leg in view.legs)
     shown = Table(title=headline(view), title_justify="left", title_style="", box=box.SIMPLE_HEAD)
     shown.add_column("leg")
     shown.add_column("state")
     shown.add_column("status")
+    if with_changes:
+        shown.add_column("changed")
     shown.add_column("last contact", justify="right")
     if with_truth:
         shown.add_column("latency", justify="right")
@@ -91,6 +94,7 @@ def table(view: View) -> Table:
             Text(leg.leg, style="bold"),
             _state(leg.contact),
             _status(leg),
+            *([_change(leg)] if with_changes else []),
             _age(leg.contact_age_s),
         ]
         if with_truth:
@@ -126,6 +130,13 @@ def _status(leg: LegView) -> Text:
     if leg.stale:
         return Text(f"{leg.status}, stale", style="red")
     return Text(leg.status, style=_COLOURS[leg.status])
+
+
+def _change(leg: LegView) -> Text:
+    """What the leg has changed in, as far as can be told, and when."""
+    when = None if leg.changed_s is None else f"{_duration(leg.changed_s)} ago"
+    words = ", ".join(filter(None, (leg.kind, when)))
+    return Text(words) if words else Text("-", style="dim")
 
 
 def _age(age_s: float | None) -> Text:

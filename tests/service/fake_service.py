@@ -17,6 +17,7 @@ from adaptive_contact import wire
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import (
     ContactEvent,
+    DriftLevel,
     LearnerStatus,
     ModelReport,
     ModelTerm,
@@ -58,6 +59,7 @@ class FakeLearner:
         self.guard = StreamGuard(joints)
         self.note: str | None = None
         self.refits = RefitCounts()
+        self.drift = DriftLevel()
         self.owes_release = False
         self.fault: Exception | None = None  # raised by whoever asks
         self.report: ModelReport | None = ModelReport(
@@ -108,6 +110,7 @@ class FakeLearner:
             noise_floor=[0.001] * self.joints,
             ticks=self.ticks,
             missed=self.guard.missed,
+            drift=self.drift,
             restarts=self.guard.restarts,
             rejects=dict(self.rejects),
             refits=self.refits,

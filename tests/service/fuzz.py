@@ -131,6 +131,7 @@ HUGE = (2**64, 2**70, -(2**63) - 1, -(2**70), 10**300)
 RUN = 10**12
 FRESH = 100_000  # inputs after which there is a new pool, and a source that starts anew
 POOL = 5_000
+STRETCH = 250  # samples of one publisher
 
 
 def spoil(fields: dict[Any, Any], rng: random.Random, nasty: tuple[Any, ...]) -> None:
@@ -167,17 +168,25 @@ def stream(rng: random.Random, number: int, *, huge: bool) -> list[dict[Any, Any
     nasty = NASTY + HUGE if huge else NASTY
     trees = []
     seq, t_ns = 1201, HONEST["t_ns"]
-    for _ in range(POOL):
+    for at in range(POOL):
+        if at % STRETCH == 0:
+            # A program tells its `run` always or never.  One wild `run` that comes again and again
+            # is a newer publisher, and keeps all others out: only some stretches have them.
+            who = {"run": HONEST["run"] + number + at} if rng.randrange(4) else {}
+            wild_runs = not rng.randrange(4)
         gap = rng.choice((1, 1, 1, 1, 2, 7, -1, 0))
         seq, t_ns = seq + gap, t_ns + gap * 20_000_000 + rng.randrange(-5, 5)
-        fields = {**HONEST, "t_ns": t_ns, "seq": seq, "run": HONEST["run"] + number}
-        for key in ("preview", "phase", "valid", "run"):
+        fields = {**HONEST, "t_ns": t_ns, "seq": seq}
+        del fields["run"]
+        for key in ("preview", "phase", "valid"):
             if not rng.randrange(8):
                 del fields[key]
+        if wild_runs:
+            fields |= who
         if not rng.randrange(3):
             for _ in range(rng.randrange(1, 4)):
                 spoil(fields, rng, nasty)
-        trees.append(fields)
+        trees.append(fields if wild_runs else fields | who)
     return trees
 
 

@@ -27,6 +27,7 @@ from adaptive_contact.service.state import StateKeeper, StateStore
 from adaptive_contact.service.status import SERVICE_STATUS
 from adaptive_contact.wire import (
     MSGPACK,
+    DriftLevel,
     LearnerStatus,
     RefitCounts,
     ServoSample,
@@ -282,13 +283,15 @@ def test_every_refusal_of_a_stream_is_logged_once_in_ten_seconds(
 def test_a_leg_that_cannot_say_how_it_is_begins_anew_and_says_that(
     live: Live, statuses: Any, sample: Sample
 ) -> None:
-    """A fault outside of its ticks, too, is that leg's own."""
-    with live() as life:
+    """A fault outside of its ticks, too, is that leg's own; the log has its stack."""
+    with live() as life, capture_logs() as logs:
         got = statuses(life)
         life.learner.fault = ZeroDivisionError("in its status")
         life.hear(*(sample(seq) for seq in range(1, 100)))
         found = got.wait(lambda items: items[-1].status == "valid")[-1]
         assert found.note == "begun anew: in its status"
+    (line,) = [line for line in logs if line["event"].startswith("fault in learning")]
+    assert (line["leg"], str(line["exc_info"])) == ("rf", "in its status")
 
 
 def test_what_became_of_refits_is_logged_once(live: Live, sample: Sample) -> None:
@@ -310,6 +313,17 @@ def test_what_became_of_refits_is_logged_once(live: Live, sample: Sample) -> Non
         ("refused", "refused: -0.1", "debug"),
         ("rolled_back", "back", "info"),
     ]
+
+
+def test_the_kind_of_a_change_is_logged_now_and_then(live: Live, sample: Sample) -> None:
+    """A guess that comes and goes fills no log; each kind has a line in ten seconds at most."""
+    with live() as life, capture_logs() as logs:
+        life.hear(sample(1))
+        for kind in (None, "drive", "friction", None, "friction", "drive"):
+            life.learner.drift = DriftLevel(level=4.0, since_ns=0, kind=kind)
+            life.idle(75)
+    told = [(line["leg"], line["kind"]) for line in logs if line["event"] == "leg changed"]
+    assert told == [("rf", "drive"), ("rf", "friction")]
 
 
 def test_a_source_that_begins_anew_is_logged_now_and_then(live: Live, sample: Sample) -> None:

@@ -35,6 +35,22 @@ def test_a_full_disk_ends_nobody(as_json: bool) -> None:
         full.close()  # its buffer is full of lines
 
 
+def test_a_stack_is_plain_and_shows_no_values() -> None:
+    """A local variable may be anybody's secret, and drawing them all takes a fifth of a second."""
+    stream = io.StringIO()
+    configure_logs(stream=stream)
+    try:
+        secret = "".join(("hush", "-", "hush"))
+        raise ValueError(len(secret))
+    except ValueError as fault:
+        structlog.get_logger().error("a fault", leg="rf", exc_info=fault)
+    text = stream.getvalue()
+    assert "a fault" in text
+    assert "ValueError: 9" in text
+    assert "Traceback (most recent call last)" in text
+    assert "hush-hush" not in text
+
+
 def test_a_reader_that_is_gone_ends_nobody() -> None:
     stream = io.StringIO()
     configure_logs(json=True, stream=stream)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import pytest
 from rich.console import Console
 
@@ -160,6 +161,20 @@ def test_the_count_of_what_did_not_arrive_begins_anew_and_keeps_what_it_has(
     # Times that were heard of the other clock are none of this one's.
     watch.learner(status(t_ns=fresh.t_ns + 4 * S, contacts=fresh.contacts + 2), 4 * S)
     assert row(watch).unheard == 3
+
+
+def test_what_a_leg_has_changed_in_and_when_is_shown() -> None:
+    watch = Watch()
+    watch.learner(status(t_ns=9 * S), 0)
+    assert "changed" not in drawn(watch.view(0))
+    drift = DriftLevel(level=5.0, since_ns=4 * S)
+    watch.learner(status(t_ns=9 * S, status="adapting", drift=drift), 0)
+    assert (row(watch).changed_s, row(watch).kind) == (5.0, None)
+    watch.learner(status(t_ns=9 * S, drift=msgspec.structs.replace(drift, kind="friction")), 0)
+    watch.service(service())
+    assert "friction, 5.0 s ago" in drawn(watch.view(0))
+    watch.learner(status(t_ns=9 * S, drift=DriftLevel(kind="load")), 0)
+    assert "load" in drawn(watch.view(0)), "its time was of another clock"
 
 
 def test_two_services_whose_counts_differ_are_no_loss() -> None:

@@ -256,6 +256,58 @@ def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
     assert (line["event"], line["why"]) == ("contact events lost", "TypeError: no such thing")
 
 
+def test_what_waits_at_the_end_is_counted_as_lost_and_not_sent_after_all() -> None:
+    box, gate = Outbox(), Gate()
+    box.start()
+    box.post(gate, message(0), 0)
+    assert gate.entered.wait(5)
+    for n in range(1, 10):
+        box.post(gate, message(n), 0)
+    with capture_logs() as logs:
+        box.close(0.01)
+        assert box.lost == 9, "the one being put may arrive yet"
+        box.post(gate, message(10), 0)  # nobody is left to send it
+        box.close(60.0)
+        assert box.busy_ns(time.monotonic_ns() + S) >= S, "waited for once, not twice"
+    (line,) = logs
+    assert (line["event"], line["why"], line["times"]) == (
+        "contact events lost",
+        "not sent by the end",
+        9,
+    )
+    gate.open.set()
+    assert box._thread is not None
+    box._thread.join(5)
+    assert (gate.got, box.lost) == ([0], 10)
+
+
+def test_the_last_status_tells_of_events_lost_at_the_end(
+    router: Link,
+    join: Callable[..., Link],
+    inbox: Any,
+    fake: ModuleType,
+    robot: Robot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
+    got = inbox(ServiceStatus)
+    join(router.endpoints[0]).subscribe(SERVICE_STATUS, got, history=True)
+    gate, stop = Gate(), threading.Event()
+    box = service._outbox
+    box.start()
+    monkeypatch.setattr(box, "start", lambda: None)
+    try:
+        box.post(gate, message(0), 0)
+        assert gate.entered.wait(5)
+        for n in (1, 2):
+            box.post(gate, message(n), 0)
+        stop.set()
+        service.run(stop)
+        assert got.wait(1)[-1].events_lost == 2
+    finally:
+        gate.open.set()
+
+
 def test_what_is_held_up_now_is_told(
     router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
