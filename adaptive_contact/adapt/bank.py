@@ -10,7 +10,7 @@ import msgspec
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.adapt.team import OnFault, Team
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
@@ -27,7 +27,8 @@ class LearnerBank:
         robot: its description.
         baseline: what is known of its legs' free motion.
         refitter: does the sparse refits and cold starts; in line where absent.
-        shielded: a fault in one leg's learning makes that leg begin anew; else it is raised.
+        on_fault: told of a fault in one leg's learning, which makes that leg begin anew; without,
+            faults are raised.
 
     Raises:
         BaselineError: the baseline belongs to another robot.
@@ -39,7 +40,7 @@ class LearnerBank:
         baseline: Baseline | None = None,
         *,
         refitter: Refitter | None = None,
-        shielded: bool = False,
+        on_fault: OnFault | None = None,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -47,7 +48,7 @@ class LearnerBank:
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
         self._learners: dict[str, ContactLearner] = {}
-        self._shielded = shielded
+        self._on_fault = on_fault
         self._team = Team(())
 
     @property
@@ -79,7 +80,7 @@ class LearnerBank:
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
             baseline = None  # one of that name there would be of another leg
         self._learners[leg] = ContactLearner(robot, leg, baseline, refitter=self._refitter)
-        self._team = Team(tuple(self._learners.values()), shielded=self._shielded)
+        self._team = Team(tuple(self._learners.values()), on_fault=self._on_fault)
         return self._learners[leg]
 
     def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:

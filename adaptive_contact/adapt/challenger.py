@@ -14,6 +14,7 @@ from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.contacts import StoredContacts
 from adaptive_contact.adapt.refit import RefitJob, RefitResult, Refitter
 from adaptive_contact.adapt.segments import Row
+from adaptive_contact.adapt.snapshot import ImplausibleError, array_of, pack
 from adaptive_contact.identify import Domain, Factor, FitStatus, LegModel
 from adaptive_contact.wire import RefitCounts
 
@@ -259,11 +260,16 @@ class Challenger:
         self._reason = f"rolled back: {why}"
 
     def snapshot(self) -> dict[str, object]:
-        """Counts, for :meth:`restore`."""
-        return {**self._tally, "reason": self._reason}
+        """Counts, and who stands by while a promoted model proves itself, for :meth:`restore`."""
+        displaced = self._candidate if self._probation else None
+        return {
+            **self._tally,
+            "reason": self._reason,
+            "displaced": None if displaced is None else pack(displaced),
+        }
 
     def restore(self, saved: object) -> None:
-        """Take over saved counts; what is none is left."""
+        """Take over what was saved; what is none is left."""
         if not isinstance(saved, dict):
             return
         for name in self._tally:
@@ -271,6 +277,13 @@ class Challenger:
                 self._tally[name] = saved[name]
         reason = saved.get("reason")
         self._reason = reason if isinstance(reason, str) else None
+        shape = (len(self._scale), len(self._noise))
+        try:
+            displaced = array_of(saved.get("displaced"), shape, "the model before")
+        except ImplausibleError:  # nobody stood by
+            return
+        if self._plausible(displaced):
+            self._try(displaced, probation=True)
 
     def _try(self, coefficients: Array, *, probation: bool) -> None:
         """Begin to compare coefficients with the model in force."""

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.recent import RecentNoise
-from adaptive_contact.adapt.segments import Row
+from adaptive_contact.adapt.segments import Row, residuals_of
 from adaptive_contact.adapt.snapshot import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 
-__all__ = ["Champion", "residuals_of"]
+__all__ = ["Champion"]
 
 Array = NDArray[np.float64]
 
@@ -190,9 +190,3 @@ class Champion:
         self._model = self._model.moved(good.model.coefficients, version)
         self._rls, self.loosened = good.rls.copy(), good.loosened
         self._on_fall("the baseline" if self._good is None else "the last good model")
-
-
-def residuals_of(rows: Sequence[Row], coefficients: Array) -> tuple[Array, Array]:
-    """Regressors (n, p) of rows; what (p, J) coefficients leave of their targets, (n, J) rad."""
-    theta = np.array([row.theta for row in rows])
-    return theta, np.array([row.target for row in rows]) - theta @ coefficients

@@ -18,9 +18,9 @@ from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.belied import BeliedTouches
 from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import Challenger, rows_for_refit
-from adaptive_contact.adapt.champion import RETURN_SWINGS, Champion, residuals_of
+from adaptive_contact.adapt.champion import RETURN_SWINGS, Champion
 from adaptive_contact.adapt.contacts import Touch
-from adaptive_contact.adapt.kinds import kind_of_change
+from adaptive_contact.adapt.kinds import ChangeEvidence
 from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.monitor import (
     LEAST_LEVEL,
@@ -104,6 +104,7 @@ class Follower:
         self._champion = Champion(known, recent, provisional=provisional, on_fall=self._fallen)
         self._queue: deque[Row] = deque()
         self._doubted: list[Row] = []  # the descent after a lift that was not believed
+        self._evidence: ChangeEvidence | None = None  # of the newest change
         self._era = 0
         self._swings = 0  # since covariances were made anew
         self._learned_swing = False
@@ -185,7 +186,7 @@ class Follower:
         heard = self.monitor.hear(rows, t_ns)
         waiting, self._doubted = self._doubted, []
         if heard.changed:
-            self._change(heard.rows, first=heard.first)
+            self._change(first=heard.first)
         if heard.rows:
             self._consider_baseline(heard.rows)
             self._confirm(heard.rows, region)
@@ -221,7 +222,7 @@ class Follower:
         self._doubted.clear()
         self.confirmed_ns.clear()
         self.buffer.new_source()
-        self.monitor.distrust(0)
+        self.monitor.new_clock()
 
     def touched(self, ticks: Sequence[Touch]) -> None:
         """A contact was reported; while the leg is known, it is one to try candidates on."""
@@ -285,6 +286,7 @@ class Follower:
             "status": self.monitor.status,
             "held": self.monitor.held,
             "heard": list(self.monitor.heard),
+            "kind": self.monitor.kind,
             "belied": self._belied.snapshot(),
             "era": self._era,
             "refits": self._challenger.snapshot(),
@@ -304,6 +306,7 @@ class Follower:
         except ImplausibleError as problem:
             return f"snapshot of leg '{self._leg}' not used: {problem}"
         self.monitor.resume(state.level, state.status, held=state.held, heard=state.heard)
+        self.monitor.kind = state.kind
         self._belied.restore(saved.get("belied"))
         self._era = state.era
         self._challenger.restore(saved.get("refits"))
@@ -316,12 +319,11 @@ class Follower:
 
     # -- private ----------------------------------------------------------------------------------
 
-    def _change(self, rows: list[Row], *, first: bool) -> None:
+    def _change(self, *, first: bool) -> None:
         """Something about the leg has changed: let the recursion move."""
         if first:
             self._belied.forget()
-            theta, residual = residuals_of(rows, self.model.coefficients)
-            self.monitor.kind = kind_of_change(theta, residual, self.model, self._noise)
+            self._evidence = ChangeEvidence(self.model, self._noise)
         self._era += 1
         if self.mode.recursive:
             self._champion.loosen()
@@ -331,6 +333,9 @@ class Follower:
     def _confirm(self, rows: list[Row], region: int) -> None:
         rows = [row for row in rows if row.cleared]
         self._learned_swing |= bool(rows)
+        if self._evidence is not None and not self._evidence.complete:
+            self._evidence.add(rows)
+            self.monitor.kind = self._evidence.kind
         if self.monitor.status == "valid" and rows and rows[0].lift:
             self._recent.count(rows)  # of a descent, soft ground may be among the last of them
         self.confirmed_ns.extend(row.t_ns for row in rows)
@@ -349,7 +354,8 @@ class Follower:
         self._queue.clear()
         self._challenger.withdraw()
         self._challenger.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
-        self.monitor.level = 1.0
+        self.monitor.as_first_known()
+        self._evidence = None
         self._era += 1
         self._refresh()
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.stream import MAX_ANGLE_RAD
 from adaptive_contact.adapt.tracker import push
 from adaptive_contact.identify import LegModel
 
@@ -15,9 +16,7 @@ __all__ = ["foretold"]
 Array = NDArray[np.float64]
 
 
-def foretold(
-    model: LegModel, window: Array, commands: Sequence[Sequence[float]]
-) -> Iterator[Array]:
+def foretold(model: LegModel, window: Array, commands: Sequence[Sequence[float]]) -> list[Array]:
     """Run a model on by itself, each prediction taken for the next reading.
 
     Args:
@@ -25,16 +24,21 @@ def foretold(
         window: (w,) rad, measured and desired up to the tick before, as a prediction is made from.
         commands: (J,) rad each, from the next tick on.
 
-    Yields:
-        (J,) rad, where the leg would be at each of those ticks.
+    Returns:
+        (J,) rad, where the leg would be at each of those ticks; fewer where the model, left to
+        itself, runs away: one of polynomials does.
     """
     shape = model.library.window
     joints = len(model.library.joints)
     flat = window.copy()
     past = flat.reshape(-1, joints)
     measured, desired = past[: shape.past_measured + 1], past[shape.past_measured + 1 :]
+    places: list[Array] = []
     for command in commands:
         now = measured[0] + model.library.evaluate_flat(flat) @ model.coefficients
-        yield now
+        if not np.all(np.abs(now) <= MAX_ANGLE_RAD):  # neither does NaN
+            break
+        places.append(now)
         push(measured, now)
         push(desired, command)
+    return places

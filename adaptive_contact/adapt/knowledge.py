@@ -56,7 +56,8 @@ class Knowledge:
         self._baseline = baseline
         self._mode = mode
         self._refitter = refitter
-        self._saved: dict[str, Any] | None = None  # the last snapshot, until it is gone back to
+        # The last snapshot, made or taken over, until it is gone back to.
+        self._saved: dict[str, Any] | None = None
         self.start()
 
     def start(self) -> None:
@@ -147,7 +148,7 @@ class Knowledge:
         saved, self._saved = self._saved, None
         self.start()
         if saved is not None:
-            self.restore(saved)
+            self._take(saved)
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -155,13 +156,19 @@ class Knowledge:
         Returns:
             None when it is in force, else one line that says why it is not.
         """
+        problem = self._take(saved)
+        if problem is None:
+            self._saved = saved
+        return problem
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _take(self, saved: dict[str, Any]) -> str | None:
         try:
             return self._restore(saved)
         except Exception as fault:  # whatever a file holds, the leg must go on without it
             self.start()
             return self._refused(f"{type(fault).__name__}: {fault}")
-
-    # -- private -------------------------------------------------------------------------------
 
     def _restore(self, saved: dict[str, Any]) -> str | None:
         if isinstance(saved.get("unfit"), bool):

@@ -208,12 +208,11 @@ class ContactLearner:
             return False
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
-        connected = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
-        self._connect(result, sample, paused=not connected)
+        missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        self._connect(result, sample, missed)
         self._follow_phase(sample)
-        broken = result.restart or result.missed > 0 or not connected
-        swing, off = self._swing.ticks > 0, self._rate.off
-        self._knowledge.collect(sample, swing=swing, broken=broken, off=off)
+        swing, broken = self._swing.ticks > 0, result.restart or missed != 0
+        self._knowledge.collect(sample, swing=swing, broken=broken, off=self._rate.off)
         return True
 
     def released(self, sample: ServoSample) -> ContactEvent | None:
@@ -302,8 +301,7 @@ class ContactLearner:
             return False
         preview = None if sample.preview is None else np.array(sample.preview)
         ready = self.tracker.commanded(preview)
-        if not ready and self.tracker.full:
-            self._tally.counts["no_preview"] += 1
+        self._tally.preview(lacking=not ready and self.tracker.full)
         # Between swings nothing is judged; who needs a prediction there asks the tracker.
         return ready and self._swing.ticks > 0
 
@@ -322,7 +320,8 @@ class ContactLearner:
 
     # -- private -------------------------------------------------------------------------------
 
-    def _connect(self, result: Accepted, sample: ServoSample, *, paused: bool) -> None:
+    def _connect(self, result: Accepted, sample: ServoSample, missed: int | None) -> None:
+        """Bridge what was missed; None where what was before does not connect."""
         tracker = self.tracker
         if result.restart:
             self._let_go()
@@ -333,10 +332,11 @@ class ContactLearner:
                 tracker.restart()
             if self._follower is not None:
                 self._follower.new_source()
-        elif (result.missed or paused) and tracker is not None:
-            if result.missed < tracker.model.library.window.length and not paused:
+        elif missed != 0 and tracker is not None:
+            if missed is not None and missed < tracker.model.library.window.length:
                 self._quarantine.hole()
-                tracker.bridge(np.array(sample.desired), result.missed)
+                # While a tick was late, the command before it stayed in force.
+                tracker.bridge(np.array(sample.desired if result.missed else self._command), missed)
             else:
                 tracker.restart()
                 self._quarantine.break_off()
@@ -386,15 +386,15 @@ class ContactLearner:
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""
-        follower, swing = self._follower, self._swing
+        follower = self._follower
         notes = (
             self._tally.fault_note,
             self._guard.note,
             self._rate.note,
-            swing.blind_note,
+            self._swing.blind_note,
             self._knowledge.note,
             None if follower is None else follower.note,
-            swing.deaf_note if follower is not None and follower.gated else None,
+            self._quarantine.deaf_note,
             self._tally.preview_note,
         )
         return next((note for note in notes if note is not None), None)

@@ -87,7 +87,7 @@ class DriftMonitor:
     Attributes:
         level: followed: squared whitened residual over J on free ticks, 1 for a good model.
         status: what is thought of the leg.
-        kind: of the change, where it can be told.
+        kind: of the newest change, where it can be told.
     """
 
     def __init__(self, joints: int, least: float = LEAST_LEVEL) -> None:
@@ -193,6 +193,15 @@ class DriftMonitor:
         """A lift in doubt that was heard at or after a time speaks for no change."""
         if self._doubted_ns >= since_ns:
             self._drop_doubts()
+
+    def new_clock(self) -> None:
+        """Times from before do not compare with those to come."""
+        self._since_ns = None
+        self._drop_doubts()
+
+    def as_first_known(self) -> None:
+        """The leg is again what it was before any change."""
+        self.level, self._since_ns, self.kind = 1.0, None, None
 
     def look(self, level: float) -> None:
         """Take in the level of a tick after the lift: a doubt that it belies is taken back."""
@@ -312,7 +321,7 @@ class DriftMonitor:
         """The leg is another than the model's, for the first time or still."""
         first = self._swings_adapting == 0
         if first:
-            self.status, self._since_ns = "adapting", since_ns
+            self.status, self._since_ns, self.kind = "adapting", since_ns, None
             self._worn_swings = 0
         loose = first or self._swings_loose >= LOOSEN_EVERY
         self._swings_loose = 1 if loose else self._swings_loose + 1
@@ -334,7 +343,6 @@ class DriftMonitor:
         patient = self._swings_adapting > PATIENCE_SWINGS
         if self._settled >= SETTLED_SWINGS or (patient and self.level <= WORN_LEVEL):
             self.status = "valid"
-            self._since_ns = self.kind = None
             self._swings_adapting = 0
         elif patient:
             self.status = "ambiguous"

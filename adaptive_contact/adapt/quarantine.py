@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 from collections import deque
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ from adaptive_contact.adapt.swing import Foretell, SwingWatch
 __all__ = ["Quarantine"]
 
 Array = NDArray[np.float64]
+
+# Whole swings in a row without a lift that could be handed on, after which a leg is deaf.
+DEAF_SWINGS: Final = 20
 
 
 class Quarantine:
@@ -46,11 +50,24 @@ class Quarantine:
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
         self._foretell: Foretell | None = None  # from where the leg was before the swing
+        self._unheard = 0  # whole swings since a lift was handed on
 
     @property
     def follower(self) -> Follower | None:
         """Who learns; None while there is no model."""
         return self._knowledge.follower
+
+    @property
+    def deaf_note(self) -> str | None:
+        """One line for a person when changes of the leg cannot be heard."""
+        if self.follower is None or not self.follower.gated:
+            return None
+        if self._unheard < DEAF_SWINGS:
+            return self._swing.deaf_note
+        return (
+            f"no lift could be heard in {self._unheard} swings: they are too short, or the foot "
+            "hardly rises; changes of the leg are not followed"
+        )
 
     @property
     def lift_first(self) -> bool:
@@ -161,6 +178,7 @@ class Quarantine:
                 monitor.foot_held(held=held, came=swing.came)
         lift = book.take_lift()
         if lift is not None and swing.lifted and not swing.held:
+            self._unheard = 0
             self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)
 
@@ -175,6 +193,7 @@ class Quarantine:
         if not self._open or self.follower is None:
             return
         self._open = False
+        self._unheard += self._swing.whole
         self._hand_touch()
         self._confirm(self._book.resolve())
         self.follower.swing_done(self._swing.touch_belied())

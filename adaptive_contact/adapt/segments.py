@@ -11,6 +11,7 @@ the last ticks before the onset is learned, too.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.adapt.ground import Push
 
-__all__ = ["Row", "SwingBook"]
+__all__ = ["Row", "SwingBook", "residuals_of"]
 
 Array = NDArray[np.float64]
 
@@ -74,6 +75,12 @@ class Row(NamedTuple):
     calm: bool
     cleared: bool
     push: Push | None = None
+
+
+def residuals_of(rows: Sequence[Row], coefficients: Array) -> tuple[Array, Array]:
+    """Regressors (n, p) of rows; what (p, J) coefficients leave of their targets, (n, J) rad."""
+    theta = np.array([row.theta for row in rows])
+    return theta, np.array([row.target for row in rows]) - theta @ coefficients
 
 
 @dataclasses.dataclass

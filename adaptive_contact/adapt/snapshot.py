@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.buffer import Segment
+from adaptive_contact.adapt.kinds import KINDS
 from adaptive_contact.adapt.monitor import LEVEL_RANGE
 from adaptive_contact.identify import LegModel, Library
 from adaptive_contact.wire import Status
@@ -98,7 +99,7 @@ class SavedState(NamedTuple):
         support: (p, J) of its recursion.
         segments: of the buffer, oldest first.
         version, era: of the model, and of the leg as it was.
-        level, status, held, heard: of the monitor.
+        level, status, held, heard, kind: of the monitor.
         loosened: whether the recursion was.
     """
 
@@ -111,6 +112,7 @@ class SavedState(NamedTuple):
     status: Status
     held: bool
     heard: tuple[int, int]
+    kind: str | None
     loosened: bool
 
 
@@ -151,6 +153,7 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
         status=status,
         held=saved.get("held") is True,
         heard=_heard(saved.get("heard")),
+        kind=next((kind for kind in KINDS if kind == saved.get("kind")), None),
         loosened=bool(saved.get("loosened", False)),
     )
 

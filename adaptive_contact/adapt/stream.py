@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 from adaptive_contact.wire import MAX_PREVIEW_TICKS, Reject, ServoSample
@@ -27,9 +28,11 @@ LONGEST_GAP: Final = 10_000_000
 # themselves, mean that the source counts anew: its clock was set back, it was restarted without
 # telling so by `run`, or one wild time or number was taken for true.
 RESET_SAMPLES: Final = 10
-# So many samples in a row from a superseded publisher, with none from the newer one between
-# them, mean that the newer one is gone (half a second at 50 Hz).
+# So many samples in a row from a superseded publisher over so long, by its own clock, with none
+# from the newer one between them, mean that the newer one is gone.  One that floods sends as many
+# between two samples of the newer.
 TAKE_BACK_SAMPLES: Final = 25
+TAKE_BACK_NS: Final = 450_000_000
 # Publishers remembered as superseded; a bound on memory, not a tuning knob.
 MAX_OLD_RUNS: Final = 32
 # A source that starts anew so often has no start: its every sample says another `run`, or it is
@@ -43,6 +46,8 @@ RATE_STEPS: Final = 8
 # A model's velocities are per tick: at a rate further off than this it predicts another leg.
 MOST_OFF: Final = 0.10
 STEADY_OFF: Final = 0.05
+# A step longer than so many periods is a tick that came late: one more fits, but for jitter.
+LATE_PERIODS: Final = 1.6
 # A step this many times too long is a pause of the source, counted by `seq` or not.
 PAUSE_PERIODS: Final = 4.0
 
@@ -79,6 +84,7 @@ class StreamGuard:
         # Publishers in the order in which they were first heard, the one in force among them.
         self._runs: list[int | None] = []
         self._other_count = 0
+        self._other: tuple[int | None, int] | None = None  # who it is, and since when, t_ns
         self._begun = False  # a publisher is in force, if only by a snapshot's word
         self._since_start = SHORT_RUN_SAMPLES  # samples accepted
         self._short_runs = 0  # in a row
@@ -130,10 +136,8 @@ class StreamGuard:
         if sample.run != self.run and self._begun:
             # The run that was seen first is the older publisher; the newer start wins, also when
             # it comes back after a pause.
-            if sample.run in self.older_runs:
-                self._other_count += 1
-                if self._other_count < TAKE_BACK_SAMPLES:
-                    return Reject.OTHER_PUBLISHER
+            if sample.run in self.older_runs and not self._speaks_alone(sample):
+                return Reject.OTHER_PUBLISHER
             return self._restart(sample, now)
         if self._last is None:
             return self._restart(sample, now)
@@ -151,6 +155,14 @@ class StreamGuard:
         if self._since_start == SHORT_RUN_SAMPLES:
             self._short_runs = 0
         return Accepted(missed=missed, restart=False)
+
+    def _speaks_alone(self, sample: ServoSample) -> bool:
+        """Whether a superseded publisher has been the only one for long enough."""
+        if self._other_count == 0 or self._other is None or self._other[0] != sample.run:
+            self._other, self._other_count = (sample.run, sample.t_ns), 0
+        self._other_count += 1
+        long_enough = sample.t_ns - self._other[1] >= TAKE_BACK_NS
+        return long_enough and self._other_count >= TAKE_BACK_SAMPLES
 
     def _restart(self, sample: ServoSample, now: tuple[int, int]) -> Accepted:
         # The first sample after a start of our own is no restart of the source's.
@@ -239,25 +251,39 @@ class RateWatch:
             f"{self._period_ns / 1e6:.1f} ms: nothing is judged or learned until they agree"
         )
 
-    def follow(self, t_ns: int, seq: int, *, restart: bool) -> bool:
+    def follow(self, t_ns: int, seq: int, *, restart: bool) -> int | None:
         """Take in the time and number of an accepted sample.
 
         Returns:
-            False where the source has paused: what came before does not connect.
+            Ticks that nobody read since the last one, by its number or, where it comes late, by its
+            time; None where the source has paused: what came before does not connect.
         """
         if restart:
             self._ticks.clear()
             self.off, self.found_ns = False, None
-        connected = True
+        missed: int | None = 0
         if self._ticks:
             before_ns, before = self._ticks[-1]
-            connected = t_ns - before_ns <= PAUSE_PERIODS * self._period_ns * (seq - before)
-            if not connected:
+            periods = (t_ns - before_ns) / self._period_ns
+            if periods > PAUSE_PERIODS * (seq - before):
                 self._ticks.clear()
+                missed = None
+            else:
+                missed = max(seq - before, int(periods + 2.0 - LATE_PERIODS)) - 1
         self._ticks.append((t_ns, seq))
         if len(self._ticks) > RATE_STEPS:
             first_ns, first = self._ticks[0]
             self.found_ns = (t_ns - first_ns) / (seq - first)
             deviation = abs(self.found_ns / self._period_ns - 1.0)
-            self.off = deviation > (STEADY_OFF if self.off else MOST_OFF)
-        return connected
+            limit = STEADY_OFF if self.off else MOST_OFF
+            # One tick that came late is no other rate.
+            self.off = deviation > limit and self._most_off(limit)
+        return missed
+
+    def _most_off(self, limit: float) -> bool:
+        """Whether half of the steps and more are off."""
+        steps = [
+            abs((t_ns - before_ns) / (seq - before) / self._period_ns - 1.0) > limit
+            for (before_ns, before), (t_ns, seq) in pairwise(self._ticks)
+        ]
+        return 2 * sum(steps) >= len(steps)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.tally import RECENT_TICKS
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
 from adaptive_contact.robot import Leg, foot_point, height_gradient
 from adaptive_contact.robot.phase import Direction, PhaseTracker
@@ -18,7 +19,7 @@ from adaptive_contact.wire import ServoSample
 __all__ = ["Foretell", "SwingWatch"]
 
 _Place = tuple[float, float, float]  # of a foot, in its leg's frame, m
-Foretell = Callable[[Sequence[Sequence[float]]], Iterable[NDArray[np.float64]]]
+Foretell = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 
 # A command that takes the foot no further says nothing of whether it follows.
 LEAST_WAY_M: Final = 0.015
@@ -27,6 +28,9 @@ LEAST_WAY_M: Final = 0.015
 # for free again above the second share, which free ones reach 9 times in 10.
 HELD_SHARE: Final = 0.75
 FREE_SHARE: Final = 0.9
+# A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
+# model decides then, as it would have without.
+FORGET_SWINGS: Final = 5
 # Ticks by which a servo's foot is behind its command.
 LAG_TICKS: Final = 3
 # A foot this far above where it stood has left the ground.  Ground that gives, and legs that were
@@ -66,7 +70,6 @@ class SwingWatch:
         held: the foot does not follow its command: something holds it, or it has no strength.
         came: share of its command's way that the foot went in the last lift that told; of a leg
             that does not go all of it, of the way that its model foretells.
-        untold: samples whose phase could not be told.
         whole: the swing in hand began after a stance that was seen, and went on without a break.
     """
 
@@ -77,13 +80,13 @@ class SwingWatch:
         self.cleared = False
         self.held = False
         self.came = 1.0
-        self.untold = 0
         self.whole = False
         self._stood = False  # since the source began, or broke off
         self._leg = leg
         self._axes = leg.joint_axes
         self._phase = None if leg.lengths_m is None else PhaseTracker()
         self._told = False
+        self._untold = 0  # of the newest samples, those whose phase could not be told
         self._last_desired: Sequence[float] | None = None
         self._last_measured: Sequence[float] | None = None
         self._commanded: _Place = (0.0, 0.0, 0.0)
@@ -91,6 +94,7 @@ class SwingWatch:
         self._commanded_up = False
         self._start: _Place = self._measured
         self._rise = self._moved = 0.0
+        self._unasked = 0  # lifts in a row that told nothing of a hold
         self._path: list[Sequence[float]] = []  # commands of the swing
         self._path_seq = (0, 0)  # of the first and the last of them
         self._asked: deque[float] = deque([0.0], maxlen=LAG_TICKS + 1)
@@ -126,7 +130,7 @@ class SwingWatch:
     @property
     def blind_note(self) -> str | None:
         """One line for a person when swings cannot be told at all."""
-        if not (self.untold and self.blind):
+        if not (self._untold and self.blind):
             return None
         return (
             "samples carry no phase and robot.toml no lengths_m: swings cannot be told, contacts "
@@ -170,15 +174,22 @@ class SwingWatch:
         """
         asked = self._asked[0]
         if asked <= LEAST_WAY_M:
+            # Of a gait of small steps nobody could ever tell that the foot is free again.
+            self._unasked += 1
+            if self._unasked >= FORGET_SWINGS:
+                self.held = False
             return None
+        self._unasked = 0
         self.came = self._moved / asked
         enough = FREE_SHARE if self.held else HELD_SHARE
         first, last = self._path_seq
         if self.came < enough and foretell is not None and last - first + 1 == len(self._path):
             # Servos that are slow for this gait never bring the foot where the command was.
-            places = (self._place(angles.tolist()) for angles in foretell(self._path))
-            way = max(math.dist(place, self._start) for place in places)
-            if LEAST_WAY_M < way < FREE_SHARE * asked:
+            foretold = foretell(self._path)
+            places = [self._place(angles.tolist()) for angles in foretold]
+            way = max((math.dist(place, self._start) for place in places), default=0.0)
+            whole = len(places) == len(self._path)  # else the model ran away
+            if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
                 self.came = self._moved / way
         self.held = self.came < enough
         return self.held
@@ -200,7 +211,8 @@ class SwingWatch:
     def restart(self) -> None:
         """The source started anew."""
         self.interrupt()
-        self.ticks = 0
+        self.ticks = self._unasked = 0
+        self.held = False
         self._surface, self._touch = -math.inf, None
         self._heights.clear()
         self._last_desired = self._last_measured = None
@@ -217,8 +229,7 @@ class SwingWatch:
                 self._phase = PhaseTracker()
             phase = self._phase.update(place[2])
         self._told = sample.phase is not None
-        if phase is None:
-            self.untold += 1
+        self._untold = RECENT_TICKS if phase is None else max(self._untold - 1, 0)
         if phase != "swing":
             self._stood = True
             if self.ticks and self.whole:

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 # Free residuals remembered for the status, about the swings of the last ten seconds.
 STATUS_TICKS: Final = 256
 FAULT_LINE: Final = 160  # characters
+# What a sample lacks is told of for so many samples more.
+RECENT_TICKS: Final = 50
 _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 
 
@@ -37,6 +39,7 @@ class Tally:
         self.rejects: Counter[Reject] = Counter()
         self.fault_note: str | None = None
         self._faults = 0
+        self._lacking = 0  # of the newest samples, those without the preview that is needed
         self._residuals = np.zeros((STATUS_TICKS, joints))  # of free ticks, the newest, in turn
         self._free = 0  # ticks
 
@@ -49,7 +52,11 @@ class Tally:
     @property
     def preview_note(self) -> str | None:
         """One line for a person when samples carry too little for a prediction."""
-        return _NO_PREVIEW if self.counts["no_preview"] else None
+        return _NO_PREVIEW if self._lacking else None
+
+    def preview(self, *, lacking: bool) -> None:
+        """Whether this sample lacked the preview that the model needs."""
+        self._lacking = RECENT_TICKS if lacking else max(self._lacking - 1, 0)
 
     def free(self, residual: Array) -> None:
         """A free tick, and what was left of its prediction, (J,) rad."""

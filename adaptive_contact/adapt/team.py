@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt.detector import LegDetector
     from adaptive_contact.adapt.learner import ContactLearner
 
-__all__ = ["Team"]
+__all__ = ["OnFault", "Team"]
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
+# Is told the leg and what its learning raised.
+OnFault = Callable[[str, Exception], None]
 
 
 class Team:
@@ -26,13 +28,15 @@ class Team:
 
     Args:
         learners: any, of one robot or of several.
-        shielded: a fault in one's learning makes that one begin anew, and is told in its status;
-            else it is raised.
+        on_fault: told of a fault in one's learning, which makes that one begin anew and stands in
+            its status; without, faults are raised.
     """
 
-    def __init__(self, learners: Sequence[ContactLearner], *, shielded: bool = False) -> None:
+    def __init__(
+        self, learners: Sequence[ContactLearner], *, on_fault: OnFault | None = None
+    ) -> None:
         self.learners = tuple(learners)
-        self._shielded = shielded
+        self._on_fault = on_fault
         self._blocks: list[tuple[Block, list[int]]] = []
         self._without = list(range(len(self.learners)))  # a model, and so without a block
         self._homes: list[Block | None] = [None] * len(self.learners)
@@ -67,13 +71,14 @@ class Team:
     def _of_one(
         self, learner: ContactLearner, step: Callable[P, Result], *args: P.args, **more: P.kwargs
     ) -> Result | None:
-        """What a step of one leg gives; None where it faults and the team is shielded."""
+        """What a step of one leg gives; None where it faults and somebody is told."""
         try:
             return step(*args, **more)
         except Exception as fault:  # of one leg, which must not end the others' service
-            if not self._shielded:
+            if self._on_fault is None:
                 raise
             learner.begin_anew(fault)
+            self._on_fault(learner.leg.id, fault)
             return None
 
     def _tick(

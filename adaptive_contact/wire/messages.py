@@ -137,7 +137,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
 
     Attributes:
         residual_rms: (J,) rad, of recent free ticks.
-        noise_floor: (J,) rad, of the model on the data it was fitted on.
+        noise_floor: (J,) rad, of the model that the leg began with, on swings it was not fitted to.
         ticks: samples accepted since start.
         rejects: samples refused, by reason.
         missed: samples lost, from gaps in ``seq``.

@@ -46,6 +46,8 @@ class FakeLeg:
         change: Callable[[int], float] = lambda _: 1.0,
         falling: Callable[[int], float] = lambda _: 1.0,
         pressed: int = 0,
+        late: Callable[[int], int | None] = lambda _: None,
+        by: float = 0.0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Swings of 10 ticks up, 14 down, 4 of stance.
 
@@ -55,6 +57,8 @@ class FakeLeg:
             change: factor on the gain, by swing.
             falling: the same, once the foot has begun to come down; no lift shows it.
             pressed: ticks of a swing for which the foot is held by the stance before.
+            late: the tick of a swing after which the next one comes late, None for none.
+            by: so many periods, in which the leg goes on.
 
         Returns:
             measured, desired (n, 3) rad, swing (n,), touching (n,).
@@ -80,7 +84,10 @@ class FakeLeg:
                 if not held:
                     pull = np.clip((desired - q) / 0.164, -1.0, 1.0)
                     down_only = falling(number) if 13 <= tick < 24 else 1.0
-                    q = q + self.gain * change(number) * down_only * 0.164 * pull
+                    gain = self.gain * change(number) * down_only
+                    if tick == late(number):
+                        gain = 1.0 - (1.0 - gain) ** (1.0 + by)
+                    q = q + gain * 0.164 * pull
             start = end
         measured, desired, swing, touching = (np.array(column) for column in zip(*out, strict=True))
         return measured, desired, swing, touching

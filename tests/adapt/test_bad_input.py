@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.adapt import Baseline
+from adaptive_contact.adapt.tally import RECENT_TICKS, Tally
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import Reject
 
@@ -179,3 +180,17 @@ def test_rejects_are_told_by_reason(robot: Robot, baseline: Baseline) -> None:
     learner.update(stream[5])
     learner.update(msgspec.structs.replace(stream[-1], t_ns=2**62, seq=2**40, measured=[0.0]))
     assert learner.status.rejects == {"malformed": 3, "time_backwards": 1, "wrong_joints": 1}
+
+
+def test_a_preview_that_lacks_is_told_of_while_it_does() -> None:
+    """One sample without is no lack for good, nor does a restart of the service make it one."""
+    tally = Tally(3)
+    tally.preview(lacking=True)
+    assert "needs a preview" in str(tally.preview_note)
+    saved = tally.snapshot()
+    for _ in range(RECENT_TICKS):
+        tally.preview(lacking=False)
+    assert tally.preview_note is None
+    again = Tally(3)
+    again.restore(saved)
+    assert again.preview_note is None

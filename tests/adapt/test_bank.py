@@ -15,7 +15,7 @@ def test_a_leg_that_the_baseline_has_and_the_description_lacks_is_a_stranger(
     robot: Robot, baseline: Baseline
 ) -> None:
     both = dataclasses.replace(baseline, legs={**baseline.legs, "rr": baseline.legs["rf"]})
-    bank = LearnerBank(robot, both, shielded=True)
+    bank = LearnerBank(robot, both)
     (sample,) = samples(*FakeLeg(seed=1).run(1)[:3])[:1]
     assert bank.update({"rf": sample, "rr": sample}) == []
     stranger = bank.learner("rr")

@@ -11,7 +11,6 @@ from adaptive_contact.adapt.challenger import (
     DOMAIN_ROWS,
     PRIOR_ROWS,
     PROBATION_ROWS,
-    REFIT_DUE_TICKS,
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
     Challenger,
@@ -21,7 +20,7 @@ from adaptive_contact.adapt.contacts import MOST, StoredContacts
 from adaptive_contact.adapt.refit import InlineRefitter, RefitResult
 from adaptive_contact.identify import Domain, Factor, FitStatus, LegModel
 
-from .trials import NOISE, Given, compared, fill, row, stopped, tried
+from .trials import NOISE, Given, answer, ask, compared, fill, row, stopped, tried
 
 
 def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
@@ -51,10 +50,8 @@ def test_a_candidate_that_no_servo_can_be_is_refused_untried(model: LegModel, wi
     )
     buffer = SlidingBuffer()
     fill(buffer, np.random.default_rng(0), model.library.size)
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
+    ask(challenger, model, buffer)
+    answer(challenger)
     assert not challenger.trying
     assert challenger.counts.refused == 1
     assert challenger.counts.last_reason == ("refused: a coefficient is not finite, or implausible")
@@ -75,8 +72,7 @@ def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -
     for asked in (1, 2, 2):
         challenger.swing_done(model, buffer, 0)
         assert given.asked == asked
-        for _ in range(REFIT_DUE_TICKS + 1):
-            challenger.tick()
+        answer(challenger)
     assert challenger.counts.refused == 2
 
 
@@ -124,9 +120,15 @@ def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_bette
     assert challenger.contacts.found(candidate).tolist() == [True, False]
 
 
-def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel) -> None:
+@pytest.mark.parametrize("restarted", [False, True])
+def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel, restarted: bool) -> None:
+    """Also where the service was killed right after the promotion, when all is saved."""
     challenger, promoted = tried(model, model.coefficients * 1.2, contacts=20)
     assert promoted.version == 1
+    if restarted:
+        saved = challenger.snapshot()
+        challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
+        challenger.restore(saved)
     rng = np.random.default_rng(1)
     back = None
     for _ in range(PROBATION_ROWS):  # the leg is again what it was
@@ -162,8 +164,7 @@ def test_only_swings_of_which_something_was_learned_count(model: LegModel) -> No
 def test_a_refit_that_waits_for_rows_says_so(model: LegModel) -> None:
     given = Given(model.coefficients)
     challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, SlidingBuffer(), 0)
+    ask(challenger, model, SlidingBuffer())
     assert given.asked == 0
     assert challenger.counts.last_reason == (
         f"waiting: 0 free ticks of the leg as it is to fit to, {4 * model.library.size} are needed"

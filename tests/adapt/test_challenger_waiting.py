@@ -9,14 +9,13 @@ from adaptive_contact.adapt.challenger import (
     LOOK_AGAIN_ROWS,
     PROBATION_ROWS,
     REFIT_DUE_TICKS,
-    REFIT_EVERY_SWINGS,
     TRIAL_CONTACTS,
     TRIAL_ROWS,
     Challenger,
 )
 from adaptive_contact.identify import LegModel
 
-from .trials import NOISE, Given, compared, fill, looked_at, row, stopped, tried
+from .trials import NOISE, Given, answer, ask, compared, fill, looked_at, row, stopped, tried
 
 
 def test_a_better_candidate_waits_for_contacts_to_be_tried_on(model: LegModel) -> None:
@@ -53,22 +52,18 @@ def test_a_newer_refit_takes_the_place_of_a_candidate_that_waits(model: LegModel
     buffer, rng, p = SlidingBuffer(), np.random.default_rng(0), model.library.size
     fill(buffer, rng, p, truth=0.06)
     for turn in range(3):
-        for _ in range(REFIT_EVERY_SWINGS):
-            challenger.swing_done(model, buffer, 0)
+        ask(challenger, model, buffer)
         assert given.asked == turn + 1
-        for _ in range(REFIT_DUE_TICKS + 1):
-            challenger.tick()
+        answer(challenger)
         challenger.swing_done(model, buffer, 0)
         assert given.asked == turn + 1, "one that is being tried is not replaced"
         for _ in range(2 * TRIAL_ROWS):
             assert compared(challenger, row(rng, p, truth=0.06), model) is None
         assert "waiting: a candidate" in (challenger.counts.last_reason or "")
     newest = given.coefficients = model.coefficients * 1.21
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
+    ask(challenger, model, buffer)
     assert "waiting: a candidate" in (challenger.counts.last_reason or "")
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
+    answer(challenger)
     for _ in range(TRIAL_CONTACTS):
         challenger.contacts.add([stopped(model)])
     for _ in range(TRIAL_ROWS):
@@ -82,14 +77,11 @@ def test_a_refit_under_way_does_not_disturb_the_probation_of_another(model: LegM
     challenger = Challenger("rf", NOISE, np.ones(model.library.size), given)
     buffer, rng, p = SlidingBuffer(), np.random.default_rng(0), model.library.size
     fill(buffer, rng, p, truth=0.06)
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
+    ask(challenger, model, buffer)
+    answer(challenger)
     for _ in range(TRIAL_ROWS):
         compared(challenger, row(rng, p, truth=0.06), model)
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
+    ask(challenger, model, buffer)
     assert given.asked == 2
     for _ in range(TRIAL_CONTACTS):
         challenger.contacts.add([stopped(model)])

@@ -194,8 +194,13 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
 ) -> None:
     measured, desired, swing, _ = FakeLeg(seed=6).run(12)
     stream = samples(measured, desired, swing)
-    for shielded in (True, False):
-        bank = LearnerBank(two_legs, None, shielded=shielded)
+    told: list[tuple[str, str]] = []
+
+    def tell(leg: str, fault: Exception) -> None:
+        told.append((leg, str(fault)))
+
+    for on_fault in (tell, None):
+        bank = LearnerBank(two_legs, None, on_fault=on_fault)
         for sample in stream[:40]:
             bank.update({"rf": sample, "lf": sample})
         faulty = bank.learner("rf")
@@ -205,7 +210,7 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
             raise np.linalg.LinAlgError("not positive definite")
 
         monkeypatch.setattr(faulty._swing, "follow", fail)
-        if not shielded:
+        if on_fault is None:
             with pytest.raises(np.linalg.LinAlgError):
                 bank.update({"rf": stream[40], "lf": stream[40]})
             continue
@@ -221,6 +226,7 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
         assert faulty.status.note == (
             "20 faults in learning, begun anew each time; last LinAlgError: not positive definite"
         )
+        assert told == 20 * [("rf", "not positive definite")]
 
 
 @pytest.mark.parametrize("where", ["repair", "released", "observe", "decide"])
@@ -235,7 +241,7 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     wanted = [(e.seq, e.contact) for sample in stream if (e := alone.update(sample)) is not None]
     assert len(wanted) > 6
 
-    bank = LearnerBank(two_legs, both, shielded=True)
+    bank = LearnerBank(two_legs, both, on_fault=lambda *_: None)
     told = []
     for k, sample in enumerate(stream):
         learner = bank.learner("rf")
@@ -299,6 +305,21 @@ def test_a_fault_costs_what_was_learned_since_the_last_save_and_the_next_one_the
     assert learner.status.buffer == held
     learner.begin_anew(ZeroDivisionError("division by zero"))
     assert learner.status.buffer.lift_ticks == 0
+
+
+def test_a_fault_after_a_restart_costs_nothing_that_was_kept(
+    robot: Robot, baseline: Baseline
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+    again = ContactLearner(robot, "rf", baseline)
+    assert again.restore(learner.snapshot() or {}) is None
+    again.begin_anew(ZeroDivisionError("division by zero"))
+    assert again.status.buffer == learner.status.buffer
+    again.begin_anew(ZeroDivisionError("division by zero"))
+    assert again.status.buffer.lift_ticks == 0
 
 
 def test_a_fault_is_one_line_however_long_its_words(robot: Robot) -> None:

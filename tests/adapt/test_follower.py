@@ -24,6 +24,7 @@ from adaptive_contact.adapt.refit import InlineRefitter
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.identify import Domain, Factor
 from adaptive_contact.robot import Leg, Robot, parse_robot
+from adaptive_contact.wire import DriftLevel
 
 from .conftest import TOML, FakeLeg, outcomes, play, samples
 
@@ -270,9 +271,11 @@ def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
     walk(0.9 * clean, 40, 0)
     muddy = follower.model.coefficients
     assert np.abs(muddy - clean).max() > 0.03 * np.abs(clean).max()
+    assert follower.monitor.drift.since_ns is not None
     walk(clean, 6, 40)
     assert follower.refits.rolled_back >= 1
     assert "rolled back: the baseline fits 3 lifts better" in (follower.refits.last_reason or "")
+    assert follower.monitor.drift == DriftLevel(level=follower.monitor.level), "no change any more"
 
 
 def test_what_came_at_another_rate_is_dropped_wherever_it_lies(follower: Follower) -> None:

@@ -88,6 +88,51 @@ def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) 
     assert not [e for e in play(learner, frozen) if e.contact]
 
 
+@pytest.mark.parametrize("late_ms", [10, 17, 20])
+def test_a_tick_that_comes_late_blinds_no_leg(
+    robot: Robot, baseline: Baseline, late_ms: int
+) -> None:
+    """A controller that sleeps between ticks: in every swing one is late, and the leg goes on.
+
+    The touch comes three to five ticks after it.
+    """
+    stops = [17 if n % 2 else None for n in range(120)]
+    late = [12 + n % 3 if n >= 20 else None for n in range(120)]
+    measured, desired, swing, _ = FakeLeg(seed=3).run(
+        120, touch=lambda n: stops[n], late=lambda n: late[n], by=late_ms / 20.0
+    )
+    delays = [late_ms * 1_000_000 if k % 28 == late[k // 28] else 0 for k in range(len(swing))]
+    behind = np.concatenate(([0], np.cumsum(delays)[:-1])).tolist()
+    stream = [
+        msgspec.structs.replace(sample, t_ns=sample.t_ns + by)
+        for sample, by in zip(samples(measured, desired, swing), behind, strict=True)
+    ]
+    learner = ContactLearner(robot, "rf", baseline)
+    told = outcomes(play(learner, stream), range(20, 120), stops)
+    assert told.count("hit") >= 44, "of 50"
+    assert told.count("alarm") <= 8
+    assert learner.status.missed == 0
+    assert learner.status.note is None
+
+
+def test_a_leg_whose_lifts_are_never_heard_says_so(robot: Robot, baseline: Baseline) -> None:
+    """A controller whose swings begin past the top."""
+    measured, desired, _, _ = FakeLeg(seed=5).run(40)
+    swing = np.arange(len(measured)) % 28
+    swing = (swing >= 12) & (swing < 24)
+    learner = ContactLearner(robot, "rf", baseline)
+    told = []
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+        told.append(learner.status.note)
+    assert told[28 * 15] is None
+    assert "no lift could be heard in" in str(told[-1])
+    assert "changes of the leg are not followed" in str(told[-1])
+    heard = ContactLearner(robot, "rf", baseline)
+    play(heard, samples(*FakeLeg(seed=5).run(40)[:3]))
+    assert heard.status.note is None
+
+
 def test_the_same_samples_give_the_same_events(robot: Robot, baseline: Baseline) -> None:
     stream = samples(*FakeLeg(seed=6).run(100, touch=lambda n: 16 if n % 2 else None)[:3])
     first = play(ContactLearner(robot, "rf", baseline), stream)
@@ -128,6 +173,26 @@ def test_a_changed_leg_is_followed(robot: Robot, baseline: Baseline) -> None:
     assert sum(errors(told[80:]) for told in runs) <= 3 * len(runs)
     # A lift is heard before its swing alarms.
     assert np.median([told[60:80].count("alarm") for told in runs]) <= 2
+
+
+def test_what_a_leg_has_changed_in_and_when_is_told(robot: Robot, baseline: Baseline) -> None:
+    """Touches of every other swing are none of it."""
+    told = []
+    for seed in range(7, 16):
+        arrays = FakeLeg(seed=seed).run(100, touch=lambda n: 16 if n % 2 else None, change=changed)[
+            :3
+        ]
+        learner = ContactLearner(robot, "rf", baseline)
+        play(learner, samples(*arrays))
+        told.append(learner.status.drift)
+        again = ContactLearner(robot, "rf", baseline)
+        assert again.restore(learner.snapshot() or {}) is None
+        assert again.status.drift.kind == told[-1].kind
+    # One leg in ten changes once more on its way, and tells of that.
+    swing_ns = 28 * PERIOD
+    soon = [each for each in told if 60 <= (each.since_ns or 0) / swing_ns < 68]
+    assert len(soon) >= 8
+    assert all(each.kind == "drive" for each in soon)
 
 
 def test_it_is_followed_even_when_every_swing_ends_in_contact(

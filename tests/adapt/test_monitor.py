@@ -96,8 +96,10 @@ def test_two_in_a_row_are_a_change_and_calm_lifts_end_it() -> None:
         assert monitor.status == "adapting", "hysteresis: one calm lift is not enough"
         hear(monitor, 1.0, 32 + k)
     assert monitor.status == "valid"
-    assert monitor.drift.since_ns is None
+    assert monitor.drift.since_ns == 30 * SWING_NS, "the newest change is still known"
     assert monitor.level < 2.0
+    monitor.new_clock()
+    assert monitor.drift.since_ns is None
 
 
 def test_a_leg_that_will_not_fit_is_let_loose_now_and_then_and_ends_ambiguous() -> None:

@@ -115,6 +115,24 @@ def test_the_older_publisher_is_heard_again_once_the_newer_is_gone() -> None:
     assert guard.older_runs == (7,)
 
 
+@pytest.mark.parametrize("times", [1, 26, 100])
+def test_a_superseded_publisher_that_floods_takes_nothing_back(times: int) -> None:
+    """More samples than are needed for it between two of the newer one."""
+    guard = StreamGuard(2)
+    feed(guard, sample(0, run=7), sample(0, run=3))
+    step = STEP // times
+    for k in range(1, 60):
+        flood = (sample(k * times + i, run=7, t_ns=k * STEP + i * step) for i in range(times))
+        assert set(feed(guard, *flood)) == {Reject.OTHER_PUBLISHER}
+        assert guard.admit(sample(k, run=3)) == Accepted(0, False)
+    alone = feed(
+        guard,
+        *(sample(60 * times + i, run=7, t_ns=60 * STEP + i * step) for i in range(30 * times)),
+    )
+    assert alone.count(Accepted(0, True)) == 1
+    assert alone[-1] == Accepted(0, False)
+
+
 @pytest.mark.parametrize("samples", [1, 10, SHORT_RUN_SAMPLES - 1])
 def test_a_source_that_starts_anew_again_and_again_is_told_of(samples: int) -> None:
     guard = StreamGuard(2)
@@ -251,10 +269,13 @@ def test_accepted_samples_are_in_order_whatever_comes(stream: list[ServoSample])
         last = s
 
 
-def watch(steps: list[int], *, numbers: list[int] | None = None) -> tuple[RateWatch, list[bool]]:
-    """Feeds a 20 ms watch samples that are so many ms apart."""
+def watch(
+    steps: list[int], *, numbers: list[int] | None = None
+) -> tuple[RateWatch, list[int | None]]:
+    """Feeds a 20 ms watch samples that are so many ms apart; the ticks missed at each."""
     rate = RateWatch(20_000_000)
-    told, t_ns, seq = [], 0, 0
+    told: list[int | None] = []
+    t_ns = seq = 0
     for step, number in zip(steps, numbers or [1] * len(steps), strict=True):
         t_ns, seq = t_ns + step * 1_000_000, seq + number
         told.append(rate.follow(t_ns, seq, restart=False))
@@ -264,9 +285,9 @@ def watch(steps: list[int], *, numbers: list[int] | None = None) -> tuple[RateWa
 @pytest.mark.parametrize("step", [16, 24])
 def test_another_rate_shows_within_five_ticks(step: int) -> None:
     for after, off in ((3, False), (5, True)):
-        rate, connected = watch([20] * 40 + [step] * after)
+        rate, missed = watch([20] * 40 + [step] * after)
         assert rate.off is off
-        assert all(connected)
+        assert not any(missed)
     rate, _ = watch([20] * 40 + [step] * 60)
     assert rate.found_ns == step * 1_000_000
     assert not watch([step] * 40 + [20] * 8)[0].off
@@ -277,16 +298,30 @@ def test_jitter_and_lost_samples_are_no_other_rate() -> None:
     times = 20.0 * np.arange(20_000) + rng.uniform(-5, 5, 20_000)
     numbers = np.sort(rng.choice(20_000, 18_000, replace=False))
     rate = RateWatch(20_000_000)
+    lost = 0
     for number in numbers:
-        assert rate.follow(round(times[number] * 1e6), int(number), restart=False)
+        missed = rate.follow(round(times[number] * 1e6), int(number), restart=False)
+        assert missed is not None
         assert not rate.off
+        lost += missed
+    assert lost == numbers[-1] - numbers[0] - len(numbers) + 1
+
+
+@pytest.mark.parametrize(("step", "missed"), [(30, 0), (33, 1), (37, 1), (41, 1), (60, 2)])
+def test_one_tick_that_comes_late_is_no_other_rate(step: int, missed: int) -> None:
+    for after in range(1, 20):
+        rate, told = watch([20] * 20 + [step] + [20] * after)
+        assert not rate.off
+        assert told == [0] * 20 + [missed] + [0] * after
+    _, told = watch([20] * 20 + [60], numbers=[1] * 20 + [2])
+    assert told[-1] == 2, "one lost, one late"
 
 
 def test_a_pause_connects_nothing_whether_it_was_counted_or_not() -> None:
-    assert watch([20] * 10 + [5000] + [20] * 10)[1] == [True] * 10 + [False] + [True] * 10
-    # 200 ms with ten samples lost is what it says; a number that does not count it is a pause.
-    assert all(watch([20] * 10 + [200, 20], numbers=[1] * 10 + [10, 1])[1])
-    assert not watch([20] * 10 + [200])[1][-1]
+    assert watch([20] * 10 + [5000] + [20] * 10)[1] == [0] * 10 + [None] + [0] * 10
+    # 200 ms with nine samples lost is what it says; a number that does not count it is a pause.
+    assert watch([20] * 10 + [200, 20], numbers=[1] * 10 + [10, 1])[1] == [0] * 10 + [9, 0]
+    assert watch([20] * 10 + [200])[1][-1] is None
 
 
 def test_a_restart_is_told_anew() -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from typing import Literal
 
+import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.swing import CLEARANCE_M, PATH_TICKS, SwingWatch
+from adaptive_contact.adapt.swing import CLEARANCE_M, FORGET_SWINGS, PATH_TICKS, SwingWatch
+from adaptive_contact.adapt.tally import RECENT_TICKS
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.geometry import inverse
 from adaptive_contact.wire import ServoSample
@@ -17,9 +20,12 @@ from .conftest import LENGTHS
 LOW, HIGH = np.array([0.16, 0.0, -0.10]), np.array([0.16, 0.02, -0.04])
 
 
-def swing(watch: SwingWatch, follow: float, lag: int = 3) -> list[tuple[float, bool]]:
+def swing(
+    watch: SwingWatch, follow: float, lag: int = 3, *, height: float = 0.06
+) -> list[tuple[float, bool]]:
     """A lift of ten ticks; the foot goes the given share of the way. Its rise, and if cleared."""
-    way = [np.zeros(3)] * 5 + [(HIGH - LOW) * i / 10 for i in range(1, 11)] + [HIGH - LOW] * lag
+    up = (HIGH - LOW) * height / (HIGH - LOW)[2]
+    way = [np.zeros(3)] * 5 + [up * i / 10 for i in range(1, 11)] + [up] * lag
     told = []
     for k, command in enumerate(way):
         foot = LOW + follow * way[max(k - lag, 0)]
@@ -56,6 +62,35 @@ def test_a_held_foot_has_to_come_further_to_be_free_again(robot: Robot) -> None:
     for follow, held in ((0.8, False), (0.3, True), (0.8, True), (1.0, False), (0.8, False)):
         swing(watch, follow)
         assert watch.judge_lift() is held
+
+
+def test_a_hold_of_which_nothing_can_be_told_any_more_is_forgotten(robot: Robot) -> None:
+    """The foot came free, and the gait takes steps too small to tell."""
+    watch = SwingWatch(robot.leg("rf"))
+    told = []
+    for height in (0.06, *[0.01] * (FORGET_SWINGS + 1)):
+        swing(watch, 0.2, height=height)
+        watch.judge_lift()
+        told.append(watch.held)
+    assert told == [True] * FORGET_SWINGS + [False] * 2
+    swing(watch, 0.2)
+    assert watch.judge_lift()
+    watch.restart()
+    assert not watch.held
+
+
+def test_samples_without_phase_are_told_of_while_they_come(robot: Robot) -> None:
+    unknown = msgspec.structs.replace(robot.leg("rf"), lengths_m=None)
+    watch = SwingWatch(unknown)
+
+    def feed(count: int, phase: Literal["swing"] | None) -> None:
+        for k in range(count):
+            watch.follow(ServoSample(t_ns=k, seq=k, measured=[0.0], desired=[0.0], phase=phase))
+
+    feed(1, None)
+    assert "swings cannot be told" in str(watch.blind_note)
+    feed(RECENT_TICKS, "swing")
+    assert watch.blind_note is None
 
 
 def test_a_command_that_goes_nowhere_says_nothing(robot: Robot) -> None:

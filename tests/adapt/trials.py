@@ -65,6 +65,18 @@ def stopped(model: LegModel) -> Touch:
     return Touch.of(theta, np.zeros((3, 3)), whiten, np.full(3, 30.0), 1)
 
 
+def ask(challenger: Challenger, model: LegModel, buffer: SlidingBuffer) -> None:
+    """As many swings as there are between one refit and the next."""
+    for _ in range(REFIT_EVERY_SWINGS):
+        challenger.swing_done(model, buffer, 0)
+
+
+def answer(challenger: Challenger) -> None:
+    """The ticks until a refit's result is due."""
+    for _ in range(REFIT_DUE_TICKS + 1):
+        challenger.tick()
+
+
 def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challenger, LegModel]:
     """After a whole trial on ticks that the candidate fits."""
     challenger = Challenger("rf", NOISE, np.ones(model.library.size), Given(candidate))
@@ -74,10 +86,8 @@ def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Challe
     fill(buffer, rng, p, truth=0.06)
     for _ in range(contacts):
         challenger.contacts.add([stopped(model)])
-    for _ in range(REFIT_EVERY_SWINGS):
-        challenger.swing_done(model, buffer, 0)
-    for _ in range(REFIT_DUE_TICKS + 1):
-        challenger.tick()
+    ask(challenger, model, buffer)
+    answer(challenger)
     assert challenger.trying
     promoted = None
     for _ in range(2 * TRIAL_ROWS):
