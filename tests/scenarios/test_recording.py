@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import foot
@@ -99,6 +100,7 @@ def test_every_setting_decides_the_key() -> None:
         replace(SPEC, legs=("lm", "lf")),
         replace(SPEC, staging=Staging(level_m=-0.04)),
         replace(SPEC, staging=Staging(caught_s=(1.0, 2.0))),
+        replace(SPEC, staging=Staging(caught_s=(1.0, 2.0), trails_n=2.0)),
         replace(SPEC, settings=replace(POSE, seed=9101)),
         replace(SPEC, settings=replace(POSE, robot_seed=1)),
         replace(SPEC, settings=replace(POSE, drift=drift)),
@@ -191,6 +193,25 @@ def test_a_caught_foot_stays_and_the_truth_says_so() -> None:
     assert not taken.touching("lm")[free].all()
     begin = leg.truth.t_ns[np.searchsorted(leg.truth.t_ns, 3e9)]
     assert 3e9 <= begin <= 3.6e9
+    assert mujoco.get_mjcb_passive() is None
+
+
+def test_what_a_foot_trails_slows_it_and_is_no_touch() -> None:
+    free = record(replace(SPEC, seconds=7.0))
+    staging = Staging(caught_s=(3.0, 5.0), trails_n=4.0)
+    trailing = record(replace(SPEC, seconds=7.0, staging=staging))
+    t = free.t_ns / 1e9
+
+    def behind(taken: Recording, during: NDArray[np.bool_]) -> float:
+        leg = taken.legs["lm"]
+        return float(np.abs(leg.measured - leg.desired)[during & leg.swing].mean())
+
+    inside, before = (t > 3.6) & (t < 5.0), t < 3.0
+    assert behind(trailing, inside) > 1.1 * behind(free, inside)
+    assert behind(trailing, before) == behind(free, before)
+    # A hold would be a contact through whole swings.
+    lifted = inside & trailing.legs["lm"].swing
+    assert trailing.touching("lm")[lifted].mean() < 0.6
     assert mujoco.get_mjcb_passive() is None
 
 

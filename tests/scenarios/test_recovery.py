@@ -11,13 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.score import summarise
+from adaptive_contact.score import match, summarise
 from adaptive_contact_sim.trials.figures import Judgement, judge_scenario, quantile
 from adaptive_contact_sim.trials.judge import Recovery, within
+from adaptive_contact_sim.trials.learners import robot
+from adaptive_contact_sim.trials.recording import record
 from adaptive_contact_sim.trials.registry import scenarios
+from adaptive_contact_sim.trials.replay import STATUSES, replay
 from adaptive_contact_sim.trials.runner import Folders, jobs, run
-from adaptive_contact_sim.trials.runs import QUICK_SIZES, Sizes
-from adaptive_contact_sim.trials.spec import Variant
+from adaptive_contact_sim.trials.runs import POSE_SWING_S, QUICK_SIZES, Sizes, lone_runs
+from adaptive_contact_sim.trials.spec import ReplaySpec, Staging, Variant
 
 # Seeds of tests, apart from those that are tuned on or reported.
 SIZES = replace(
@@ -77,6 +80,18 @@ def test_nearly_every_leg_recovers_soon(steps: dict[str, Judgement]) -> None:
     assert swings <= 20
 
 
+def test_changes_are_taken_for_what_they_are(steps: dict[str, Judgement]) -> None:
+    kinds = {"step-supply94": "drive", "step-compliance2": "drive"}
+    told = [
+        (each.kind, kinds.get(name, "friction"))
+        for name, judgement in steps.items()
+        for each in recoveries_of(judgement)
+        if each.kind is not None
+    ]
+    assert len(told) >= 16
+    assert sum(kind == truth for kind, truth in told) >= 0.9 * len(told)
+
+
 @pytest.mark.slow
 def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
     # Long enough for one learned tick in a thousand to be more than none.
@@ -89,3 +104,27 @@ def test_contacts_only_neither_blind_it_nor_are_learned(folder: Path) -> None:
         assert figures.false_alarms <= 1
         assert full.confirmed > 1000
         assert full.touched <= 0.001 * full.confirmed
+
+
+def test_a_foot_that_trails_too_much_is_ambiguous_and_the_leg_is_well_again_after_it() -> None:
+    """A lasting contact that looks like a lasting change: 6 N against a servo leg's motion."""
+    sizes = replace(SIZES, leg_runs=2)
+    for spec in lone_runs(sizes, 60.0, Staging(caught_s=(8.0, 38.0), trails_n=6.0)):
+        (leg,) = spec.legs
+        taken = record(spec)
+        frozen, full = replay(ReplaySpec(spec, variants=PAIR), taken)[leg].values()
+        t_s = full.log.t_ns / 1e9
+        status = np.array(STATUSES)[full.log.status]
+        late = (t_s > 8.0 + 25 * POSE_SWING_S) & (t_s < 38.0)
+        assert np.mean(status[late] == "ambiguous") > 0.8
+        assert np.mean(status[t_s > 44.0] == "valid") > 0.8
+        assert np.ptp(full.log.ticks[late]) == 0, "nothing of it is learned"
+        stream = taken.stream(leg, robot())
+        trailing = [within(match(stream, one.events), 8.0, 38.0) for one in (frozen, full)]
+        alarms = [len(outcome.alarms_ns) for outcome in trailing]
+        assert alarms[0] > 20, "worth telling of"
+        assert alarms[1] < alarms[0]
+        after = summarise([within(match(stream, full.events), 38.5, 60.0)])
+        assert after.counted.touches >= 10
+        assert after.counted.found >= after.counted.touches - 1
+        assert after.false_alarms <= 1

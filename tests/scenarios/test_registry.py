@@ -43,6 +43,7 @@ NAMES = [
     "walk-contacts-level",
     "stand-10min",
     "caught-30s",
+    "trailing-2N",
     "readings-3pct",
     "start-cold",
     "start-other-leg",

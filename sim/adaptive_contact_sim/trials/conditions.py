@@ -129,6 +129,21 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         twin=without_staging,
         poisonous=True,
     )
+    trailing = Scenario(
+        name="trailing-2N",
+        about=f"a foot trails a branch for {sizes.caught_s:g} s, 2 N against its motion",
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s), trails_n=2.0)),
+        phases=(
+            Phase("before", 0.0, at_s),
+            Phase("trailing", at_s, free_s),
+            *around(free_s, end_s, POSE_SWING_S)[1:],
+        ),
+        judged=("after",),
+        marks=(Mark("tangled", at_s), Mark("free again", free_s + POSE_SWING_S)),
+        twin=without_staging,
+    )
     faults = EncoderSettings(dropped=0.03, repeated=0.03)
     readings = Scenario(
         name="readings-3pct",
@@ -143,7 +158,7 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         judged=("all",),
         twin=without_faults,
     )
-    return [stand, caught, readings]
+    return [stand, caught, trailing, readings]
 
 
 def starts(sizes: Sizes) -> list[Scenario]:

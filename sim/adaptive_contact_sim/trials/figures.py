@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -18,11 +19,13 @@ from adaptive_contact_sim.trials.replay import Replayed, load_replay, replay_fil
 from adaptive_contact_sim.trials.runner import Folders
 from adaptive_contact_sim.trials.spec import Expect, LegRun, ReplaySpec, Scenario, Variant
 
-__all__ = ["Judgement", "figures", "judge_scenario", "quantile"]
+__all__ = ["NOTHING", "Judgement", "figures", "judge_scenario", "quantile"]
 
 Tree = dict[str, Any]
 
 LOCK_OUT_SWINGS: Final = 5
+# What a change is taken for of which no kind is told.
+NOTHING: Final = "nothing"
 _BOOTSTRAPS: Final = 2000
 
 
@@ -174,6 +177,7 @@ def _recovery(judged: list[Judged], mark: str) -> Tree:
         "alarms_p95": quantile(alarms, 0.95),
         "swings": swings,
         "alarms": alarms,
+        "taken_for": dict(Counter(recovery.kind or NOTHING for recovery in each)),
     }
 
 

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.kinds import KINDS
 from adaptive_contact.score import (
     LegOutcome,
     LegStream,
@@ -48,11 +49,13 @@ class Recovery:
         swings: until the leg could be relied on again, None where it could not.
         alarms: false ones on the way; all there were where it did not recover.
         of: swings that there were.
+        kind: what the change was taken for, by what was told last; None where nothing was.
     """
 
     swings: int | None
     alarms: int
     of: int
+    kind: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +96,7 @@ def judge(scenario: Scenario, stream: LegStream, replayed: LegReplay) -> Judged:
     # Each mark's time ends with the next one; there may be none.
     ends = [*(mark.at_s for mark in marks[1:]), np.inf][: len(marks)]
     recovery = {
-        mark.name: _recovery(outcome, mark, end, mixed=scenario.mixed)
+        mark.name: _recovery(outcome, replayed.log, mark, end, mixed=scenario.mixed)
         for mark, end in zip(marks, ends, strict=True)
     }
     first_s = marks[0].at_s if marks else 0.0
@@ -150,7 +153,9 @@ def swings_until_valid(log: SwingLog) -> tuple[int | None, int | None]:
     return (at + 1, int(log.t_ns[at])) if at else (0, 0)
 
 
-def _recovery(outcome: LegOutcome, mark: Mark, end_s: float, *, mixed: bool) -> Recovery:
+def _recovery(
+    outcome: LegOutcome, log: SwingLog, mark: Mark, end_s: float, *, mixed: bool
+) -> Recovery:
     swings = within(outcome, mark.at_s, end_s).swings
     # Where every swing ends in contact there are none without, and recovery cannot need them.
     needed = {} if mixed else {"least_of_a_kind": 0}
@@ -159,7 +164,9 @@ def _recovery(outcome: LegOutcome, mark: Mark, end_s: float, *, mixed: bool) -> 
     # By their own time: those of the swing that was under way at the mark are among them.
     until_s = end_s if count is None else swings.start_ns[count] / 1e9
     alarms = (outcome.alarms_ns >= mark_ns) & (outcome.alarms_ns < until_s * 1e9)
-    return Recovery(count, int(np.sum(alarms)), len(swings.start_ns))
+    told = log.kind[(log.t_ns >= mark_ns) & (log.t_ns < end_s * 1e9) & (log.kind >= 0)]
+    kind = KINDS[told[-1]] if len(told) else None
+    return Recovery(count, int(np.sum(alarms)), len(swings.start_ns), kind)
 
 
 def _caught(scenario: Scenario, log: SwingLog) -> tuple[int, int]:

@@ -172,8 +172,8 @@ def record(spec: RecordingSpec) -> Recording:
     legs = {}
     for i, leg in enumerate(spec.legs):
         truth = _truth(changes[rows[i]])
-        if hand.caught_ns is not None and leg == spec.legs[0]:
-            truth = hold(truth, *hand.caught_ns)
+        if hand.held_ns is not None and leg == spec.legs[0]:
+            truth = hold(truth, *hand.held_ns)
         legs[leg] = LegRecord(measured[:, i], desired[:, i], valid[:, i], swing[:, i], truth)
     return Recording(t_ns, legs)
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import adaptive_contact
 from adaptive_contact.adapt import ContactLearner
 from adaptive_contact.adapt.baseline import dump_baseline
+from adaptive_contact.adapt.kinds import KINDS
 from adaptive_contact.adapt.team import Team
 from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
@@ -44,7 +45,7 @@ __all__ = [
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 STATUSES: Final[tuple[Status, ...]] = get_args(Status)
 # Packages whose source decides what a learner does with a recording.
 _LEARNING: Final = ("identify", "detect", "adapt", "robot")
@@ -58,6 +59,7 @@ class SwingLog(NamedTuple):
         status: position in :data:`STATUSES`.
         version: of the model.
         level: drift level.
+        kind: of the change that is told, position in ``KINDS``; -1 for none.
         residual_rad: root mean square of recent free residuals, mean over joints.
         swings, ticks: in the buffer.
         promoted, refused, rolled_back: refits so far.
@@ -67,6 +69,7 @@ class SwingLog(NamedTuple):
     status: Times
     version: Times
     level: Array
+    kind: Times
     residual_rad: Array
     swings: Times
     ticks: Times
@@ -157,6 +160,7 @@ class _Watch:
                 STATUSES.index(status.status),
                 status.model_version,
                 status.drift.level,
+                -1 if status.drift.kind is None else KINDS.index(status.drift.kind),
                 float(np.mean(status.residual_rms)),
                 status.buffer.swings,
                 status.buffer.lift_ticks + status.buffer.descent_ticks,

@@ -6,7 +6,9 @@ import shutil
 from pathlib import Path
 from typing import Any, Final
 
+from adaptive_contact.adapt.kinds import KINDS
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.trials.figures import NOTHING
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.runner import Folders
 from adaptive_contact_sim.trials.runs import FULL_SIZES, walks_without_change
@@ -56,6 +58,13 @@ everything runs, and prove nothing.**
 _WHY: Final = """\
 What stands in the way of each, and what was tried, is in
 [decision 13](decisions/0013-what-is-missed-and-why.md).
+"""
+
+_KINDS: Final = """\
+Leg-runs by the kind of change that the status told last (`drift.kind`): rubbing is `friction`;
+supply, winding and compliance are `drive`; mud is `load`. Play, slipped horns and lost readings
+have no kind. Nothing is told of a leg that was never found changed, or while no kind explains
+enough and more than the others.
 """
 
 _METHOD: Final = """\
@@ -149,7 +158,8 @@ def report_text(results: Tree, pictures: set[str]) -> str:
     if SUMMARY in pictures:
         parts.append(f"![Summary](pictures/{PICTURE.format(name=SUMMARY)})\n")
     parts += ["## The full learner\n", _full_table(table)]
-    parts += ["## All learners\n", _variants_table(table), _METHOD, "## Scenario by scenario\n"]
+    parts += [*_kinds_table(table), "## All learners\n", _variants_table(table)]
+    parts += [_METHOD, "## Scenario by scenario\n"]
     parts += [_scenario(name, tree, name in pictures) for name, tree in table.items()]
     parts.append(
         "## Made with\n\n"
@@ -182,7 +192,7 @@ def _lacking(results: Tree) -> list[str]:
 
 def _verdict(results: Tree) -> str:
     table = results["scenarios"]
-    goals = [(f"[{name}](#{name})", goal) for name in table for goal in table[name]["goals"]]
+    goals = [(_link(name), goal) for name in table for goal in table[name]["goals"]]
     pools = results["pooled"].values()
     goals += [(_names(pool), goal) for pool in pools for goal in pool["goals"]]
     missed = [(name, goal) for name, goal in goals if not goal["met"]]
@@ -198,8 +208,13 @@ def _verdict(results: Tree) -> str:
     return "\n".join([text, head, *rows, "", _WHY])
 
 
+def _link(name: str) -> str:
+    """To the scenario's heading; an anchor is lower case."""
+    return f"[{name}](#{name.lower()})"
+
+
 def _names(pool: Tree) -> str:
-    return " + ".join(f"[{name}](#{name})" for name in pool["scenarios"])
+    return " + ".join(_link(name) for name in pool["scenarios"])
 
 
 def _pooled(pools: Tree) -> list[str]:
@@ -227,13 +242,30 @@ def _full_table(table: Tree) -> str:
         met = [goal["met"] for goal in tree["goals"]]
         touching = full["touching_share"]
         rows.append(
-            f"| [{name}](#{name}) | {leg_runs(tree)} | {counts} | {_recall(before)} "
+            f"| {_link(name)} | {leg_runs(tree)} | {counts} | {_recall(before)} "
             f"| {_recall(after)} | {_alarms(before)} | {_alarms(after)} | {_recovery(tree, full)} "
             f"| {_on_the_way(full)} | {full['longest_lock_out']} "
             f"| {'–' if touching is None else f'{100 * touching:.2f} %'} "
             f"| {sum(met)} of {len(met)} |"
         )
     return "\n".join([*rows, ""])
+
+
+def _kinds_table(table: Tree) -> list[str]:
+    """What the full learner took changes for, where it told of any."""
+    rows = []
+    for name, tree in table.items():
+        for mark, recovery in tree["variants"][Variant.FULL.value]["recovery"].items():
+            taken = recovery["taken_for"]
+            if set(taken) <= {NOTHING}:
+                continue
+            counts = " | ".join(str(taken.get(kind, 0)) for kind in (*KINDS, NOTHING))
+            rows.append(f"| {_link(name)} | {mark} | {counts} |")
+    if not rows:
+        return []
+    head = f"| scenario | after | {' | '.join(KINDS)} | {NOTHING} told |"
+    rule = "|---|---|" + "---|" * (len(KINDS) + 1)
+    return ["## What changes were taken for\n", _KINDS, "\n".join([head, rule, *rows, ""])]
 
 
 def _variants_table(table: Tree) -> str:

@@ -34,7 +34,7 @@ __all__ = [
 
 Tree = dict[str, Any]
 
-VERSION: Final = 2
+VERSION: Final = 3
 _SIZES: Final = (FULL, "brief", "quick")
 
 

@@ -83,11 +83,13 @@ class Staging:
             time; empty leaves the motion's own share.
         level_m: height in the coxa's frame at which every obstacle stands, m.
         caught_s: from when to when the foot of the moving leg is held by a spring.
+        trails_n: the foot is not held then, but trails something that pulls against its motion, N.
     """
 
     contacts: tuple[tuple[float, float], ...] = ()
     level_m: float | None = None
     caught_s: tuple[float, float] | None = None
+    trails_n: float | None = None
 
 
 @dataclass(frozen=True)

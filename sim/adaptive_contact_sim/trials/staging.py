@@ -4,9 +4,15 @@ A caught foot hangs on a damped spring between the foot point and the place wher
 
 .. math:: f = -k\,(x - x_0) - c\,\dot x,
 
-as in roots or a loop of cable: stiffer than a leg's servos, so that it is the body that sways.  The
-engine calls it through its hook for passive forces.  No touch sensor feels the spring, so that the
-time it holds is added to the truth as one contact.
+as in roots or a loop of cable: stiffer than a leg's servos, so that it is the body that sways.  No
+touch sensor feels the spring, so that the time it holds is added to the truth as one contact.  A
+foot that trails a branch is pulled against its motion instead, as much in the lift as in the
+descent,
+
+.. math:: f = -F\,\tanh(|\dot x| / v_0)\,\dot x / |\dot x|,
+
+and nothing of it is a touch: to be told are those of the ground.  The engine calls both through its
+hook for passive forces.
 """
 
 from __future__ import annotations
@@ -35,6 +41,8 @@ Array = NDArray[np.float64]
 SPRING_N_M: Final = 3000.0
 # About half of critical for the 60 g that move with a foot: it must not ring through the gait.
 DAMPER_NS_M: Final = 13.0
+# Speed up to which what trails is not pulled taut.
+TAUT_M_S: Final = 0.02
 # Where on a descent a level obstacle may stand, as shares of it; beyond, it would come too early
 # for the lagging foot, or too late to be judged.
 _SHARES: Final = (0.15, 0.6)
@@ -79,7 +87,7 @@ class Stagehand:
         leg: the leg that moves, whose foot may be caught.
 
     Attributes:
-        caught_ns: when the foot was caught and let go, None where it was not.
+        caught_ns: when something got hold of the foot and let go of it, None where nothing did.
     """
 
     def __init__(self, sim: Simulation, staging: Staging, leg: str) -> None:
@@ -114,14 +122,23 @@ class Stagehand:
         elif self._anchor is not None and self.caught_ns and sim.t_ns >= self.caught_ns[1]:
             self._anchor = None
 
+    @property
+    def held_ns(self) -> tuple[int, int] | None:
+        """When the foot was held, and touched something by that."""
+        return self.caught_ns if self._staging.trails_n is None else None
+
     def pull(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Add the spring's force; the engine's hook for passive forces."""
+        """Add what pulls at the foot; the engine's hook for passive forces."""
         if self._anchor is None or model is not self._sim.plant.model:
             return
         point = data.site_xpos[self._site]
         mujoco.mj_jac(model, data, self._jacobian, None, point, self._body)
         velocity = self._jacobian @ data.qvel
-        force = -SPRING_N_M * (point - self._anchor) - DAMPER_NS_M * velocity
+        if self._staging.trails_n is None:
+            force = -SPRING_N_M * (point - self._anchor) - DAMPER_NS_M * velocity
+        else:
+            speed = max(float(np.linalg.norm(velocity)), 1e-9)
+            force = -self._staging.trails_n * np.tanh(speed / TAUT_M_S) * velocity / speed
         data.qfrc_passive += self._jacobian.T @ force
 
 

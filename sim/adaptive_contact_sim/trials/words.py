@@ -45,7 +45,7 @@ def plain_number(value: float | None) -> str:
     """With as many digits as it is worth; ``never`` for a count that was never reached."""
     if value is None:
         return "never"
-    return f"{value:.0f}" if float(value).is_integer() else f"{value:.3g}"
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
 
 
 def rate(summary: Tree) -> str:
