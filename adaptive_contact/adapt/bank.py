@@ -97,5 +97,7 @@ class LearnerBank:
             if leg not in self._learners:
                 self.learner(leg, len(sample.measured))
         events = self._team.advance([samples.get(leg) for leg in self._learners])
+        if not any(events):  # as in nearly every tick
+            return []
         decided = dict(zip(self._learners, events, strict=True))
         return [event for leg in samples if (event := decided.get(leg)) is not None]

@@ -114,10 +114,11 @@ class Block:
                 self._coefficients[row] = model.coefficients
         theta = self._library.evaluate_flat(self._flat)
         increment = np.matmul(theta[:, None, :], self._coefficients)[:, 0]
-        if len(rows) == len(self.trackers) and math.isfinite(increment.sum()):
-            self.increment[:] = increment
-            for tracker, regressors in zip(self.trackers, theta, strict=True):
-                tracker.theta, tracker.predicted = regressors, True
+        if math.isfinite(increment.sum()):  # so that each of them is
+            self.increment[rows] = increment[rows]
+            for row in rows:
+                tracker = self.trackers[row]
+                tracker.theta, tracker.predicted = theta[row], True
             return
         for row in rows:
             self.trackers[row].foresee(theta[row], increment[row])

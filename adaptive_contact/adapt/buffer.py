@@ -105,10 +105,10 @@ class SlidingBuffer:
     def _evict(self) -> None:
         """Drop one: first of older eras, then the oldest of the fullest cell."""
         newest = self._segments[-1].era
-        fullest, _ = Counter(segment.cell for segment in self._segments).most_common(1)[0]
         index = next((i for i, segment in enumerate(self._segments) if segment.era != newest), None)
         if index is None:
-            index = next(i for i, s in enumerate(self._segments) if s.cell == fullest)
+            cells = [segment.cell for segment in self._segments]
+            index = cells.index(Counter(cells).most_common(1)[0][0])
         self._of_source -= index >= len(self._segments) - self._of_source
         self._held -= len(self._segments[index].target)
         del self._segments[index]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -18,13 +19,16 @@ from adaptive_contact.adapt.snapshot import ImplausibleError, array_of, pack
 from adaptive_contact.identify import Domain, Factor, FitStatus, LegModel
 from adaptive_contact.wire import RefitCounts
 
-__all__ = ["Challenger", "rows_for_refit"]
+__all__ = ["Challenger", "first_refit_after", "rows_for_refit"]
 
 Array = NDArray[np.float64]
 
 REFIT_EVERY_SWINGS: Final = 20
 # Or after so long, for legs that step slowly.
 REFIT_EVERY_S: Final = 30.0
+# The first comes later by up to this share of that, for each leg its own: the fits of legs that
+# walk together, one process's work, do not all fall into one step.
+SPREAD: Final = 0.5
 # Ticks after its snapshot at which a result takes effect, so that a replay, which waits for it,
 # gives the same events as the live run, which does not.
 REFIT_DUE_TICKS: Final = 50
@@ -56,6 +60,12 @@ ROOM: Final = 1.3
 def rows_for_refit(model: LegModel) -> int:
     """Rows that a buffer must hold for refits of a model's library."""
     return math.ceil(ROOM * MIN_ROWS_PER_TERM * model.library.size / FITTED_SHARE)
+
+
+def first_refit_after(leg: str) -> tuple[int, float]:
+    """Swings, or s, after which a leg's first refit is asked for."""
+    later = 1.0 + SPREAD * zlib.crc32(leg.encode()) / 2**32
+    return round(later * REFIT_EVERY_SWINGS), later * REFIT_EVERY_S
 
 
 class Challenger:
@@ -91,6 +101,7 @@ class Challenger:
         self._scale = scale
         self._refitter = refitter
         self._swings = self._ticks = 0  # since the last refit was asked for
+        self._every_swings, self._every_s = first_refit_after(leg)
         self._early = False
         self._retries = 0  # after a change, for a refit whose process was lost
         self._jobs = 0
@@ -126,7 +137,7 @@ class Challenger:
         if self._pending or (self.trying and not waits):
             return
         waited_s = self._ticks * model.library.period_s
-        if self._swings < REFIT_EVERY_SWINGS and waited_s < REFIT_EVERY_S and not self._early:
+        if self._swings < self._every_swings and waited_s < self._every_s and not self._early:
             return
         p, joints = model.coefficients.shape
         fit, held_out = buffer.factors(p, joints, era=era)
@@ -139,6 +150,7 @@ class Challenger:
             )
             return
         self._swings = self._ticks = 0
+        self._every_swings, self._every_s = REFIT_EVERY_SWINGS, REFIT_EVERY_S
         self._early = False
         if not waits:
             self._wait = None

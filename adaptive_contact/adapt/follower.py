@@ -256,10 +256,11 @@ class Follower:
         Args:
             budget: rows at most.
         """
-        for _ in range(self._share(budget)):
-            if not self._queue:  # a model that falls takes the rows that wait with it
-                break
-            self._learn(self._queue.popleft())
+        if self._queue:
+            for _ in range(self._share(budget)):
+                if not self._queue:  # a model that falls takes the rows that wait with it
+                    break
+                self._learn(self._queue.popleft())
         self._challenger.tick()
         self._recent.domain = self._challenger.domain
         self._recent.go_on()

@@ -55,6 +55,10 @@ class ContactLearner:
         mode: how it follows changes of the leg.
         refitter: does the sparse refits; in line where absent.
 
+    Attributes:
+        owes_release: whoever listens may hold the leg to touch, and no tick will decide that it
+            has let go; to be told with the next sample.
+
     Raises:
         ConfigurationError: the robot has no such leg.
         BaselineError: the baseline belongs to another robot.
@@ -77,8 +81,7 @@ class ContactLearner:
         self._guard = StreamGuard(len(self.leg.joints))
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
-        # Whoever listens may hold the leg to touch, and no tick will decide that it has let go.
-        self._owes_release = False
+        self.owes_release = False
         self._tally = Tally(len(self.leg.joints))
         self._t_ns = 0
         self._command = self._command_before = [0.0] * len(self.leg.joints)  # in force, and before
@@ -116,7 +119,7 @@ class ContactLearner:
 
     def owe_release(self) -> None:
         """Whoever listens may have heard from another process that the leg touches."""
-        self._owes_release = True
+        self.owes_release = True
 
     @property
     def contact(self) -> bool:
@@ -136,7 +139,8 @@ class ContactLearner:
     @property
     def tracker(self) -> Tracker | None:
         """The leg's recent past, or None while there is no model."""
-        return None if self.detector is None else self.detector.tracker
+        detector = self._knowledge.detector
+        return None if detector is None else detector.tracker
 
     def drain_confirmed(self) -> list[int]:
         """Times of the ticks confirmed as free since the last call, ns."""
@@ -209,17 +213,18 @@ class ContactLearner:
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
         missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
-        self._connect(result, sample, missed)
+        broken = result.restart or missed != 0
+        if broken:
+            self._connect(result, sample, missed)
         self._follow_phase(sample)
-        swing, broken = self._swing.ticks > 0, result.restart or missed != 0
-        self._knowledge.collect(sample, swing=swing, broken=broken, off=self._rate.off)
+        if self._knowledge.cold is not None:
+            swing = self._swing.ticks > 0
+            self._knowledge.collect(sample, swing=swing, broken=broken, off=self._rate.off)
         return True
 
-    def released(self, sample: ServoSample) -> ContactEvent | None:
+    def released(self, sample: ServoSample) -> ContactEvent:
         """The end of a contact that was cut short by a restart, told with the next sample."""
-        if not self._owes_release:
-            return None
-        self._owes_release = False
+        self.owes_release = False
         cut_short = Decision(contact=False, onset_ns=sample.t_ns, score=0.0)
         return self._event(cut_short, sample, [0.0] * len(self.leg.joints))
 
@@ -297,23 +302,26 @@ class ContactLearner:
         """
         self._command_before, self._command = self._command, sample.desired
         self._swing.command()
-        if self.tracker is None:
+        tracker = self.tracker
+        if tracker is None:
             return False
         preview = None if sample.preview is None else np.array(sample.preview)
-        ready = self.tracker.commanded(preview)
-        self._tally.preview(lacking=not ready and self.tracker.full)
+        ready = tracker.commanded(preview)
+        self._tally.preview(lacking=not ready and tracker.full)
         # Between swings nothing is judged; who needs a prediction there asks the tracker.
         return ready and self._swing.ticks > 0
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""
-        self._knowledge.try_cold()
+        if self._knowledge.cold is not None:
+            self._knowledge.try_cold()
         follower, tracker = self._follower, self.tracker
         if follower is None or tracker is None or not follower.learning:
             return
         follower.tick(ROWS_PER_TICK)
-        if self._swing.ticks:  # in stance nothing is predicted
-            tracker.model = follower.model
+        if self._swing.ticks == 0:  # nothing is predicted, and no lift is heard
+            return
+        tracker.model = follower.model
         if follower.monitor.unfit:
             self._knowledge.forget()
             self._let_go()
@@ -321,7 +329,7 @@ class ContactLearner:
     # -- private -------------------------------------------------------------------------------
 
     def _connect(self, result: Accepted, sample: ServoSample, missed: int | None) -> None:
-        """Bridge what was missed; None where what was before does not connect."""
+        """Bridge what was missed, at least one tick; None where what was before is no past."""
         tracker = self.tracker
         if result.restart:
             self._let_go()
@@ -332,7 +340,7 @@ class ContactLearner:
                 tracker.restart()
             if self._follower is not None:
                 self._follower.new_source()
-        elif missed != 0 and tracker is not None:
+        elif tracker is not None:
             if missed is not None and missed < tracker.model.library.window.length:
                 self._quarantine.hole()
                 # While a tick was late, the command before it stayed in force.
@@ -344,7 +352,7 @@ class ContactLearner:
 
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
-        self._owes_release |= self._state.contact
+        self.owes_release |= self._state.contact
         self._state.reset()
 
     def _follow_phase(self, sample: ServoSample) -> None:

@@ -64,6 +64,9 @@ class Accepted(NamedTuple):
     restart: bool
 
 
+_NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
+
+
 class StreamGuard:
     """Follows one leg's stream.
 
@@ -154,7 +157,7 @@ class StreamGuard:
         self._since_start += 1
         if self._since_start == SHORT_RUN_SAMPLES:
             self._short_runs = 0
-        return Accepted(missed=missed, restart=False)
+        return _NEXT if missed == 0 else Accepted(missed=missed, restart=False)
 
     def _speaks_alone(self, sample: ServoSample) -> bool:
         """Whether a superseded publisher has been the only one for long enough."""
@@ -234,6 +237,7 @@ class RateWatch:
         self.off = False
         self.found_ns: float | None = None
         self._period_ns = period_ns
+        self._late_ns = math.floor((LATE_PERIODS - 1e-9) * period_ns)
         self._ticks: deque[tuple[int, int]] = deque(maxlen=RATE_STEPS + 1)  # (t_ns, seq)
 
     @property
@@ -261,23 +265,26 @@ class RateWatch:
         if restart:
             self._ticks.clear()
             self.off, self.found_ns = False, None
+        ticks = self._ticks
         missed: int | None = 0
-        if self._ticks:
-            before_ns, before = self._ticks[-1]
-            periods = (t_ns - before_ns) / self._period_ns
-            if periods > PAUSE_PERIODS * (seq - before):
-                self._ticks.clear()
-                missed = None
-            else:
-                missed = max(seq - before, int(periods + 2.0 - LATE_PERIODS)) - 1
-        self._ticks.append((t_ns, seq))
-        if len(self._ticks) > RATE_STEPS:
-            first_ns, first = self._ticks[0]
-            self.found_ns = (t_ns - first_ns) / (seq - first)
-            deviation = abs(self.found_ns / self._period_ns - 1.0)
+        if ticks:
+            before_ns, before = ticks[-1]
+            step_ns, steps = t_ns - before_ns, seq - before
+            # Nearly every tick is the next one, and in time.
+            if step_ns > self._late_ns or steps != 1:
+                periods = step_ns / self._period_ns
+                if periods > PAUSE_PERIODS * steps:
+                    ticks.clear()
+                    missed = None
+                else:
+                    missed = max(steps, int(periods + 2.0 - LATE_PERIODS)) - 1
+        ticks.append((t_ns, seq))
+        if len(ticks) > RATE_STEPS:
+            first_ns, first = ticks[0]
+            found_ns = self.found_ns = (t_ns - first_ns) / (seq - first)
             limit = STEADY_OFF if self.off else MOST_OFF
             # One tick that came late is no other rate.
-            self.off = deviation > limit and self._most_off(limit)
+            self.off = abs(found_ns / self._period_ns - 1.0) > limit and self._most_off(limit)
         return missed
 
     def _most_off(self, limit: float) -> bool:

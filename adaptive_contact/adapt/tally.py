@@ -56,7 +56,10 @@ class Tally:
 
     def preview(self, *, lacking: bool) -> None:
         """Whether this sample lacked the preview that the model needs."""
-        self._lacking = RECENT_TICKS if lacking else max(self._lacking - 1, 0)
+        if lacking:
+            self._lacking = RECENT_TICKS
+        elif self._lacking:
+            self._lacking -= 1
 
     def free(self, residual: Array) -> None:
         """A free tick, and what was left of its prediction, (J,) rad."""

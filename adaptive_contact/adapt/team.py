@@ -6,7 +6,7 @@ This is what makes six legs cost little more than one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING
 
 from adaptive_contact.adapt.block import Block
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 __all__ = ["OnFault", "Team"]
 
-P = ParamSpec("P")
-Result = TypeVar("Result")
 # Is told the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
+# A learner's row in its block and place in its team, and itself with the sample of the tick.
+_Seat = tuple[int, int, "ContactLearner", ServoSample]
 
 
 class Team:
@@ -51,75 +51,84 @@ class Team:
             The event of each, or None.
         """
         here: dict[int, tuple[ContactLearner, ServoSample]] = {}
-        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
-            if sample is not None and self._of_one(learner, learner.admit, sample):
-                here[i] = (learner, sample)
         events: list[ContactEvent | None] = [None] * len(self.learners)
-        for i, (learner, sample) in here.items():
-            events[i] = self._of_one(learner, learner.released, sample)
+        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
+            if sample is None:
+                continue
+            try:
+                if not learner.admit(sample):
+                    continue
+                if learner.owes_release:
+                    events[i] = learner.released(sample)
+            except Exception as fault:
+                self._fault(learner, fault)
+            else:
+                here[i] = (learner, sample)
         self._settle()
         for i in self._without:
             if i in here:
                 learner, sample = here[i]
-                self._of_one(learner, learner.watch, sample)
+                try:
+                    learner.watch(sample)
+                except Exception as fault:
+                    self._fault(learner, fault)
         for block, places in self._blocks:
             work = [(row, i, *here[i]) for row, i in enumerate(places) if i in here]
             if work:
                 self._tick(block, work, events)
         return events
 
-    def _of_one(
-        self, learner: ContactLearner, step: Callable[P, Result], *args: P.args, **more: P.kwargs
-    ) -> Result | None:
-        """What a step of one leg gives; None where it faults and somebody is told."""
-        try:
-            return step(*args, **more)
-        except Exception as fault:  # of one leg, which must not end the others' service
-            if self._on_fault is None:
-                raise
-            learner.begin_anew(fault)
-            self._on_fault(learner.leg.id, fault)
-            return None
+    def _fault(self, learner: ContactLearner, fault: Exception) -> None:
+        """A step of one leg raised, which must not end the others' service; raised if none asks."""
+        if self._on_fault is None:
+            raise fault
+        learner.begin_anew(fault)
+        self._on_fault(learner.leg.id, fault)
 
-    def _tick(
-        self,
-        block: Block,
-        work: Sequence[tuple[int, int, ContactLearner, ServoSample]],
-        events: list[ContactEvent | None],
-    ) -> None:
-        """One tick of a block: some of its rows, each with its place, learner and sample."""
+    def _tick(self, block: Block, work: Sequence[_Seat], events: list[ContactEvent | None]) -> None:
+        """One tick of a block: those of its rows that have a sample."""
         trackers = block.trackers
-        repaired = [
-            self._of_one(learner, trackers[row].repair, sample.measured, sample.valid)
-            for row, _, learner, sample in work
-        ]
-        # Who faulted begins anew, elsewhere.
-        work = [one for one, reading in zip(work, repaired, strict=True) if reading is not None]
-        readings = [reading for reading in repaired if reading is not None]
-        if not work:
+        # Who faults on the way begins anew, elsewhere.
+        sound: list[_Seat] = []
+        rows: list[int] = []
+        readings = []
+        for seat in work:
+            row, _, learner, sample = seat
+            try:
+                readings.append(trackers[row].repair(sample.measured, sample.valid))
+            except Exception as fault:
+                self._fault(learner, fault)
+            else:
+                sound.append(seat)
+                rows.append(row)
+        if not sound:
             return
-        rows = [row for row, *_ in work]
         block.take(rows, readings)
-        seen = [self._of_one(learner, learner.observe, sample) for *_, learner, sample in work]
-        judged = [row for row, can in zip(rows, seen, strict=True) if can]
+        going: list[_Seat] = []
+        judged: list[int] = []
+        for seat in sound:
+            row, _, learner, sample = seat
+            try:
+                if learner.observe(sample):
+                    judged.append(row)
+            except Exception as fault:
+                self._fault(learner, fault)
+            else:
+                going.append(seat)
         said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
         ready: list[int] = []
-
-        def conclude(row: int, i: int, learner: ContactLearner, sample: ServoSample) -> None:
-            verdict = said.get(row)
-            decided = None if verdict is None else learner.decide(verdict, sample)
-            if decided is not None:
-                events[i] = decided
-            if learner.command(sample):
-                ready.append(row)
-            else:
-                trackers[row].predicted = False
-            learner.learn()
-
-        for one, can in zip(work, seen, strict=True):
-            if can is not None:
-                self._of_one(one[2], conclude, *one)
-        block.push(rows, [sample.desired for *_, sample in work])
+        for row, i, learner, sample in going:
+            try:
+                if row in said and (decided := learner.decide(said[row], sample)) is not None:
+                    events[i] = decided
+                if learner.command(sample):
+                    ready.append(row)
+                else:
+                    trackers[row].predicted = False
+                learner.learn()
+            except Exception as fault:
+                self._fault(learner, fault)
+        block.push(rows, [sample.desired for *_, sample in sound])
         if ready:
             block.predict(ready)
 

@@ -60,7 +60,8 @@ def context_of(
     desired: Sequence[float], before: Sequence[float], direction: int, quantum_rad: float
 ) -> int:
     """:func:`context` of one tick in plain floats, for the control loop."""
-    speed = max(abs(a - b) for a, b in zip(desired, before, strict=True)) / quantum_rad
+    steps = [abs(a - b) for a, b in zip(desired, before, strict=True)]
+    speed = max(steps) / quantum_rad
     return direction * (len(SPEED_EDGES_QUANTA) + 1) + bisect.bisect_right(
         SPEED_EDGES_QUANTA, speed
     )

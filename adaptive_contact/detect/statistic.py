@@ -71,7 +71,7 @@ def whitened(history: Array, whiten: Array) -> tuple[Array, Array]:
         (..., windows) twice: the residuals' square, and their product with the increments, which
         is negative where they oppose the motion.
     """
-    z = np.matvec(whiten, np.cumsum(history, axis=-2))
+    z = np.matvec(whiten, history.cumsum(axis=-2))
     square, product = np.vecdot(z, z[0])
     return square, product
 

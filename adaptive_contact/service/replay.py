@@ -115,7 +115,9 @@ def control_ticks(
             counts.rejects[Reject.UNKNOWN_LEG] += 1
             continue
         counts.samples += 1
-        counts.hand_on(record.log_time_ns)
+        if counts.first_ns is None:
+            counts.first_ns = record.log_time_ns
+        counts.last_ns = record.log_time_ns
         if leg in tick:
             counts.ticks += 1
             yield tick

@@ -14,6 +14,7 @@ from adaptive_contact.adapt.challenger import (
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
     Challenger,
+    first_refit_after,
 )
 from adaptive_contact.adapt.coldstart import ColdJob
 from adaptive_contact.adapt.contacts import MOST, StoredContacts
@@ -189,13 +190,15 @@ def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
         challenger._pending = None  # the result does not matter here
         return given.asked
 
-    assert [swing(enough, 20) for _ in range(REFIT_EVERY_SWINGS)][-2:] == [0, 1]
+    first, _ = first_refit_after("rf")
+    assert [swing(enough, 20) for _ in range(first)][-2:] == [0, 1]
+    assert [swing(enough, 20) for _ in range(REFIT_EVERY_SWINGS)][-2:] == [1, 2]
     slow = round(REFIT_EVERY_S / model.library.period_s / 4) + 1
-    assert [swing(enough, slow) for _ in range(4)] == [1, 1, 1, 2]
+    assert [swing(enough, slow) for _ in range(4)] == [2, 2, 2, 3]
     challenger.withdraw()
-    assert swing(few, 20) == 2, "there is too little of the changed leg"
-    assert swing(enough, 20) == 3, "as soon as there is enough"
-    assert swing(enough, 20) == 3
+    assert swing(few, 20) == 3, "there is too little of the changed leg"
+    assert swing(enough, 20) == 4, "as soon as there is enough"
+    assert swing(enough, 20) == 4
 
 
 def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:

@@ -252,6 +252,8 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
                 raise ZeroDivisionError("division by zero")
 
             assert learner.tracker is not None
+            if where == "released":
+                learner.owe_release()
             monkeypatch.setattr(learner.tracker if where == "repair" else learner, where, fail)
         told += bank.update({"rf": sample, "lf": sample})
         monkeypatch.undo()

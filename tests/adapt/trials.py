@@ -8,9 +8,9 @@ from adaptive_contact.adapt.buffer import SlidingBuffer
 from adaptive_contact.adapt.challenger import (
     LOOK_AGAIN_ROWS,
     REFIT_DUE_TICKS,
-    REFIT_EVERY_SWINGS,
     TRIAL_ROWS,
     Challenger,
+    first_refit_after,
 )
 from adaptive_contact.adapt.contacts import Touch
 from adaptive_contact.adapt.refit import RefitResult
@@ -66,8 +66,8 @@ def stopped(model: LegModel) -> Touch:
 
 
 def ask(challenger: Challenger, model: LegModel, buffer: SlidingBuffer) -> None:
-    """As many swings as there are between one refit and the next."""
-    for _ in range(REFIT_EVERY_SWINGS):
+    """As many swings as there are before the first refit, or between one and the next."""
+    for _ in range(first_refit_after("rf")[0]):
         challenger.swing_done(model, buffer, 0)
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from adaptive_contact.adapt.buffer import SlidingBuffer
-from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, REFIT_EVERY_SWINGS, Challenger
+from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, Challenger, first_refit_after
 from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
 from adaptive_contact.adapt.refit import Job, RefitResult
 from adaptive_contact.adapt.segments import Row
@@ -58,7 +58,7 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
     ):
         challenger = Challenger("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
-        for _ in range(REFIT_EVERY_SWINGS):
+        for _ in range(first_refit_after("rf")[0]):
             challenger.swing_done(LegModel(library, np.zeros((p, 2))), buffer, 0)
         for _ in range(REFIT_DUE_TICKS + 1):
             challenger.tick()
