@@ -73,6 +73,7 @@ class Champion:
         self._on_fall = on_fall
         self._noise = known.noise.rms
         self._scale = known.scale
+        self._scale_column = known.scale[:, None]
         self._model = known.model
         self._moved = False  # the recursion has, since the model was made
         self._rls = self._recursion(known.model)
@@ -177,7 +178,7 @@ class Champion:
 
     def plausible(self, coefficients: Array) -> bool:
         """Whether a model moves a typical tick by no more than a servo can; NaN does not."""
-        return bool(np.abs(coefficients * self._scale[:, None]).max() <= self._most_rad)
+        return bool(np.abs(coefficients * self._scale_column).max() <= self._most_rad)
 
     def _publish(self) -> None:
         version = max(1, self._model.version)

@@ -82,6 +82,9 @@ class RecursiveLeastSquares:
         self._per_scale = np.where(self._held, 1.0 / scale[self._index], 0.0)
         # Where they sit in the matrix of coefficients.
         self._places = (self._index[self._held], np.nonzero(self._held)[0])
+        rows, columns = self._places
+        self._flat_places = rows * len(noise) + columns
+        self._moving = np.flatnonzero(self._held)
         # Inside, everything is in units of the noise: no division is left for a row.
         self._per_noise = 1.0 / self.noise
         self._to_raw = self._per_scale * self.noise[:, None]
@@ -93,7 +96,9 @@ class RecursiveLeastSquares:
     @property
     def coefficients(self) -> Array:
         """(p, J) at present."""
-        self._full[self._places] = (self._xi * self._to_raw)[self._held]
+        # By flat indices: two such calls take half the time of pairs and masks.
+        raw = (self._xi * self._to_raw).take(self._moving)
+        self._full.reshape(-1)[self._flat_places] = raw
         return self._full.copy()
 
     @property
