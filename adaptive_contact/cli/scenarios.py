@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,6 +34,8 @@ OutOption = Annotated[
 DEFAULT_OUT = Path("out/scenarios")
 # How a command ends that Ctrl-C stopped, as shells have it.
 INTERRUPTED = 130
+# Where there is no terminal for a bar, a log gets a line after each such share of the work.
+LOG_SHARE = 0.05
 
 
 @app.command("list")
@@ -240,13 +243,20 @@ def _work(work: list[Job], folders: Folders, processes: int, console: Console) -
     )
     with Progress(*columns, console=console) as bar:
         total = sum(job.work for job in work)
-        simulated = 0.0
+        simulated = finished = told = 0.0
+        started_s = time.monotonic()
         task = bar.add_task("recording and replaying", total=total, minutes="0 min simulated")
 
         def step(done: Done) -> None:
-            nonlocal simulated
+            nonlocal simulated, finished, told
             simulated += done.job.recording.seconds
             bar.update(task, advance=done.job.work, minutes=f"{simulated / 60:.0f} min simulated")
+            finished += done.job.work / total
+            if not console.is_terminal and finished >= told + LOG_SHARE:
+                told = finished
+                minutes = (time.monotonic() - started_s) / 60
+                left = minutes * (1.0 / finished - 1.0)
+                typer.echo(f"{finished:.0%} in {minutes:.0f} min, about {left:.0f} to go", err=True)
 
         return run_jobs(work, folders, processes=processes, progress=step)
 
