@@ -131,10 +131,7 @@ def _scores(
 def _thresholds(
     ax: Any, recording: Recording, leg: str, outcome: LegOutcome, variants: dict[Variant, LegReplay]
 ) -> None:
-    ax.set_title(
-        "Threshold of a tick's squared distance, × the first: with level, tail and the model's own "
-        "doubt; largest per swing"
-    )
+    ax.set_title("Threshold with level, tail and the model's doubt, × the first; largest per swing")
     for variant, replayed in variants.items():
         trace = replayed.trace
         if trace is None or not np.isfinite(trace.threshold).any():
