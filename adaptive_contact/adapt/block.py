@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.tracker import Tracker, push, take
 from adaptive_contact.detect import WINDOWS, whitened
+from adaptive_contact.identify import ChangeLibrary
 
 if TYPE_CHECKING:
     from adaptive_contact.identify import LegModel
@@ -58,6 +59,11 @@ class Block:
         self._library = library
         self._models: list[LegModel | None] = [None] * rows
         self._coefficients = np.zeros((rows, library.size, joints))
+        # The legs' libraries differ in what their first models foretell.
+        libraries = [t.model.library for t in self.trackers]
+        changing = [of for of in libraries if isinstance(of, ChangeLibrary)]
+        self._foretelling = _stacked([of.foretelling for of in changing])
+        self._softening = _stacked([of.softening for of in changing])
         # Whitening of each row's tick in hand, and what it was made for: context, unit, revision.
         self._whiten = np.zeros((rows, len(WINDOWS), joints, joints))
         self._made_for: list[tuple[int, float, int] | None] = [None] * rows
@@ -112,7 +118,7 @@ class Block:
             if model is not self._models[row]:
                 self._models[row] = model
                 self._coefficients[row] = model.coefficients
-        theta = self._library.evaluate_flat(self._flat)
+        theta = self._regressors()
         increment = np.matmul(theta[:, None, :], self._coefficients)[:, 0]
         if math.isfinite(increment.sum()):  # so that each of them is
             self.increment[rows] = increment[rows]
@@ -122,6 +128,18 @@ class Block:
             return
         for row in rows:
             self.trackers[row].foresee(theta[row], increment[row])
+
+    def _regressors(self) -> Array:
+        """(L, p) of the windows, each by its own leg's library."""
+        library = self._library
+        if not isinstance(library, ChangeLibrary):
+            return library.evaluate_flat(self._flat)
+        theta, softer = library.parts(self._flat)
+        foretold = np.matmul(theta[:, None, :], self._foretelling)[:, 0]
+        parts = [theta, np.tanh(foretold, out=foretold)]
+        if library.knows_law:
+            parts.append(np.matmul(softer[:, None, :], self._softening)[:, 0])
+        return np.concatenate(parts, axis=1)
 
     def _whiten_for(self, row: int) -> None:
         """Make a row's whitening that of its tick, which most often is that of the tick before."""
@@ -135,3 +153,8 @@ class Block:
         else:
             self._made_for[row] = None
         self._whiten[row] = detector.whitening
+
+
+def _stacked(of_legs: Sequence[Array]) -> Array:
+    """(L, ...) of L alike; nothing of none."""
+    return np.stack(of_legs) if of_legs else np.zeros(0)

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtri  # scipy.stats takes half a second to import
 
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.gather import cautious
@@ -55,9 +55,9 @@ def prior_tails(joints: int) -> tuple[Tail, ...]:
     little heavier, as real ones are.
     """
     rate = 0.01
-    level = float(stats.chi2.isf(rate, joints))
+    level = float(chdtri(joints, rate))
     # Mean excess of the chi-square tail over its level.
-    beyond = stats.chi2.isf(rate * (np.arange(200) + 0.5) / 200, joints)
+    beyond = chdtri(joints, rate * (np.arange(200) + 0.5) / 200)
     scale = float(np.mean(beyond) - level)
     return tuple(Tail(level, rate, scale, PRIOR_SHAPE, 0) for _ in WINDOWS)
 

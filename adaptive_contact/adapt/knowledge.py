@@ -10,7 +10,13 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from adaptive_contact.adapt.baseline import Baseline, LegBaseline, leg_of_tree, leg_tree
+from adaptive_contact.adapt.baseline import (
+    Baseline,
+    LegBaseline,
+    leg_of_tree,
+    leg_tree,
+    ready_for_changes,
+)
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.detector import LegDetector
 from adaptive_contact.adapt.follower import Follower
@@ -208,6 +214,7 @@ class Knowledge:
         model = dataclasses.replace(known.model, version=version)
         known = dataclasses.replace(known, model=model)
         self._known, self.note = known, None
+        known = ready_for_changes(known)
         aim = robot.detector.false_alarms_per_hour
         recent = RecentNoise(known.noise, tails, aim, known.domain)
         period_ns = round(robot.period_s * 1e9)

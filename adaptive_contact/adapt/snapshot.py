@@ -30,7 +30,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 
 
 class ImplausibleError(Exception):

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 # A term of typical size that was never seen is believed to move a tick by less than twenty times
 # the noise (6 degrees for an AX-12A's leg).
 PRIOR_DEVIATIONS: Final = 20.0
+# And one that was no part of the fit to move it by nothing.
+BEYOND_DEVIATIONS: Final = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,10 +44,13 @@ class Domain:
         triangle: (p, p) upper triangle R with :math:`R^T R` the sum over rows of the regressors'
             outer products, each regressor in units of its scale.
         scale: (p,) typical size of each regressor, above 0.
+        beyond: further terms of the library, of which it says nothing: they were no part of the
+            fit.
     """
 
     triangle: Array
     scale: Array
+    beyond: int = 0
     _reach: Array = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -80,10 +85,10 @@ class Domain:
 
     def widened(self, factor: Factor) -> Domain:
         """The domain, with the rows of another fit."""
-        stacked = np.concatenate([self.triangle, factor.system[0] / self.scale])
         p = len(self.scale)
+        stacked = np.concatenate([self.triangle, factor.system[0][:, :p] / self.scale])
         triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
-        return Domain(np.asarray(triangle, dtype=np.float64), self.scale)
+        return Domain(np.asarray(triangle, dtype=np.float64), self.scale, self.beyond)
 
     @property
     def rows(self) -> float:
@@ -97,25 +102,32 @@ class Domain:
             most: weigh like so many of them, or like all there are where these are fewer.
 
         Returns:
-            (p, p) regressors with the same outer products.
+            (p, p + beyond) regressors with the same outer products, zero beyond.
         """
-        raw: Array = self.triangle * self.scale
+        raw = np.pad(self.triangle * self.scale, ((0, 0), (0, self.beyond)))
         seen = self.rows
         return raw * math.sqrt(min(most / seen, 1.0)) if seen > 0.0 else raw
 
     @property
     def gram(self) -> Array:
-        """(p, p) sum of the scaled regressors' outer products, with what is known beforehand."""
-        seen: Array = self.triangle.T @ self.triangle
-        return seen + np.eye(len(self.scale)) / PRIOR_DEVIATIONS**2
+        """Sum of the scaled regressors' outer products, with what is known beforehand.
+
+        Square, of p and the terms beyond, which are known to be nothing.
+        """
+        seen = np.pad(self.triangle.T @ self.triangle, (0, self.beyond))
+        known = np.full(len(self.scale) + self.beyond, PRIOR_DEVIATIONS**-2)
+        known[len(self.scale) :] = BEYOND_DEVIATIONS**-2
+        return np.asarray(seen + np.diag(known))
 
     def leverage(self, theta: Array) -> Array:
         """Leverage h of rows.
 
         Args:
-            theta: (..., p) regressors.
+            theta: (..., p + beyond) regressors.
 
         Returns:
             (...,) 0 where everything is known.
         """
+        if self.beyond:
+            theta = theta[..., : -self.beyond]
         return np.asarray(np.square(theta @ self._reach.T).sum(axis=-1))

@@ -32,7 +32,15 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.identify.window import Window
 from adaptive_contact.robot import Leg, Robot
 
-__all__ = ["Library", "LibraryName", "leg_library"]
+__all__ = [
+    "ChangeLibrary",
+    "Library",
+    "LibraryName",
+    "friction_terms",
+    "leg_library",
+    "soft_term",
+    "with_changes",
+]
 
 Array = NDArray[np.float64]
 LibraryName = Literal["servo", "paper", "linear"]
@@ -40,6 +48,9 @@ LibraryName = Literal["servo", "paper", "linear"]
 # Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at
 # 0.1 to 0.3 rad/s (Rhoban/bam identifications); the readings do not resolve less.
 FRICTION_KNEE_RAD_S: Final = 0.5
+# Knees of friction against a movement foretold, rad per second: from what a joint must be asked for
+# to break away to what it does at its fastest.
+FORETOLD_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
 SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
@@ -97,6 +108,9 @@ class Library:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Name of every term, in the order of :meth:`evaluate`'s columns."""
+        return self._all_names()
+
+    def _all_names(self) -> tuple[str, ...]:
         if self.name == "servo":
             return tuple(self._servo_names())
         columns = self._variable_names()
@@ -169,8 +183,13 @@ class Library:
         ]
 
     def _servo(self, window: Array) -> Array:
+        theta = np.asarray(window @ self._servo_shape.linear)
+        self._bend(theta)
+        return theta
+
+    def _bend(self, theta: Array) -> None:
+        """Make the terms, in place, of what each is of the window before any function."""
         shape = self._servo_shape
-        theta = np.asarray(window @ shape.linear)
         theta[..., 0] = 1.0
         clipped = theta[..., shape.clipped]
         np.minimum(clipped, 1.0, out=clipped)
@@ -178,7 +197,6 @@ class Library:
         for columns, function in shape.curved:
             part = theta[..., columns]
             function(part, out=part)
-        return theta
 
     @cached_property
     def _servo_shape(self) -> _ServoShape:
@@ -238,6 +256,100 @@ class Library:
         names += [f"cos φ_{j}" for j in pitched] + [f"sin φ_{j}" for j in pitched]
         names += [f"u_{j}{_at(lead)}-u_{j}" for lead in range(1, w.preview + 1) for j in joints]
         return names
+
+
+@dataclasses.dataclass(frozen=True)
+class ChangeLibrary(Library):
+    r"""A library with the shapes of what may happen to the leg, as its first model foretells them.
+
+    With :math:`\delta = \Xi_0^\top \Theta` the movement that the model of the leg as it was first
+    known foretells:
+
+    - friction, :math:`\tanh(\delta_j / \kappa)` for several knees κ, as what stops a slow joint
+      only slows a fast one.  Against the movement *before*, as in ``servo``, a joint that is about
+      to break away or to turn looks free of friction;
+    - softness, :math:`\delta_j(2s) - \delta_j`, what the same joint would do with a control law of
+      twice the slope in place of its own; only of a library that knows the law.
+
+    Libraries that differ in Ξ₀ only are equal: their legs can share arrays.
+
+    Attributes:
+        first: (q, J) Ξ₀, of the q terms that the library has without these.
+    """
+
+    first: Array = dataclasses.field(compare=False, repr=False, kw_only=True)
+
+    @cached_property
+    def foretelling(self) -> Array:
+        """(q, K J), what the terms without changes foretell, over each knee of friction."""
+        knees = [knee * self.period_s for knee in FORETOLD_KNEES_RAD_S]
+        return np.concatenate([self.first / knee for knee in knees], axis=1)
+
+    @cached_property
+    def softening(self) -> Array:
+        """(c, J), what the law's terms foretell."""
+        return self.first[self._servo_shape.clipped] if self.knows_law else self.first[:0]
+
+    @property
+    def knows_law(self) -> bool:
+        """Whether the servo's control law is among the terms."""
+        return self.name == "servo"
+
+    def parts(self, window: Array) -> tuple[Array, Array]:
+        """What the terms are made of that all legs of equal libraries share.
+
+        Args:
+            window: as in :meth:`evaluate_flat`.
+
+        Returns:
+            (..., q) the terms without changes; (..., c) by how much those of the law would be
+            other with twice the slope.
+        """
+        if not self.knows_law:
+            theta = super().evaluate_flat(window)
+            return theta, theta[..., :0]
+        shape = self._servo_shape
+        theta = np.asarray(window @ shape.linear)
+        softer = 0.5 * theta[..., shape.clipped]
+        self._bend(theta)
+        np.minimum(softer, 1.0, out=softer)
+        np.maximum(softer, -1.0, out=softer)
+        softer -= theta[..., shape.clipped]
+        return theta, softer
+
+    def evaluate_flat(self, window: Array) -> Array:
+        """Compute Θ; see :meth:`Library.evaluate_flat`."""
+        theta, softer = self.parts(window)
+        changes = [np.tanh(theta @ self.foretelling)]
+        if self.knows_law:
+            changes.append(softer @ self.softening)
+        return np.concatenate([theta, *changes], axis=-1)
+
+    def _all_names(self) -> tuple[str, ...]:
+        rub = [name for j in zip(*map(friction_terms, self.joints), strict=True) for name in j]
+        soft = [soft_term(j) for j in self.joints] if self.knows_law else []
+        return (*super()._all_names(), *rub, *soft)
+
+
+def friction_terms(joint: str) -> tuple[str, ...]:
+    """Names of a joint's friction against the movement that was foretold first."""
+    return tuple(f"tanh(δ_{joint}/{knee:g})" for knee in FORETOLD_KNEES_RAD_S)
+
+
+def soft_term(joint: str) -> str:
+    """Name of what a joint half as stiff would do besides."""
+    return f"δ_{joint}(2s)-δ_{joint}"
+
+
+def with_changes(library: Library, first: Array) -> ChangeLibrary:
+    """A library with the shapes of changes.
+
+    Args:
+        library: plain.
+        first: (q, J) coefficients of its terms, of the leg as it was first known.
+    """
+    own = {f.name: getattr(library, f.name) for f in dataclasses.fields(Library)}
+    return ChangeLibrary(**own, first=first)
 
 
 def leg_library(

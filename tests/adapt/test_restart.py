@@ -86,7 +86,8 @@ def test_no_segment_spans_a_restart(
     ]
     # Until a window of the new source is full there is nothing to learn, and of the swing that was
     # broken off nothing more ever comes.
-    library = baseline.legs["rf"].model.library
+    assert learner.model is not None
+    library = learner.model.library
     unready = refused + library.window.length
     for sample in new[:unready]:
         learner.update(sample)

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.baseline import ready_for_changes
 from adaptive_contact.score import LegOutcome
 from adaptive_contact_sim.trials.canvas import COLOURS, INK, OUTCOMES, figure, save
 from adaptive_contact_sim.trials.figures import Judgement
@@ -185,7 +186,7 @@ def _outcomes(ax: Any, judgement: Judgement) -> None:
 def _terms(ax: Any, leg: str, full: LegReplay) -> None:
     ax.set_ylabel("degrees per tick")
     ax.set_title("Terms moved most, × usual size")
-    trace, known = full.trace, reference_baseline().legs[leg]
+    trace, known = full.trace, ready_for_changes(reference_baseline().legs[leg])
     names = known.model.library.names
     if trace is None or not len(trace.names) or tuple(trace.names) != names:
         return
