@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptive_contact.score.outcome import LegOutcome, SwingTable
 from adaptive_contact.score.summary import Summary, summarise
@@ -33,12 +34,13 @@ def swings_to_recovery(
 
     The first swing n, counted from 0 at the first one that begins at or after the drift, such that
     the swings n to n + 19 hold at most one error (a missed touch of a counted row, or a false
-    alarm), and at least ``least_of_a_kind`` of them hold a touch, and as many none.
+    alarm).  Where fewer than ``least_of_a_kind`` of them hold a touch, or none, as many more
+    swings are looked at as it takes: what cannot be told from twenty is no fault of the leg's.
 
     Args:
         swings: of one leg.
         drift_ns: when the drift began.
-        window: swings looked at together.
+        window: swings looked at together, at least.
         allowed: errors in them.
         least_of_a_kind: swings with a touch, and without one, that there must be among them.
 
@@ -47,17 +49,25 @@ def swings_to_recovery(
     """
     after = swings.start_ns >= drift_ns
     errors, touched = swings.errors[after], swings.touches[after] > 0
-    if len(errors) < window:
+    n = len(errors)
+    starts = np.arange(n - window + 1)
+    if n < window:
         return None
-    ones = np.ones(window, dtype=np.int64)
-    errors_in = np.convolve(errors, ones, mode="valid")
-    touched_in = np.convolve(touched.astype(np.int64), ones, mode="valid")
-    good = (
-        (errors_in <= allowed)
-        & (touched_in >= least_of_a_kind)
-        & (window - touched_in >= least_of_a_kind)
-    )
+    ends = starts + window
+    for kind in (touched, ~touched):
+        so_far = _counted(kind)
+        # The first end at which there are enough of the kind since the start; n + 1 for none.
+        enough = np.searchsorted(so_far, so_far[starts] + least_of_a_kind, side="left")
+        ends = np.maximum(ends, enough)
+    held = ends <= n
+    so_far = _counted(errors)
+    good = held & (so_far[np.minimum(ends, n)] - so_far[starts] <= allowed)
     return int(np.argmax(good)) if good.any() else None
+
+
+def _counted(values: NDArray[np.int64] | NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n + 1,) sums of the first 0, 1, ..., n values."""
+    return np.concatenate(([0], np.cumsum(values, dtype=np.int64)))
 
 
 def is_harmful(drifted: list[LegOutcome], twin: list[LegOutcome]) -> bool:

@@ -62,7 +62,11 @@ def test_never() -> None:
 
 def test_a_stretch_without_contacts_says_nothing() -> None:
     touched = [False] * 30 + [True, False] * 20
-    assert swings_to_recovery(table([0] * 70, touched), 0) == 19  # 19..38 hold 5 with contact
+    assert swings_to_recovery(table([0] * 70, touched), 0) == 0  # 0..38 hold 5 with contact
+    # Blind from the first touch on: thirty swings without one had shown nothing.
+    blind = [0] * 30 + [1, 0] * 4 + [0] * 32
+    assert swings_to_recovery(table(blind, touched), 0) == 35  # 35..54 hold the last of them
+    assert swings_to_recovery(table([0] * 30, [False] * 26 + [True] * 4), 0) is None
     assert swings_to_recovery(table([0] * 40, [True] * 40), 0) is None
 
 
