@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from adaptive_contact.identify import LegModel
+from collections.abc import Iterable
+
+from adaptive_contact.identify import ChangeLibrary, LegModel
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import ModelReport, ModelTerm
 
@@ -19,16 +21,23 @@ def report_of(leg: Leg, model: LegModel, threshold: float, origin: str | None) -
         origin: where the model comes from.
     """
     joints = range(len(leg.joints))
+    library = model.library
+    first: list[list[ModelTerm]] = []
+    if isinstance(library, ChangeLibrary) and model.support[len(library.first) :].any():
+        first = [_terms(zip(library.names, column, strict=False)) for column in library.first.T]
     return ModelReport(
         leg=leg.id,
         model_version=model.version,
         joints=list(leg.joints),
-        terms=[
-            [ModelTerm(name=name, coefficient=value) for name, value in model.terms(joint)]
-            for joint in joints
-        ],
+        terms=[_terms(model.terms(joint)) for joint in joints],
+        first=first,
         equations=model.equations(),
-        library=model.library.name,
+        library=library.name,
         threshold=threshold,
         origin=origin,
     )
+
+
+def _terms(named: Iterable[tuple[str, float]]) -> list[ModelTerm]:
+    """Those that there are."""
+    return [ModelTerm(name=name, coefficient=float(c)) for name, c in named if c != 0.0]

@@ -178,6 +178,8 @@ class ModelReport(Message, frozen=True, kw_only=True):
     Attributes:
         terms: one list of terms per joint.
         equations: the same as text, one per joint.
+        first: per joint, terms of the movement δ that terms of a changed leg speak of: what the
+            leg would do as it was first known; empty while there are none.
     """
 
     leg: str
@@ -185,6 +187,7 @@ class ModelReport(Message, frozen=True, kw_only=True):
     joints: list[str]
     terms: list[list[ModelTerm]]
     equations: list[str]
+    first: list[list[ModelTerm]] = []
     library: str = ""
     threshold: float | None = None
     origin: str | None = None

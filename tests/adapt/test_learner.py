@@ -254,6 +254,24 @@ def test_standing_changes_nothing(robot: Robot, baseline: Baseline) -> None:
     assert learner.status.status == "valid"
 
 
+def test_the_report_says_what_its_terms_of_changes_speak_of(
+    robot: Robot, baseline: Baseline
+) -> None:
+    learner = ContactLearner(robot, "rf", baseline)
+    known = baseline.legs["rf"].model
+    fresh = learner.model_report
+    assert fresh is not None
+    assert fresh.first == []
+    play(learner, samples(*FakeLeg(seed=12).run(12)[:3]))
+    report = learner.model_report
+    assert report is not None
+    assert report.model_version >= 1
+    named = {term.name for joint in report.terms for term in joint}
+    assert {"tanh(δ_coxa/1)", "δ_tibia(2s)-δ_tibia"} <= named
+    for joint, first in enumerate(report.first):
+        assert {t.name: t.coefficient for t in first} == dict(known.terms(joint))
+
+
 # -- cold start ----------------------------------------------------------------------------------
 
 
