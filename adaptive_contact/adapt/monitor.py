@@ -22,10 +22,8 @@ from adaptive_contact.wire import DriftLevel, Status
 
 __all__ = ["LEVEL_RANGE", "PATIENCE_SWINGS", "SETTLED_LEVEL", "DriftMonitor", "Heard"]
 
-# A good model's lift exceeds the doubt level once in so many; the slack is for what a covariance
-# of one context does not tell of another.
+# A good model's lift exceeds the doubt level once in so many.
 DOUBT_PROBABILITY: Final = 1e-4
-DOUBT_SLACK: Final = 1.0
 DOUBTS: Final = 2  # in a row, for a change
 # A doubt is taken back when the mean level of so many ticks in a row after it is below this: a foot
 # that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
@@ -100,7 +98,7 @@ class DriftMonitor:
         self._doubted: list[Row] = []
         self._doubts = 0
         self._doubted_ns = 0
-        self._since_lift: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
+        self._newest: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
         self._settled = 0
         self._since_ns: int | None = None
         self._swings_adapting = self._swings_loose = 0  # since the change, since it was let loose
@@ -153,7 +151,7 @@ class DriftMonitor:
     def begin_swing(self) -> None:
         """A new swing: doubts of the last one's lift are not carried over."""
         self._swing_level = None
-        self._since_lift.clear()
+        self._newest.clear()
         self._trusted = not self.held
         self._told_free = False
 
@@ -205,19 +203,19 @@ class DriftMonitor:
         self.level, self._since_ns, self.kind = 1.0, None, None
 
     def look(self, level: float) -> None:
-        """Take in the level of a tick after the lift, which may belie what the lift told.
+        """Take in the level of a tick, which may belie what was told of this swing or the last.
 
-        A doubt is taken back; a leg that has changed may have been learned since, from that very
-        lift, and is judged by how it fits now.
+        A doubt is taken back; a leg that has just changed may have been learned since, from that
+        very lift, and is judged by how it fits now.
         """
         doubted = self._swing_level is not None and self._doubts == 1
         moving = self._swings_adapting and self._trusted and self._swings_loose <= SETTLED_SWINGS
         if not (doubted or (moving and self.level_in_force > LEAST_LEVEL)):
             return
-        self._since_lift.append(level)
-        if len(self._since_lift) < TAKE_BACK_TICKS:
+        self._newest.append(level)
+        if len(self._newest) < TAKE_BACK_TICKS:
             return
-        now = TAKE_BACK_LEVEL * sum(self._since_lift) / TAKE_BACK_TICKS
+        now = TAKE_BACK_LEVEL * sum(self._newest) / TAKE_BACK_TICKS
         if not doubted:
             self._swing_level = min(self.level_in_force, max(now, self._range[0]))
         elif now < TAKE_BACK_LEVEL**2 * self.level:
@@ -270,7 +268,7 @@ class DriftMonitor:
 
     def _doubt(self, rows: list[Row], level: float, t_ns: int) -> Heard:
         self._swing_level = float(np.clip(level, *self._range))
-        self._since_lift.clear()
+        self._newest.clear()
         self._doubts += 1
         self._settled = 0
         self._trusted = self._doubts >= DOUBTS
@@ -286,7 +284,7 @@ class DriftMonitor:
     def _hear_far(self, rows: list[Row], level: float, t_ns: int) -> Heard:
         """A lift further off than any drift: held by something, or, if it lasts, another leg."""
         self._swing_level = float(np.clip(level, *self._range))
-        self._since_lift.clear()
+        self._newest.clear()
         self._settled = 0
         self._far_swings += 1
         self._hold(f"the lift is {level**0.5:.0f} times as far from the model as it should be")
@@ -361,4 +359,4 @@ class DriftMonitor:
 @functools.cache
 def _doubt_limit(dof: int) -> float:
     """Mean level of so many degrees of freedom above which a lift is doubted."""
-    return DOUBT_SLACK * float(chdtri(dof, DOUBT_PROBABILITY)) / dof
+    return float(chdtri(dof, DOUBT_PROBABILITY)) / dof
