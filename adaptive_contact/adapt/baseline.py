@@ -21,7 +21,7 @@ from adaptive_contact.detect import NoiseModel, Tail
 from adaptive_contact.detect.noise import CONTEXTS, WINDOWS
 from adaptive_contact.detect.tail import SHAPE_RANGE
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
-from adaptive_contact.identify import Domain, LegModel, Library, LibraryName, Window, with_changes
+from adaptive_contact.identify import Domain, LegModel, Library, LibraryName, Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "dump_baseline",
     "load_baseline",
     "parse_baseline",
-    "ready_for_changes",
     "save_baseline",
     "shipped_baseline",
     "thresholds_of",
@@ -40,8 +39,6 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FORMAT: Final = 1
-# What a servo half as stiff does otherwise in a tick, over the noise: 5 to 7, walking and in pose.
-SOFT_NOISES: Final = 5.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -255,23 +252,6 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         ) from error
     except (ConfigurationError, IdentificationError) as error:
         raise BaselineError(f"{source}: {error}") from error
-
-
-def ready_for_changes(known: LegBaseline) -> LegBaseline:
-    """A leg's baseline with terms for what may happen to it, zero as long as it is as it was."""
-    model = known.model
-    library = with_changes(model.library, model.coefficients)
-    added = library.size - len(known.scale)
-    joints = len(library.joints)
-    scale = np.ones(added)  # friction saturates at 1
-    if library.knows_law:
-        scale[-joints:] = SOFT_NOISES * known.noise.rms
-    return dataclasses.replace(
-        known,
-        model=LegModel(library, np.pad(model.coefficients, ((0, added), (0, 0))), model.version),
-        scale=np.concatenate([known.scale, scale]),
-        domain=known.domain and dataclasses.replace(known.domain, beyond=added),
-    )
 
 
 def leg_tree(known: LegBaseline) -> dict[str, object]:

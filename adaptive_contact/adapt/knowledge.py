@@ -15,8 +15,8 @@ from adaptive_contact.adapt.baseline import (
     LegBaseline,
     leg_of_tree,
     leg_tree,
-    ready_for_changes,
 )
+from adaptive_contact.adapt.changes import ready_for_changes
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
 from adaptive_contact.adapt.detector import LegDetector
 from adaptive_contact.adapt.follower import Follower

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.adapt import Baseline, LegBaseline
-from adaptive_contact.adapt.baseline import ready_for_changes
+from adaptive_contact.adapt.changes import ready_for_changes
 from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.identify import LegModel, Rows, stack
 from adaptive_contact.identify.library import friction_terms, soft_term
