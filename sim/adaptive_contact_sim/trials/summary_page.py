@@ -16,6 +16,8 @@ Tree = dict[str, Any]
 # some thousand touches ends, too.
 _LEAST_MISSED: Final = 1e-3
 _LEAST_RATE: Final = 0.5
+# Where no swing at all stands on a log scale, and where no end of them does.
+_NONE: Final = 0.5
 _NEVER: Final = 400.0
 _ROW_IN: Final = 0.27
 # Between the learners of a scenario, so that none hides another.
@@ -62,7 +64,7 @@ def draw_summary(results: Tree, path: Path) -> None:
                 axes[1].plot(max(judged["per_robot_hour"], _LEAST_RATE), y, "o", **style)
             for recovery in list(own["recovery"].values())[:1]:
                 median, p95 = recovery["swings_median"], recovery["swings_p95"]
-                ends = [_NEVER if n is None else max(n, 0.5) for n in (median, p95)]
+                ends = [_NEVER if n is None else max(n, _NONE) for n in (median, p95)]
                 axes[2].plot(ends, [y, y], "-", color=COLOURS[kind], lw=1.0)
                 axes[2].plot(ends[0], y, "o", **style)
     titles = (
@@ -79,7 +81,11 @@ def draw_summary(results: Tree, path: Path) -> None:
         ax.tick_params(axis="y", length=0)
         if limit is not None:
             ax.axvline(limit, color=INK, lw=0.8, ls=(0, (4, 3)))
-    axes[2].set_xticks([1, 10, 100, _NEVER], ["1", "10", "100", "never"])
+    least = 100.0 * _LEAST_MISSED
+    axes[0].set_xticks([least, 1, 10, 100], [f"≤ {least:g}", "1", "10", "100"])
+    rates = [10**decade for decade in range(1, 5)]
+    axes[1].set_xticks([_LEAST_RATE, *rates], [f"≤ {_LEAST_RATE:g}", *map(str, rates)])
+    axes[2].set_xticks([_NONE, 1, 10, 100, _NEVER], ["0", "1", "10", "100", "never"])
     axes[0].set_yticks(range(len(names)), names)
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     handles = [
