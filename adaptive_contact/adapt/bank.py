@@ -80,6 +80,7 @@ class LearnerBank:
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
             baseline = None  # one of that name there would be of another leg
         self._learners[leg] = ContactLearner(robot, leg, baseline, refitter=self._refitter)
+        self._team.finish()
         self._team = Team(tuple(self._learners.values()), on_fault=self._on_fault)
         return self._learners[leg]
 
@@ -93,11 +94,21 @@ class LearnerBank:
         Returns:
             The events they decide, in the order of ``samples``.
         """
+        events = self.judge(samples)
+        self.finish()
+        return events
+
+    def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+        """As :meth:`update`, but for what events need not wait for: :meth:`finish` does that."""
         for leg, sample in samples.items():
             if leg not in self._learners:
                 self.learner(leg, len(sample.measured))
-        events = self._team.advance([samples.get(leg) for leg in self._learners])
+        events = self._team.judge([samples.get(leg) for leg in self._learners])
         if not any(events):  # as in nearly every tick
             return []
         decided = dict(zip(self._learners, events, strict=True))
         return [event for leg in samples if (event := decided.get(leg)) is not None]
+
+    def finish(self) -> None:
+        """Learn from what was judged; statuses and states are whole after it."""
+        self._team.finish()

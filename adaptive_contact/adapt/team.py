@@ -1,12 +1,13 @@
 """Several learners one sample further, their libraries and statistics evaluated together.
 
-This is what makes six legs cost little more than one.
+This is what makes six legs cost little more than one.  A tick has two halves: what its samples say
+of contacts, and what no event needs to wait for: learning, and the prediction of the next.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from adaptive_contact.adapt.block import Block
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -21,6 +22,20 @@ __all__ = ["OnFault", "Team"]
 OnFault = Callable[[str, Exception], None]
 # A learner's row in its block and place in its team, and itself with the sample of the tick.
 _Seat = tuple[int, int, "ContactLearner", ServoSample]
+
+
+class _Half(NamedTuple):
+    """A tick of a block that has been judged.
+
+    Attributes:
+        block: of which.
+        taken: rows whose reading has been taken in; commands follow.
+        going: those of them that go on.
+    """
+
+    block: Block
+    taken: list[_Seat]
+    going: list[_Seat]
 
 
 class Team:
@@ -40,6 +55,10 @@ class Team:
         self._blocks: list[tuple[Block, list[int]]] = []
         self._without = list(range(len(self.learners)))  # a model, and so without a block
         self._homes: list[Block | None] = [None] * len(self.learners)
+        # What was judged and is not finished, and of whom.
+        self._halves: list[_Half] = []
+        self._watching: list[tuple[ContactLearner, ServoSample]] = []
+        self._open: set[int] = set()
 
     def advance(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
         """Take learners one sample further, each with its own.
@@ -50,6 +69,24 @@ class Team:
         Returns:
             The event of each, or None.
         """
+        events = self.judge(samples)
+        self.finish()
+        return events
+
+    def judge(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
+        """The first half of a tick: whoever waits for its events need not wait for the second.
+
+        A learner's status and state are whole only after :meth:`finish`, which its next sample
+        calls where nobody has.
+
+        Args:
+            samples: the next of each learner, None where there is none.
+
+        Returns:
+            The event of each, or None.
+        """
+        if self._open and any(samples[i] is not None for i in self._open):
+            self.finish()
         here: dict[int, tuple[ContactLearner, ServoSample]] = {}
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
@@ -65,18 +102,28 @@ class Team:
             else:
                 here[i] = (learner, sample)
         self._settle()
-        for i in self._without:
-            if i in here:
-                learner, sample = here[i]
-                try:
-                    learner.watch(sample)
-                except Exception as fault:
-                    self._fault(learner, fault)
+        self._open.update(here)
+        self._watching += [here[i] for i in self._without if i in here]
         for block, places in self._blocks:
             work = [(row, i, *here[i]) for row, i in enumerate(places) if i in here]
             if work:
-                self._tick(block, work, events)
+                self._judge(block, work, events)
         return events
+
+    def finish(self) -> None:
+        """The second half of what was judged: commands, learning, predictions."""
+        if not self._open:
+            return
+        halves, watching = self._halves, self._watching
+        self._halves, self._watching = [], []
+        self._open.clear()
+        for learner, sample in watching:
+            try:
+                learner.watch(sample)
+            except Exception as fault:
+                self._fault(learner, fault)
+        for half in halves:
+            self._follow(half)
 
     def _fault(self, learner: ContactLearner, fault: Exception) -> None:
         """A step of one leg raised, which must not end the others' service; raised if none asks."""
@@ -85,12 +132,13 @@ class Team:
         learner.begin_anew(fault)
         self._on_fault(learner.leg.id, fault)
 
-    def _tick(self, block: Block, work: Sequence[_Seat], events: list[ContactEvent | None]) -> None:
-        """One tick of a block: those of its rows that have a sample."""
+    def _judge(
+        self, block: Block, work: Sequence[_Seat], events: list[ContactEvent | None]
+    ) -> None:
+        """The first half of a tick of a block: those of its rows that have a sample."""
         trackers = block.trackers
         # Who faults on the way begins anew, elsewhere.
         sound: list[_Seat] = []
-        rows: list[int] = []
         readings = []
         for seat in work:
             row, _, learner, sample = seat
@@ -100,11 +148,10 @@ class Team:
                 self._fault(learner, fault)
             else:
                 sound.append(seat)
-                rows.append(row)
         if not sound:
             return
-        block.take(rows, readings)
-        going: list[_Seat] = []
+        block.take([row for row, *_ in sound], readings)
+        observed: list[_Seat] = []
         judged: list[int] = []
         for seat in sound:
             row, _, learner, sample = seat
@@ -114,21 +161,34 @@ class Team:
             except Exception as fault:
                 self._fault(learner, fault)
             else:
-                going.append(seat)
+                observed.append(seat)
         said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
-        ready: list[int] = []
-        for row, i, learner, sample in going:
+        going: list[_Seat] = []
+        for seat in observed:
+            row, i, learner, sample = seat
             try:
                 if row in said and (decided := learner.decide(said[row], sample)) is not None:
                     events[i] = decided
+            except Exception as fault:
+                self._fault(learner, fault)
+            else:
+                going.append(seat)
+        self._halves.append(_Half(block, sound, going))
+
+    def _follow(self, half: _Half) -> None:
+        """The second half of a tick of a block."""
+        block = half.block
+        ready: list[int] = []
+        for row, _, learner, sample in half.going:
+            try:
                 if learner.command(sample):
                     ready.append(row)
                 else:
-                    trackers[row].predicted = False
+                    block.trackers[row].predicted = False
                 learner.learn()
             except Exception as fault:
                 self._fault(learner, fault)
-        block.push(rows, [sample.desired for *_, sample in sound])
+        block.push([row for row, *_ in half.taken], [sample.desired for *_, sample in half.taken])
         if ready:
             block.predict(ready)
 
@@ -142,6 +202,9 @@ class Team:
                 break
         else:
             return
+        if self._halves:  # in blocks that are about to go
+            self.finish()
+            detectors = [learner.detector for learner in self.learners]
         groups: list[list[tuple[int, LegDetector]]] = []
         self._without = []
         for i, detector in enumerate(detectors):

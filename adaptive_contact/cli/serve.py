@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -105,6 +106,8 @@ def serve(
         )
         _tell(_ready_line(link, robot, origin))
         refitter.start()
+        gc.collect()
+        gc.freeze()  # what lasts is not looked through again and again
         service.run(stop)
         service.log_figures()
     finally:

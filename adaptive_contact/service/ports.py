@@ -41,8 +41,11 @@ class Learner(Protocol):
 class Bank(Protocol):
     """All legs at once, as :class:`adaptive_contact.adapt.bank.LearnerBank` is."""
 
-    def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+    def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         """Take at most one sample per leg; bad ones are refused by value and counted."""
+
+    def finish(self) -> None:
+        """Do what the events of the samples taken did not need to wait for."""
 
     def learner(self, leg: str, joints: int | None = None) -> Learner | None:
         """The leg's learner, made if need be; None where the bank is full.

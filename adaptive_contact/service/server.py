@@ -1,8 +1,9 @@
 """The service: servo samples in, contact events out.
 
 One worker does all the work: it takes a round from the intake (at most one sample per leg),
-hands it to the learners, leaves the events to the outbox, and looks after the statuses and the
-learners' state in between.  Everything but :meth:`Service.run` gets its time as an argument.
+hands it to the learners, and leaves the events to the outbox.  Learning, statuses and the
+learners' state come after that, when no other leg's sample waits to be judged.  Everything but
+:meth:`Service.run` gets its time as an argument.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ _log = structlog.get_logger()
 _LOOK_NS: Final = 100_000_000
 _SERVICE_STATUS_NS: Final = 1_000_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
+# The worker waits so long for other legs' samples before it learns: they come one right after the
+# other, and the events' way out needs a core more than learning does.
+_REST_S: Final = 0.001
 # A snapshot takes milliseconds: it waits for a pause between two control ticks, though not for
 # ever where there is none.
 _PAUSE_S: Final = 0.003
@@ -78,6 +82,7 @@ class Service:
         self._events = 0
         self._rejects: Counter[str] = Counter()
         self._ticks_latency = Latency()
+        self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
         self._event_latency = Latency()
         self._brake = Brake()
         self._keeper = keeper
@@ -109,6 +114,14 @@ class Service:
                 round_ = self._intake.take(_PAUSE_S if self._to_save else wait_s)
                 if round_:
                     self.work(round_, time.monotonic_ns())
+                    # A tick's samples may take as many rounds as there are legs: what no event
+                    # needs waits for the last of them.
+                    for _ in self._order:
+                        more = self._intake.take(_REST_S)
+                        if not more:
+                            break
+                        self.work(more, time.monotonic_ns())
+                    self.finish()
                 self.save(time.monotonic_ns(), pause=not round_)
                 self.look(time.monotonic_ns())
             self._end(time.monotonic_ns())
@@ -119,7 +132,7 @@ class Service:
                 self._keeper.close()
 
     def work(self, round_: Round[Question], now_ns: int) -> None:
-        """Process one round."""
+        """Process one round, up to its events."""
         for leg, dropped in round_.overflow.items():
             self._overflow(leg, dropped, now_ns)
         if round_.strangers:
@@ -133,6 +146,14 @@ class Service:
             self._update(samples, round_.samples)
         for request in round_.requests:
             self._answer(request)
+
+    def finish(self) -> None:
+        """Learn from what was worked on, once its events are on their way."""
+        self._bank.finish()
+        done_ns = time.monotonic_ns()
+        for arrival_ns in self._unfinished:
+            self._ticks_latency.add(done_ns - arrival_ns)
+        self._unfinished.clear()
 
     def save(self, now_ns: int, *, pause: bool) -> None:
         """Take the snapshot of one leg that is due, in a pause between samples."""
@@ -236,7 +257,7 @@ class Service:
         return read_
 
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
-        for event in self._bank.update(samples):
+        for event in self._bank.judge(samples):
             arrival_ns = raws[event.leg].arrival_ns
             self._desks[event.leg].publish_event(event, arrival_ns, self._outbox)
             self._events += 1
@@ -246,9 +267,7 @@ class Service:
                 seq=event.seq,
                 score=round(event.score, 2),
             )
-        done_ns = time.monotonic_ns()
-        for leg in samples:
-            self._ticks_latency.add(done_ns - raws[leg].arrival_ns)
+        self._unfinished += [raws[leg].arrival_ns for leg in samples]
 
     def _answer(self, request: Question) -> None:
         asked = [leg for leg in self._desks if request.covers(model_key(leg))]

@@ -48,7 +48,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
-        tick_latency: arrival of a sample to the end of its processing.
+        tick_latency: arrival of a sample to the end of its processing, learning included.
         event_latency: arrival of the deciding sample to its event being published.
     """
 

@@ -77,3 +77,40 @@ def test_legs_whose_samples_are_lost_do_not_disturb_the_others(
         assert a.model is not None
         assert b.model is not None
         np.testing.assert_allclose(a.model.coefficients, b.model.coefficients, rtol=1e-6, atol=1e-9)
+
+
+def test_events_before_learning_change_nothing(robot: Robot, baseline: Baseline) -> None:
+    """A tick's samples in several rounds, learned from when somebody finds the time."""
+    rng = np.random.default_rng(4)
+    streams = [
+        samples(*FakeLeg(seed=30 + n).run(60, touch=lambda k: 16 if k % 2 else None)[:3])
+        for n in range(4)
+    ]
+
+    def learners() -> list[ContactLearner]:
+        # One starts cold: it gets its place in the block while others are judged.
+        return [ContactLearner(robot, "rf", baseline if n else None) for n in range(4)]
+
+    whole, members = learners(), learners()
+    at_once, in_halves = Team(whole), Team(members)
+    heard = 0
+    for tick in zip(*streams, strict=True):
+        expected = at_once.advance(tick)
+        order = rng.permutation(4)
+        cut = int(rng.integers(5))
+        found: list[ContactEvent | None] = [None] * 4
+        for part in (order[:cut], order[cut:]):
+            given = [sample if i in part else None for i, sample in enumerate(tick)]
+            for i, event in enumerate(in_halves.judge(given)):
+                found[i] = event or found[i]
+            if rng.random() < 0.3:
+                in_halves.finish()
+        assert found == expected
+        heard += sum(event is not None for event in found)
+    in_halves.finish()
+    assert heard > 100
+    for a, b in zip(whole, members, strict=True):
+        assert a.status == b.status
+        assert a.model is not None
+        assert b.model is not None
+        np.testing.assert_array_equal(a.model.coefficients, b.model.coefficients)

@@ -160,9 +160,12 @@ class FakeBank:
             self._learners[leg] = FakeLearner(leg, self._joints.get(leg, joints or 3))
         return self._learners[leg]
 
-    def update(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+    def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         events = [self._learners[leg].update(sample) for leg, sample in samples.items()]
         return [event for event in events if event is not None]
+
+    def finish(self) -> None:
+        """There is nothing to learn."""
 
 
 class FakeRefitter:

@@ -55,6 +55,7 @@ class Lockstep:
             for leg, payload in samples.items()
         }
         self.service.work(Round(samples=raws), now_ns)
+        self.service.finish()
         self.service.look(now_ns)
 
 
@@ -88,16 +89,16 @@ def test_contacts_and_releases_come_out(step: Lockstep, inbox: Any, sample: Samp
     assert figures.event_latency is not None
 
 
-def test_one_round_is_one_update_of_all_legs(
+def test_one_round_is_one_judgement_of_all_legs(
     step: Lockstep, sample: Sample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     batches: list[list[str]] = []
 
-    def update(samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
+    def judge(samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         batches.append(sorted(samples))
         return []
 
-    monkeypatch.setattr(step.bank, "update", update)
+    monkeypatch.setattr(step.bank, "judge", judge)
     step.work(1, rf=sample(1), lf=sample(1))
     assert batches == [["lf", "rf"]]
 
@@ -262,8 +263,8 @@ def test_callbacks_only_enqueue(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Decoding and learning happen on the worker, whatever thread Zenoh calls on."""
-    threads: dict[str, set[str]] = {"read": set(), "update": set(), "offer": set()}
-    updated = threading.Event()
+    threads: dict[str, set[str]] = {"read": set(), "judge": set(), "finish": set(), "offer": set()}
+    finished = threading.Event()
     bank = fake.FakeBank(robot)
     module = "adaptive_contact.service"
 
@@ -271,8 +272,8 @@ def test_callbacks_only_enqueue(
         def call(*args: Any) -> Any:
             threads[name].add(threading.current_thread().name)
             result = function(*args)
-            if name == "update":
-                updated.set()
+            if name == "finish":
+                finished.set()
             return result
 
         return call
@@ -281,7 +282,8 @@ def test_callbacks_only_enqueue(
 
     monkeypatch.setattr(f"{module}.server.read", spy("read", server.read))
     monkeypatch.setattr(f"{module}.intake.leg_of_key", spy("offer", intake.leg_of_key))
-    monkeypatch.setattr(bank, "update", spy("update", bank.update))
+    for name in ("judge", "finish"):
+        monkeypatch.setattr(bank, name, spy(name, getattr(bank, name)))
     service = Service(router, bank, robot, baseline=None, now_ns=0)
     stop = threading.Event()
     worker = threading.Thread(target=service.run, args=[stop], name="worker")
@@ -289,13 +291,50 @@ def test_callbacks_only_enqueue(
     publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
     for n in range(1000):
         publisher.put(sample(n))
-        if updated.wait(0.01):
+        if finished.wait(0.01):
             break
     stop.set()
     worker.join(3)
-    assert threads["read"] == threads["update"] == {"worker"}
+    assert threads["read"] == threads["judge"] == threads["finish"] == {"worker"}
     assert threads["offer"]
     assert "worker" not in threads["offer"]
+
+
+def test_an_event_does_not_wait_for_learning(
+    router: Link,
+    join: Callable[..., Link],
+    inbox: Any,
+    fake: ModuleType,
+    robot: Robot,
+    sample: Sample,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bank = fake.FakeBank(robot)
+    got = inbox(ContactEvent)
+    heard, learned = threading.Event(), threading.Event()
+
+    def finish() -> None:
+        if heard.wait(5):
+            learned.set()
+
+    monkeypatch.setattr(bank, "finish", finish)
+    service = Service(router, bank, robot, baseline=None, now_ns=0)
+    client = join(router.endpoints[0])
+    client.subscribe(ALL_CONTACT, got)
+    client.query(SERVICE_STATUS)
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=[stop])
+    worker.start()
+    try:
+        client.publisher(servo_key("lf")).put(sample(1, contact=True))
+        assert got.wait(1)[0].contact
+        assert not learned.is_set()
+        heard.set()
+        assert learned.wait(5)
+    finally:
+        heard.set()
+        stop.set()
+        worker.join(5)
 
 
 def test_all_statuses_can_be_heard_by_wildcard(step: Lockstep, inbox: Any, sample: Sample) -> None:

@@ -40,7 +40,7 @@ def hangs(*_):
         print("a line that nobody reads" * 100, file=sys.stderr)
     threading.Event().wait()
 
-fake_service.FakeBank.update = hangs
+fake_service.FakeBank.judge = hangs
 if what == "the network":
     server.Service._stalled = hangs
 server.Watchdog = functools.partial(watchdog.Watchdog, give_up_s=2.0)
@@ -334,11 +334,11 @@ def test_a_learner_that_hangs_is_seen_by_everyone(
     bank = fake.FakeBank(robot)
     hang = threading.Event()
 
-    def update(samples: Any) -> list[Any]:
+    def judge(samples: Any) -> list[Any]:
         hang.wait(20)
         return []
 
-    monkeypatch.setattr(bank, "update", update)
+    monkeypatch.setattr(bank, "judge", judge)
     service = Service(router, bank, robot, baseline=None, now_ns=time.monotonic_ns())
     client = join(router.endpoints[0])
     got = inbox(ServiceStatus)
