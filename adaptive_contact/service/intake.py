@@ -130,17 +130,18 @@ class Intake(Generic[R]):
             self._awake.notify()
         return True
 
-    def take(self, timeout_s: float) -> Round[R]:
+    def take(self, timeout_s: float, *, query: bool = True) -> Round[R]:
         """Take what waits, or wait for it.
 
         Args:
             timeout_s: longest wait; 0 or less does not wait.
+            query: whether one may be among it.
 
         Returns:
             A round; empty after a timeout.
         """
         with self._awake:
-            if timeout_s > 0 and not self._waiting():
+            if timeout_s > 0 and not self._waiting(query):
                 self._awake.wait(timeout_s)
             round_: Round[R] = Round(
                 {leg: queue.popleft() for leg, queue in self._queues.items() if queue},
@@ -148,7 +149,7 @@ class Intake(Generic[R]):
                 self._strangers,
                 self._stranger,
                 # One: an answer takes a millisecond, and samples wait meanwhile.
-                [self._requests.popleft()] if self._requests else [],
+                [self._requests.popleft()] if query and self._requests else [],
             )
             self._overflow = Counter()
             self._strangers = 0
@@ -163,10 +164,9 @@ class Intake(Generic[R]):
             queue = self._queues[leg] = deque()
         return queue
 
-    def _waiting(self) -> bool:
-        return bool(
-            self._requests or self._strangers or self._overflow or any(self._queues.values())
-        )
+    def _waiting(self, query: bool) -> bool:
+        asked = query and self._requests
+        return bool(asked or self._strangers or self._overflow or any(self._queues.values()))
 
 
 def read(raw: Raw) -> ServoSample | Rejected:

@@ -84,6 +84,7 @@ class Service:
         self._ticks_latency = Latency()
         self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
         self._event_latency = Latency()
+        self._asked: list[Question] = []
         self._brake = Brake()
         self._keeper = keeper
         self._to_save: deque[tuple[int, Desk]] = deque()
@@ -114,10 +115,10 @@ class Service:
                 round_ = self._intake.take(_PAUSE_S if self._to_save else wait_s)
                 if round_:
                     self.work(round_, time.monotonic_ns())
-                    # A tick's samples may take as many rounds as there are legs: what no event
-                    # needs waits for the last of them.
-                    for _ in self._order:
-                        more = self._intake.take(_REST_S)
+                    # A tick's samples may take as many rounds as there are legs, this one among
+                    # them: what no event needs waits for the last.
+                    for _ in range(max(1, len(self._order) - 1)):
+                        more = self._intake.take(_REST_S, query=False)
                         if not more:
                             break
                         self.work(more, time.monotonic_ns())
@@ -144,12 +145,14 @@ class Service:
                 samples[leg] = sample
         if samples:
             self._update(samples, round_.samples)
-        for request in round_.requests:
-            self._answer(request)
+        self._asked += round_.requests
 
     def finish(self) -> None:
-        """Learn from what was worked on, once its events are on their way."""
+        """Learn from what was worked on, once its events are on their way, and answer queries."""
         self._bank.finish()
+        for request in self._asked:
+            self._answer(request)
+        self._asked.clear()
         done_ns = time.monotonic_ns()
         for arrival_ns in self._unfinished:
             self._ticks_latency.add(done_ns - arrival_ns)

@@ -103,6 +103,17 @@ def test_a_flood_of_questions_gets_one_answer_between_two_rounds_of_samples() ->
     assert not intake.take(0.0)
 
 
+def test_a_question_can_wait_for_the_next_round() -> None:
+    intake: Intake[int] = Intake(["lf"])
+    intake.ask(7)
+    began = time.monotonic()
+    assert not intake.take(0.05, query=False)
+    assert time.monotonic() - began > 0.04
+    intake.offer(received("lf"))
+    assert intake.take(5.0, query=False).samples
+    assert intake.take(5.0).requests == [7]
+
+
 def test_a_waiting_worker_wakes_at_once() -> None:
     intake: Intake[object] = Intake()
     threading.Timer(0.05, intake.offer, [received("lf")]).start()

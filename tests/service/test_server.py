@@ -337,6 +337,41 @@ def test_an_event_does_not_wait_for_learning(
         worker.join(5)
 
 
+def test_models_are_told_of_in_no_half_tick(
+    step: Lockstep, sample: Sample, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A report that fails makes its leg begin anew, which must not meet the rest of a tick."""
+    done: list[str] = []
+
+    class Asked:
+        key = model_key("lf")
+
+        def covers(self, key: str) -> bool:
+            return key == self.key
+
+        def reply(self, message: object, key: str | None = None) -> None:
+            done.append("told")
+
+        def refuse(self, reason: str) -> None:
+            done.append(reason)
+
+        def close(self) -> None:
+            done.append("closed")
+
+    judge = step.bank.judge
+    monkeypatch.setattr(step.bank, "judge", lambda given: (done.append("judged"), judge(given))[1])
+    monkeypatch.setattr(step.bank, "finish", lambda: done.append("finished"))
+    step.work(0, lf=sample(0))
+    done.clear()
+    raw = Raw(encode(sample(1)), MSGPACK, 1, 1)
+    step.service.work(Round(samples={"lf": raw}, requests=[Asked()]), 1)
+    assert done == ["judged"]
+    step.service.finish()
+    assert done == ["judged", "finished", "told", "closed"]
+    step.service.finish()
+    assert done[-1] == "finished"
+
+
 def test_all_statuses_can_be_heard_by_wildcard(step: Lockstep, inbox: Any, sample: Sample) -> None:
     got = inbox(LearnerStatus)
     step.client.subscribe(ALL_LEARNER, got)
