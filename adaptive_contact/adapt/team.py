@@ -180,6 +180,8 @@ class Team:
         block = half.block
         ready: list[int] = []
         for row, _, learner, sample in half.going:
+            if learner.tracker is not block.trackers[row]:  # begun anew since it was judged
+                continue
             try:
                 if learner.command(sample):
                     ready.append(row)

@@ -114,3 +114,26 @@ def test_events_before_learning_change_nothing(robot: Robot, baseline: Baseline)
         assert a.model is not None
         assert b.model is not None
         np.testing.assert_array_equal(a.model.coefficients, b.model.coefficients)
+
+
+def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """What is left of the tick is of the past that it has given up."""
+    stream = samples(*FakeLeg(seed=40).run(4, touch=lambda n: None)[:3])
+    learner, other = (ContactLearner(robot, "rf", baseline) for _ in range(2))
+    team = Team([learner, other])
+    for sample in stream[:40]:
+        team.advance([sample, sample])
+    team.judge([stream[40], stream[40]])
+    learner.begin_anew(RuntimeError("on purpose"))
+    team.finish()
+    begun, known = learner.tracker, other.tracker
+    assert begun is not None
+    assert known is not None
+    assert (begun.filled, begun.predicted) == (0, False)
+    assert known.full
+    for sample in stream[41:80]:
+        team.advance([sample, sample])
+    assert begun.full
+    np.testing.assert_array_equal(begun.window, known.window)

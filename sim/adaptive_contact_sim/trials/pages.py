@@ -241,6 +241,9 @@ def _legend(ax: Any) -> None:
 
 
 def _log(ax: Any) -> None:
+    low, high = ax.get_ylim()
+    if 0.0 < low < high < 2.5 * low:  # there the scale would show one tick, and looks the same
+        return
     ax.set_yscale("log", subs=[3])
     ax.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
     ax.yaxis.set_major_formatter("{x:g}")
