@@ -99,7 +99,14 @@ class LearnerBank:
         return events
 
     def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
-        """As :meth:`update`, but for what events need not wait for: :meth:`finish` does that."""
+        """As :meth:`update`, but for what events need not wait for: :meth:`finish` does that.
+
+        Args:
+            samples: by leg, at most one each.
+
+        Returns:
+            The events they decide, in the order of ``samples``.
+        """
         for leg, sample in samples.items():
             if leg not in self._learners:
                 self.learner(leg, len(sample.measured))
