@@ -89,7 +89,7 @@ class Team:
             The event of each, or None.
         """
         if self._open and any(samples[i] is not None for i in self._open):
-            self.finish()
+            self._finish()
         here: dict[int, tuple[ContactLearner, ServoSample]] = {}
         events: list[ContactEvent | None] = [None] * len(self.learners)
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
@@ -114,9 +114,16 @@ class Team:
         return events
 
     def finish(self) -> None:
-        """The second half of what was judged: commands, learning, predictions."""
-        if not self._open:
-            return
+        """The second half of what was judged: commands, learning, predictions.
+
+        Who has got, changed or lost a model takes its place among the others here, too: no event
+        waits for that.
+        """
+        if self._open:
+            self._finish()
+        self._settle()
+
+    def _finish(self) -> None:
         halves, watching = self._halves, self._watching
         self._halves, self._watching = [], []
         self._open.clear()
@@ -208,7 +215,7 @@ class Team:
         else:
             return
         if self._halves:  # in blocks that are about to go
-            self.finish()
+            self._finish()
             detectors = [learner.detector for learner in self.learners]
         groups: list[list[tuple[int, LegDetector]]] = []
         self._without = []

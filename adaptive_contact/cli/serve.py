@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -68,52 +71,68 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: _on_signal(stop))
 
-    from threadpoolctl import threadpool_limits
-
-    from adaptive_contact.adapt import LearnerBank
-    from adaptive_contact.service.faults import FaultLog
-    from adaptive_contact.service.link import Link, router_settings
-    from adaptive_contact.service.logs import configure_logs
-    from adaptive_contact.service.refits import ProcessRefitter
-    from adaptive_contact.service.server import Service
-
-    configure_logs(log_level, json=log_json)
-    settings = router_settings(
-        listen or (),
-        connect or (),
-        namespace=namespace,
-        json=json,
-        zenoh_config=zenoh_config,
-        insecure=insecure,
-    )
     if no_state and state is not None:
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
-    sys.setswitchinterval(_SWITCH_S)
-    threadpool_limits(1)  # matrices this small only wait for each other in threads
-    robot, learned, origin = _load(config, baseline)
-    refitter = ProcessRefitter()
-    bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
-    try:
-        link = Link.open(settings, on_wait=_say, stop=stop)
-    except LinkError:
-        if stop.is_set():
-            return
-        raise
-    try:
-        keeper = None if no_state else _keeper(state, robot, learned, namespace)
-        service = Service(
-            link, bank, robot, baseline=origin, now_ns=time.monotonic_ns(), keeper=keeper
+    with _refitting() as process:
+        from threadpoolctl import threadpool_limits
+
+        from adaptive_contact.adapt import LearnerBank
+        from adaptive_contact.service.faults import FaultLog
+        from adaptive_contact.service.link import Link, router_settings
+        from adaptive_contact.service.logs import configure_logs
+        from adaptive_contact.service.refits import ProcessRefitter
+        from adaptive_contact.service.server import Service
+
+        configure_logs(log_level, json=log_json)
+        settings = router_settings(
+            listen or (),
+            connect or (),
+            namespace=namespace,
+            json=json,
+            zenoh_config=zenoh_config,
+            insecure=insecure,
         )
-        _tell(_ready_line(link, robot, origin))
-        refitter.start()
-        gc.collect()
-        gc.freeze()  # what lasts is not looked through again and again
-        service.run(stop)
-        service.log_figures()
+        sys.setswitchinterval(_SWITCH_S)
+        threadpool_limits(1)  # matrices this small only wait for each other in threads
+        robot, learned, origin = _load(config, baseline)
+        refitter = ProcessRefitter(process=process)
+        bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
+        try:
+            link = Link.open(settings, on_wait=_say, stop=stop)
+        except LinkError:
+            if stop.is_set():
+                return
+            raise
+        try:
+            keeper = None if no_state else _keeper(state, robot, learned, namespace)
+            service = Service(
+                link, bank, robot, baseline=origin, now_ns=time.monotonic_ns(), keeper=keeper
+            )
+            gc.collect()
+            gc.freeze()  # what lasts is not looked through again and again
+            _tell(_ready_line(link, robot, origin))
+            refitter.start()
+            service.run(stop)
+            service.log_figures()
+        finally:
+            refitter.close()
+            if not link.close():
+                _leave(sys.exception())
+
+
+@contextlib.contextmanager
+def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
+    """The process that refits, which loads what it needs while the service does; then its end."""
+    from adaptive_contact.service.refit_process import end_process, start_process
+
+    process = None
+    with contextlib.suppress(OSError):  # no room for it now; the first job tries again
+        process = start_process()
+    try:
+        yield process
     finally:
-        refitter.close()
-        if not link.close():
-            _leave(sys.exception())
+        if process is not None:
+            end_process(process)
 
 
 def _leave(fault: BaseException | None) -> None:

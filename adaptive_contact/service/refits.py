@@ -10,35 +10,27 @@ lost, so that its leg goes on asking.
 from __future__ import annotations
 
 import contextlib
-import os
 import pickle
 import subprocess
-import sys
 import threading
 from collections import OrderedDict
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import structlog
 
-import adaptive_contact
 from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
 from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
 from adaptive_contact.identify import FitStatus
+from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refit_worker import read_frame, write_frame
 
-__all__ = ["ONE_BLAS_THREAD", "ProcessRefitter", "WaitingRefitter"]
+__all__ = ["ProcessRefitter", "WaitingRefitter"]
 
 _log = structlog.get_logger()
 
 JOB_TIMEOUT_S: Final = 60.0
 _TRIES: Final = 2
-_MODULE: Final = "adaptive_contact.service.refit_worker"
-# Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
-ONE_BLAS_THREAD: Final = {
-    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
-}
 
 
 class ProcessRefitter:
@@ -46,12 +38,18 @@ class ProcessRefitter:
 
     Args:
         timeout_s: longest time for a job, from its first byte written to the last of its answer.
+        process: the first, where there is one already; ended by :meth:`close`.
 
     Attributes:
         failures: jobs that were given up.
     """
 
-    def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
+    def __init__(
+        self,
+        timeout_s: float = JOB_TIMEOUT_S,
+        *,
+        process: subprocess.Popen[bytes] | None = None,
+    ) -> None:
         self.failures = 0
         self._timeout_s = timeout_s
         self._waiting: OrderedDict[str, Job] = OrderedDict()
@@ -59,7 +57,7 @@ class ProcessRefitter:
         self._changed = threading.Condition()
         self._ending = False
         self._thread: threading.Thread | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process = process
 
     def start(self) -> None:
         """Start the process, so that the first result is no later than others."""
@@ -101,7 +99,7 @@ class ProcessRefitter:
     def _work(self) -> None:
         with contextlib.suppress(OSError):  # a job that finds no process says so
             if self._process is None:
-                self._process = _start()
+                self._process = start_process()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: bool(self._waiting) or self._ending)
@@ -140,7 +138,7 @@ class ProcessRefitter:
         """Send a job and read its result; None where the process died or took too long."""
         process = self._process
         if process is None:
-            process = self._process = _start()
+            process = self._process = start_process()
         if self._ending:  # `close` may have looked for a process before there was this one
             return None
         assert process.stdin is not None
@@ -162,12 +160,7 @@ class ProcessRefitter:
         process, self._process = self._process, None
         if process is None:
             return
-        process.kill()
-        process.wait()
-        for stream in (process.stdin, process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):  # what was never flushed has no reader
-                    stream.close()
+        end_process(process)
 
 
 class WaitingRefitter(ProcessRefitter):
@@ -178,8 +171,7 @@ class WaitingRefitter(ProcessRefitter):
     """
 
     def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
-        super().__init__(timeout_s)
-        self._process = _start()
+        super().__init__(timeout_s, process=start_process())
 
     def collect(self, leg: str, number: int) -> object | None:
         """The result of a job that was submitted, as soon as it is there."""
@@ -189,21 +181,6 @@ class WaitingRefitter(ProcessRefitter):
                 timeout=2 * _TRIES * self._timeout_s,
             )
         return super().collect(leg, number)
-
-
-def _start() -> subprocess.Popen[bytes]:
-    env = {**os.environ, **ONE_BLAS_THREAD}
-    home = Path(adaptive_contact.__file__).parents[1]
-    if home.name not in ("site-packages", "dist-packages"):  # run from a source tree
-        env["PYTHONPATH"] = os.pathsep.join(filter(None, (str(home), env.get("PYTHONPATH"))))
-    return subprocess.Popen(
-        # Safe paths: the current folder, which may be anybody's, has nothing to say.
-        [sys.executable, "-P", "-m", _MODULE],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=env,
-        start_new_session=True,  # a Ctrl-C is the service's to handle
-    )
 
 
 def _failed(job: Job) -> object:

@@ -100,6 +100,7 @@ class Service:
         self._visited = 0
         for leg in robot.legs:
             self._desk(leg.id, now_ns, len(leg.joints))
+        bank.finish()  # what the first sample would wait for
         link.subscribe(ALL_SERVO, self._intake.offer)
         link.queryable(model_key("*"), self._ask)
         link.token(SERVICE_TOKEN)

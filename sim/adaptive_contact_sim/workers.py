@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Final
 
-from adaptive_contact.service.refits import ONE_BLAS_THREAD
+from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
 __all__ = ["worker_pool"]
 

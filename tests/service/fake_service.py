@@ -169,11 +169,18 @@ class FakeBank:
 
 
 class FakeRefitter:
+    def __init__(self, **_: object) -> None:
+        """Takes what a refitter takes."""
+
     def start(self) -> None:
         """There is no process."""
 
     def close(self) -> None:
         """There is nothing to end."""
+
+
+def no_process() -> None:
+    """There is nothing to refit."""
 
 
 def main() -> None:
@@ -184,6 +191,10 @@ def main() -> None:
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refits"] = refits
+    process = types.ModuleType("adaptive_contact.service.refit_process")
+    process.start_process = no_process  # type: ignore[attr-defined]
+    process.end_process = None  # type: ignore[attr-defined]
+    sys.modules["adaptive_contact.service.refit_process"] = process
     import typer
 
     from adaptive_contact.cli.serve import serve

@@ -242,13 +242,13 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     hanging = refitter._process
     assert hanging is not None
     hanging.send_signal(signal.SIGSTOP)
-    start = refits._start
+    start = refits.start_process
 
     def patient() -> subprocess.Popen[bytes]:
         refitter._timeout_s = 20.0  # the next one has to import everything first
         return start()
 
-    monkeypatch.setattr(refits, "_start", patient)
+    monkeypatch.setattr(refits, "start_process", patient)
     refitter._timeout_s = 2.0
     # The job fills the pipe, so that writing it never ends by itself.
     refitter.submit(large(2))
@@ -264,7 +264,7 @@ def test_processes_that_hang_are_given_up(
     refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     started: list[subprocess.Popen[bytes]] = []
-    start = refits._start
+    start = refits.start_process
 
     def hangs() -> subprocess.Popen[bytes]:
         if where == "before the job":
@@ -279,7 +279,7 @@ def test_processes_that_hang_are_given_up(
         started.append(process)
         return process
 
-    monkeypatch.setattr(refits, "_start", hangs)
+    monkeypatch.setattr(refits, "start_process", hangs)
     refitter._timeout_s = 2.0
     with capture_logs() as logs:
         refitter.submit(large(1))
@@ -290,7 +290,7 @@ def test_processes_that_hang_are_given_up(
     assert [line["event"] for line in logs] == ["refit given up"]
     assert [process.wait(5) for process in started] == [-signal.SIGKILL] * 2
     # The next job has a process of its own again.
-    monkeypatch.setattr(refits, "_start", start)
+    monkeypatch.setattr(refits, "start_process", start)
     refitter._timeout_s = 20.0
     refitter.submit(job("rf", 2))
     again = wait(refitter, "rf", 2)
@@ -358,7 +358,7 @@ def test_a_process_that_cannot_be_started_costs_its_job_and_no_other(
         raise OSError(12, "Cannot allocate memory")
 
     with monkeypatch.context() as short, capture_logs() as logs:
-        short.setattr(refits, "_start", no_memory)
+        short.setattr(refits, "start_process", no_memory)
         refitter.submit(job("rf", 1))
         lost = wait(refitter, "rf", 1)
     assert isinstance(lost, RefitResult)

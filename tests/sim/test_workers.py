@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from adaptive_contact.service.refits import ONE_BLAS_THREAD
+from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
 # A parent that is killed while its worker waits: the worker holds the pipe open until it ends.
 _PARENT = """
