@@ -300,6 +300,7 @@ class ContactLearner:
 
         The tracker's window takes it in with those of the other legs.
         """
+        self._quarantine.hand_over()  # of this tick, while the tracker still has it
         self._command_before, self._command = self._command, sample.desired
         self._swing.command()
         tracker = self.tracker

@@ -2,13 +2,16 @@
 
 Between the detector, which judges every tick, and the follower, which learns: a lift goes on at
 its top, a descent once the swing is over, and nothing of a foot that is held.
+
+What a touch and the end of a swing leave to be learned waits for :meth:`Quarantine.hand_over`, as
+the word on other legs must not wait for it.
 """
 
 from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -51,6 +54,8 @@ class Quarantine:
         self._lift_judged = False
         self._foretell: Foretell | None = None  # from where the leg was before the swing
         self._unheard = 0  # whole swings since a lift was handed on
+        # What this tick has found for the follower, in order.
+        self._found: list[Callable[[], None]] = []
 
     @property
     def follower(self) -> Follower | None:
@@ -118,12 +123,14 @@ class Quarantine:
 
     def break_off(self) -> None:
         """What comes does not connect: the swing cannot be resolved, and is not learned."""
+        self.hand_over()  # of the swing before
         self._swing.interrupt()
         self._touching.clear()
         self._book.discard()
 
     def restart(self) -> None:
         """The source started anew: there is no swing."""
+        self._found.clear()
         self._open = False
         self.break_off()
 
@@ -186,17 +193,24 @@ class Quarantine:
         """A contact was reported: what came well before its onset is free."""
         self._swing.touched(round((t_ns - onset_ns) / period_ns))
         self._confirm(self._book.alarm(onset_ns, period_ns))
-        self._touching = [detector.touch()]
+        self._found.append(functools.partial(self._begin_touch, detector))
 
     def resolve(self) -> None:
         """The leg stands: the swing is over, without an alarm or with one that was dealt with."""
-        if not self._open or self.follower is None:
+        follower = self.follower
+        if not self._open or follower is None:
             return
         self._open = False
         self._unheard += self._swing.whole
-        self._hand_touch()
+        self._found.append(self._hand_touch)
         self._confirm(self._book.resolve())
-        self.follower.swing_done(self._swing.touch_belied())
+        self._found.append(functools.partial(follower.swing_done, self._swing.touch_belied()))
+
+    def hand_over(self) -> None:
+        """Let the follower have what this tick has found, before the next one is taken in."""
+        found, self._found = self._found, []
+        for hand in found:
+            hand()
 
     def _push(self, verdict: Verdict, detector: LegDetector) -> Push | None:
         """What a tick of a descent shows of a push from the ground; None without geometry."""
@@ -208,6 +222,9 @@ class Quarantine:
             return None
         return push_of(verdict.residual, verdict.target, detector.whitening[0], gradient)
 
+    def _begin_touch(self, detector: LegDetector) -> None:
+        self._touching = [detector.touch()]
+
     def _hand_touch(self) -> None:
         """The first ticks of a contact, for candidate models to be tried on."""
         ticks, self._touching = self._touching, []
@@ -215,9 +232,9 @@ class Quarantine:
             self.follower.touched(ticks)
 
     def _confirm(self, rows: list[Row]) -> None:
-        swing = self._swing
-        if self.follower is not None and rows and swing.lifted and not swing.held:
-            self.follower.descent(rows, self._region)
+        swing, follower = self._swing, self.follower
+        if follower is not None and rows and swing.lifted and not swing.held:
+            self._found.append(functools.partial(follower.descent, rows, self._region))
 
 
 class _Regions:

@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
-from adaptive_contact.bridge.loop import PortLoop, take_priority
+from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.priority import take_priority
 from adaptive_contact.wire import MSGPACK, Command, ServoSample, encode
 
 __all__ = ["Script", "collect"]

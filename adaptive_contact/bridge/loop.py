@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
-import sys
 import threading
 import time
 from typing import Final, Literal
@@ -20,33 +18,12 @@ from adaptive_contact.bridge.status import BridgeStatus, Pulse
 from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
 
-__all__ = ["PortLoop", "take_priority"]
+__all__ = ["PortLoop"]
 
 _NS: Final = 1_000_000_000
-# Among real-time threads, below those of the kernel's interrupts (50).
-_PRIORITY: Final = 20
 # A lost port is tried this often; a cable put back is found within two seconds with room to spare.
 _REOPEN_S: Final = 0.25
 _STATUS_NS: Final = _NS
-
-
-def take_priority(below: int = 0) -> str | None:
-    """Run this thread, and those it makes, before all ordinary ones.
-
-    Args:
-        below: by how much to stand back behind others that call this.
-
-    Returns:
-        The reason where that is not allowed.
-    """
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_PRIORITY - below))
-    except PermissionError:
-        return (
-            "no right to real-time priority; give it with: sudo setcap cap_sys_nice+ep "
-            f"{os.path.realpath(sys.executable)}, or leave --realtime out"
-        )
-    return None
 
 
 class PortLoop:

@@ -347,8 +347,8 @@ def virtual(
         link=client(connect, namespace, zenoh_config, json=json) if truth else None,
     )
     if realtime:
-        with needs_sdk():
-            from adaptive_contact.bridge.loop import take_priority
+        from adaptive_contact.priority import take_priority
+
         refused = take_priority()
         if refused is not None:
             typer.echo(f"adaptive-contact bridge virtual: {refused}", err=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptive_contact.bridge.loop import take_priority
+from adaptive_contact.priority import take_priority
 
 ROOT = Path(__file__).parents[2]
 READY = "stop with Ctrl-C"

@@ -1,0 +1,45 @@
+"""Running before, or behind, the other work of a computer."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from typing import Final
+
+__all__ = ["take_priority", "yield_priority"]
+
+# Among real-time threads, below those of the kernel's interrupts (50).
+_PRIORITY: Final = 20
+
+
+def take_priority(below: int = 0) -> str | None:
+    """Run this thread, and those it makes, before all ordinary ones.
+
+    Args:
+        below: by how much to stand back behind others that call this.
+
+    Returns:
+        The reason where that is not allowed.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_PRIORITY - below))
+    except PermissionError:
+        return (
+            "no right to real-time priority; give it with: sudo setcap cap_sys_nice+ep "
+            f"{os.path.realpath(sys.executable)}, or leave --realtime out"
+        )
+    return None
+
+
+def yield_priority(nice: int) -> None:
+    """Run this process as an ordinary one and behind others, whatever started it.
+
+    Args:
+        nice: added to the niceness, 0 to 19.
+    """
+    with contextlib.suppress(OSError):
+        if os.sched_getscheduler(0) != os.SCHED_OTHER:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with contextlib.suppress(OSError):
+        os.nice(nice)
