@@ -25,6 +25,7 @@ __all__ = [
     "LogLevelOption",
     "NamespaceOption",
     "NoStateOption",
+    "RealtimeOption",
     "StateOption",
     "ZenohConfigOption",
     "check_output",
@@ -135,6 +136,10 @@ LogLevelOption = Annotated[
 LogJsonOption = Annotated[
     bool,
     typer.Option("--log-json", help="Log one JSON object per line.", rich_help_panel="Logging"),
+]
+RealtimeOption = Annotated[
+    bool,
+    typer.Option("--realtime", help="Run before all ordinary processes (needs the right to)."),
 ]
 
 

@@ -21,6 +21,7 @@ from adaptive_contact.cli._options import (
     ConnectOption,
     JsonPayloadOption,
     NamespaceOption,
+    RealtimeOption,
     ZenohConfigOption,
     check_output,
     client,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DeviceOption",
-    "RealtimeOption",
     "app",
     "devices_of",
     "needs_sdk",
@@ -57,12 +57,6 @@ DeviceOption = Annotated[
         "repeatable.",
         show_default=False,
     ),
-]
-
-
-RealtimeOption = Annotated[
-    bool,
-    typer.Option("--realtime", help="Run before all ordinary processes (needs the right to)."),
 ]
 
 

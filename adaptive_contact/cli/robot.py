@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, check_output
+from adaptive_contact.cli._options import ConfigOption, RealtimeOption, check_output
 from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.cli.bridge import (
     DeviceOption,
-    RealtimeOption,
     devices_of,
     needs_sdk,
     plans_of,

@@ -14,6 +14,8 @@ import struct
 import sys
 from typing import IO, Final
 
+from adaptive_contact.priority import yield_priority
+
 __all__ = ["main", "read_frame", "write_frame"]
 
 _LENGTH: Final = struct.Struct(">Q")
@@ -44,8 +46,7 @@ def main() -> None:
     # Whatever prints must not print between the frames.
     results = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
+    yield_priority(_NICE)
     for module in _NEEDED:
         importlib.import_module(module)
     with contextlib.suppress(BrokenPipeError):

@@ -18,6 +18,7 @@ import structlog
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.desk import Desk
+from adaptive_contact.service.garbage import Sweeper
 from adaptive_contact.service.intake import Intake, Raw, Round, read
 from adaptive_contact.service.link import Link, Request
 from adaptive_contact.service.meters import Brake, Latency
@@ -65,6 +66,7 @@ class Service:
         baseline: where their models come from, for people to read.
         now_ns: monotonic.
         keeper: restores and saves the learners; closed at the end of :meth:`run`.
+        sweeper: collects garbage between ticks, where that is not left to Python.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Service:
         baseline: str | None,
         now_ns: int,
         keeper: StateKeeper | None = None,
+        sweeper: Sweeper | None = None,
     ) -> None:
         self._link = link
         self._bank = bank
@@ -95,6 +98,7 @@ class Service:
         self._asked: list[Question] = []
         self._brake = Brake()
         self._keeper = keeper
+        self._sweeper = sweeper
         self._to_save: deque[tuple[int, Desk]] = deque()
         self._outbox = Outbox(drop_after_ns=link.drop_after_ns)
         self._beats = 0
@@ -136,6 +140,8 @@ class Service:
                     self.finish()
                 self.save(time.monotonic_ns(), pause=not round_)
                 self.look(time.monotonic_ns())
+                if self._sweeper is not None:
+                    self._sweeper.sweep(time.monotonic_ns(), pause=bool(round_))
             self._end(time.monotonic_ns())
         finally:
             self._watchdog.close()

@@ -137,3 +137,43 @@ def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
         team.advance([sample, sample])
     assert begun.full
     np.testing.assert_array_equal(begun.window, known.window)
+
+
+def test_no_word_waits_for_what_a_touch_or_a_swing_leaves_to_learn(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Both are found in the first half of a tick, and learned in the second."""
+    stream = samples(*FakeLeg(seed=50).run(16, touch=lambda n: 20 if n % 2 else None)[:3])
+    learner = ContactLearner(robot, "rf", baseline)
+    team = Team([learner])
+    grown = {True: 0, False: 0}  # at touches, and in stance
+    for sample in stream:
+        # Lifts are heard with their tops: what they say of the leg is part of the word on it.
+        before = learner.status.buffer.descent_ticks
+        (event,) = team.judge([sample])
+        stands = sample.phase == "stance"
+        if stands or (event is not None and event.contact):
+            assert learner.status.buffer.descent_ticks == before
+            team.finish()
+            grown[not stands] += learner.status.buffer.descent_ticks > before
+        team.finish()
+    assert grown[True] >= 3
+    assert grown[False] >= 3
+
+
+def test_a_first_model_has_its_place_before_the_next_sample(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """To make room for it takes a millisecond, which no event is to wait for."""
+    stream = samples(*FakeLeg(seed=51).run(60, touch=lambda n: None)[:3])
+    cold, known = ContactLearner(robot, "rf", None), ContactLearner(robot, "rf", baseline)
+    team = Team([cold, known])
+    team.finish()
+    assert known.tracker is not None
+    assert known.tracker.home is not None, "before the first sample, too"
+    for sample in stream:
+        team.advance([sample, sample])
+        if cold.tracker is not None:
+            break
+    assert cold.tracker is not None
+    assert cold.tracker.home is not None

@@ -9,6 +9,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +21,9 @@ from threadpoolctl import threadpool_info
 
 from adaptive_contact.adapt.refit import InlineRefitter, RefitJob, RefitResult, Refitter
 from adaptive_contact.identify import Factor, FitStatus
+from adaptive_contact.priority import take_priority
 from adaptive_contact.service import refits
+from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refits import ProcessRefitter, WaitingRefitter
 
 pytestmark = pytest.mark.e2e
@@ -111,6 +114,17 @@ class Needs:
         return [name for name in ("pysindy.optimizers", "sklearn") if name not in sys.modules]
 
 
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """Tells how the process stands among others."""
+
+    leg: str
+    number: int
+
+    def run(self) -> tuple[int, int]:
+        return os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+
+
 class Vanishing(ProcessRefitter):
     """Its process is there when it is first looked at, and gone when it is looked at again."""
 
@@ -130,7 +144,7 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless, Large, Deadly, Threads, Needs):
+    for kind in (Stubborn, Endless, Large, Deadly, Threads, Needs, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=20.0)
@@ -242,7 +256,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
     hanging = refitter._process
     assert hanging is not None
     hanging.send_signal(signal.SIGSTOP)
-    start = refits.start_process
+    start = start_process
 
     def patient() -> subprocess.Popen[bytes]:
         refitter._timeout_s = 20.0  # the next one has to import everything first
@@ -264,7 +278,7 @@ def test_processes_that_hang_are_given_up(
     refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     started: list[subprocess.Popen[bytes]] = []
-    start = refits.start_process
+    start = start_process
 
     def hangs() -> subprocess.Popen[bytes]:
         if where == "before the job":
@@ -382,6 +396,33 @@ def test_the_current_folder_has_no_say_in_the_process(
     assert isinstance(found, RefitResult)
     assert found.status is not FitStatus.LOST
     assert not (tmp_path / "ran").exists()
+
+
+def test_it_stands_behind_others_whatever_started_it(refitter: ProcessRefitter) -> None:
+    """Also behind a service that runs before all ordinary processes, where that is allowed."""
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+
+    def hurried() -> None:
+        take_priority()
+        refitter.start()  # its thread, and the process, have what this one has
+
+    starter = threading.Thread(target=hurried)
+    starter.start()
+    starter.join()
+    found = wait(refitter, "rf", _submitted(refitter, Standing("rf", 1)))  # type: ignore[arg-type]
+    assert found == (os.SCHED_OTHER, min(nice + 5, 19))
+
+
+def test_one_that_was_started_before_is_used_and_ended() -> None:
+    process = start_process()
+    with contextlib.closing(ProcessRefitter(timeout_s=20.0, process=process)) as refitter:
+        refitter.submit(job("rf", 1))
+        found = wait(refitter, "rf", 1)
+        assert isinstance(found, RefitResult)
+        assert found.status is FitStatus.OK
+        assert refitter._process is process
+    assert process.wait(5) == -signal.SIGKILL
+    end_process(process)  # once more does no harm
 
 
 def test_only_the_newest_job_of_a_leg_waits() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import sys
@@ -303,3 +304,25 @@ def test_configuration_errors_are_one_line(serve: Any, command: Any) -> None:
     assert "--insecure" in text
     assert "Traceback" not in text
     assert len(text.strip().splitlines()) == 1
+
+
+def test_in_a_hurry_where_that_is_allowed(
+    serve: Any, join: Join, inbox: Any, sample: Sample
+) -> None:
+    """All its threads run before ordinary processes; where it has no right to, it says so."""
+    served = serve("--realtime")
+    threads = [int(task.name) for task in Path(f"/proc/{served.process.pid}/task").iterdir()]
+    kinds = {os.sched_getscheduler(thread) for thread in threads}
+    told = [line for line in served.log.read_text().splitlines() if "real-time" in line]
+    if kinds == {os.SCHED_RR}:
+        assert told == []
+        assert {os.sched_getparam(thread).sched_priority for thread in threads} == {15}
+    else:
+        assert kinds == {os.SCHED_OTHER}
+        (line,) = told
+        assert line.startswith("adaptive-contact: no right to real-time priority; give it with:")
+    got = inbox(ContactEvent)
+    client = join(served.endpoint)
+    client.subscribe(ALL_CONTACT, got, history=True)
+    matched(client.publisher(servo_key("lf"))).put(sample(1, contact=True))
+    assert got.wait(1)[0].leg == "lf"
