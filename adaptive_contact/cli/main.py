@@ -50,20 +50,31 @@ _COMMANDS: Final = (
 )
 
 
-def _register() -> None:
-    for name in _COMMANDS:
-        module = importlib.import_module(f"adaptive_contact.cli.{name}")
-        app.command(name)(getattr(module, name))
-    from adaptive_contact.cli import bridge, experiment, robot, scenarios, sim, state
-    from adaptive_contact.cli.baseline import baseline
+# Those with commands of their own.
+_GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios", "experiment")
 
-    sim.app.command("baseline")(baseline)
-    app.add_typer(sim.app, name="sim")
-    app.add_typer(bridge.app, name="bridge")
-    app.add_typer(robot.app, name="robot")
-    app.add_typer(state.app, name="state")
-    app.add_typer(scenarios.app, name="scenarios")
-    app.add_typer(experiment.app, name="experiment")
+
+@app.callback()
+def _one_of_several() -> None:
+    # Without it a command that is loaded alone would be taken for the whole program.
+    pass
+
+
+def _register(asked: str = "") -> None:
+    """Load the command that is asked for, as the others take as long as a small one runs.
+
+    Args:
+        asked: its name; where it is none, as for the help, all are loaded.
+    """
+    known = asked in _COMMANDS or asked in _GROUPS
+    for name in _COMMANDS:
+        if not known or name == asked:
+            module = importlib.import_module(f"adaptive_contact.cli.{name}")
+            app.command(name)(getattr(module, name))
+    for name in _GROUPS:
+        if not known or name == asked:
+            module = importlib.import_module(f"adaptive_contact.cli.{name}")
+            app.add_typer(module.app, name=name)
 
 
 def main() -> None:
@@ -73,7 +84,7 @@ def main() -> None:
     stdout that is gone (`| head`) in 141.
     """
     try:
-        _register()
+        _register(sys.argv[1] if len(sys.argv) > 1 else "")
         code = app(prog_name="adaptive-contact", standalone_mode=False)
         sys.stdout.flush()
     except KeyboardInterrupt:  # while a command was still being loaded

@@ -142,7 +142,7 @@ def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
 
     process = None
     with contextlib.suppress(OSError):  # no room for it now; the first job tries again
-        process = start_process()
+        process = start_process(hurry=True)
     try:
         yield process
     finally:

@@ -41,6 +41,7 @@ from adaptive_contact.cli._sim_options import (
     speed_of,
     stoppable,
 )
+from adaptive_contact.cli.baseline import baseline
 from adaptive_contact.errors import ConfigurationError, LinkError
 
 __all__ = ["app"]
@@ -258,3 +259,6 @@ def list_(json: JsonOption = False) -> None:
     console.print(kinds)
     console.print("Values are absolute against nominal.")
     console.print("Shapes: step, ramp, pulse, walk; all but a step take a --duration.")
+
+
+app.command("baseline")(baseline)

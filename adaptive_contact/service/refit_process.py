@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 import adaptive_contact
+from adaptive_contact.service.refit_worker import HURRY
 
 __all__ = ["ONE_BLAS_THREAD", "end_process", "start_process"]
 
@@ -24,10 +25,14 @@ ONE_BLAS_THREAD: Final = {
 }
 
 
-def start_process() -> subprocess.Popen[bytes]:
+def start_process(*, hurry: bool = False) -> subprocess.Popen[bytes]:
     """Start a process that refits, for one :class:`~.refits.ProcessRefitter`.
 
     It ends with its stdin, and so with whoever started it.
+
+    Args:
+        hurry: nobody has an event in hand yet, and it need not stand behind others before it is
+            there.
 
     Raises:
         OSError: there cannot be one more.
@@ -38,7 +43,7 @@ def start_process() -> subprocess.Popen[bytes]:
         env["PYTHONPATH"] = os.pathsep.join(filter(None, (str(home), env.get("PYTHONPATH"))))
     return subprocess.Popen(
         # Safe paths: the current folder, which may be anybody's, has nothing to say.
-        [sys.executable, "-P", "-m", _MODULE],
+        [sys.executable, "-P", "-m", _MODULE, *((HURRY,) if hurry else ())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=env,

@@ -16,7 +16,10 @@ from typing import IO, Final
 
 from adaptive_contact.priority import yield_priority
 
-__all__ = ["main", "read_frame", "write_frame"]
+__all__ = ["HURRY", "main", "read_frame", "write_frame"]
+
+# Says that nobody is disturbed yet by what it imports.
+HURRY: Final = "--hurry"
 
 _LENGTH: Final = struct.Struct(">Q")
 # What fits need, seconds to import: while nobody waits, not while the first job does.
@@ -46,9 +49,13 @@ def main() -> None:
     # Whatever prints must not print between the frames.
     results = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    yield_priority(_NICE)
+    hurry = HURRY in sys.argv
+    if not hurry:
+        yield_priority(_NICE)
     for module in _NEEDED:
         importlib.import_module(module)
+    if hurry:
+        yield_priority(_NICE)
     with contextlib.suppress(BrokenPipeError):
         while (frame := read_frame(sys.stdin.buffer)) is not None:
             write_frame(results, pickle.dumps(pickle.loads(frame).run()))

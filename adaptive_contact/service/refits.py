@@ -171,7 +171,7 @@ class WaitingRefitter(ProcessRefitter):
     """
 
     def __init__(self, timeout_s: float = JOB_TIMEOUT_S) -> None:
-        super().__init__(timeout_s, process=start_process())
+        super().__init__(timeout_s, process=start_process(hurry=True))
 
     def collect(self, leg: str, number: int) -> object | None:
         """The result of a job that was submitted, as soon as it is there."""

@@ -76,7 +76,7 @@ def test_an_interrupt_says_nothing(where: str) -> None:
     code = (
         "import adaptive_contact.cli.main as cli\n"
         "def interrupted(*_, **__): raise KeyboardInterrupt\n"
-        "cli._register = lambda: None\n"
+        "cli._register = lambda asked: None\n"
         f"cli.{where} = interrupted\n"
         "cli.main()"
     )

@@ -179,7 +179,7 @@ class FakeRefitter:
         """There is nothing to end."""
 
 
-def no_process() -> None:
+def no_process(**_: object) -> None:
     """There is nothing to refit."""
 
 

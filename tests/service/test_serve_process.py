@@ -309,20 +309,24 @@ def test_configuration_errors_are_one_line(serve: Any, command: Any) -> None:
 def test_in_a_hurry_where_that_is_allowed(
     serve: Any, join: Join, inbox: Any, sample: Sample
 ) -> None:
-    """All its threads run before ordinary processes; where it has no right to, it says so."""
+    """Its own threads and Zenoh's run before ordinary ones; where it may not, it says so."""
     served = serve("--realtime")
-    threads = [int(task.name) for task in Path(f"/proc/{served.process.pid}/task").iterdir()]
-    kinds = {os.sched_getscheduler(thread) for thread in threads}
-    told = [line for line in served.log.read_text().splitlines() if "real-time" in line]
-    if kinds == {os.SCHED_RR}:
-        assert told == []
-        assert {os.sched_getparam(thread).sched_priority for thread in threads} == {15}
-    else:
-        assert kinds == {os.SCHED_OTHER}
-        (line,) = told
-        assert line.startswith("adaptive-contact: no right to real-time priority; give it with:")
     got = inbox(ContactEvent)
     client = join(served.endpoint)
     client.subscribe(ALL_CONTACT, got, history=True)
     matched(client.publisher(servo_key("lf"))).put(sample(1, contact=True))
     assert got.wait(1)[0].leg == "lf"
+    pid = served.process.pid
+    tasks = {int(task.name): task for task in Path(f"/proc/{pid}/task").iterdir()}
+    # Zenoh names its threads; libraries of linear algebra made theirs before, and let them sleep.
+    of_zenoh = [tid for tid, task in tasks.items() if (task / "comm").read_text().endswith("-0\n")]
+    assert len(of_zenoh) >= 3
+    told = [line for line in served.log.read_text().splitlines() if "real-time" in line]
+    kinds = {os.sched_getscheduler(tid) for tid in (pid, *of_zenoh)}
+    if kinds == {os.SCHED_RR}:
+        assert told == []
+        assert os.sched_getparam(pid).sched_priority == 15
+    else:
+        assert kinds == {os.SCHED_OTHER}
+        (line,) = told
+        assert line.startswith("adaptive-contact: no right to real-time priority; give it with:")
