@@ -22,6 +22,8 @@ def take_priority(below: int = 0) -> str | None:
     Returns:
         The reason where that is not allowed.
     """
+    if not hasattr(os, "sched_setscheduler"):
+        return "this system lets no process run before others; leave --realtime out"
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_PRIORITY - below))
     except PermissionError:
@@ -38,8 +40,9 @@ def yield_priority(nice: int) -> None:
     Args:
         nice: added to the niceness, 0 to 19.
     """
-    with contextlib.suppress(OSError):
+    # Some systems have neither.
+    with contextlib.suppress(OSError, AttributeError):
         if os.sched_getscheduler(0) != os.SCHED_OTHER:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):
         os.nice(nice)

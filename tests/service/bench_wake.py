@@ -43,7 +43,7 @@ def computing(count: int, *, idle: bool) -> Iterator[None]:
 
 
 def waits(times: int, *, realtime: bool) -> list[float] | None:
-    """From the first being woken to the last running, ms, sorted; None where that is not allowed."""
+    """From the first being woken to the last running, ms, sorted; None where not allowed."""
     found: list[float] = []
     refused: list[str] = []
     gates = [threading.Semaphore(0) for _ in range(LINKS)]
