@@ -7,7 +7,7 @@ import os
 import sys
 from typing import Final
 
-__all__ = ["take_priority", "yield_priority"]
+__all__ = ["cores", "take_priority", "yield_priority"]
 
 # Among real-time threads, below those of the kernel's interrupts (50).
 _PRIORITY: Final = 20
@@ -35,14 +35,21 @@ def take_priority(below: int = 0) -> str | None:
 
 
 def yield_priority(nice: int) -> None:
-    """Run this process as an ordinary one and behind others, whatever started it.
+    """Run this process before no ordinary one, whatever started it.
 
     Args:
         nice: added to the niceness, 0 to 19.
     """
     # Some systems have neither.
     with contextlib.suppress(OSError, AttributeError):
-        if os.sched_getscheduler(0) != os.SCHED_OTHER:
+        if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with contextlib.suppress(OSError, AttributeError):
         os.nice(nice)
+
+
+def cores() -> int:
+    """How many processors this process may run on, at least 1."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -33,7 +33,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
 )
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
-from adaptive_contact.priority import take_priority
+from adaptive_contact.priority import cores, take_priority
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt import Baseline
@@ -137,12 +137,16 @@ def serve(
 
 @contextlib.contextmanager
 def _refitting() -> Iterator[subprocess.Popen[bytes] | None]:
-    """The process that refits, which loads what it needs while the service does; then its end."""
+    """The process that refits, which loads what it needs while the service does; then its end.
+
+    None where there is one core: there it would only make the service late, and starts after it.
+    """
     from adaptive_contact.service.refit_process import end_process, start_process
 
     process = None
-    with contextlib.suppress(OSError):  # no room for it now; the first job tries again
-        process = start_process(hurry=True)
+    if cores() > 1:
+        with contextlib.suppress(OSError):  # no room for it now; the first job tries again
+            process = start_process(hurry=True)
     try:
         yield process
     finally:

@@ -47,8 +47,3 @@ class Sweeper:
         if due or gc.get_count()[0] > self._most:
             gc.collect()
             self._swept_ns = now_ns
-
-    def close(self) -> None:
-        """Leave it to Python again."""
-        gc.enable()
-        gc.unfreeze()

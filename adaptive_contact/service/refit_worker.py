@@ -1,7 +1,7 @@
 """The process that refits: jobs come in on stdin, results go out on stdout, until stdin ends.
 
-Started by :mod:`adaptive_contact.service.refits`; a frame is 8 bytes of length, big endian, and a
-pickle.  Pickles are safe here because both ends are ours and the pipe is private.
+Started by :mod:`adaptive_contact.service.refit_process`; a frame is 8 bytes of length, big endian,
+and a pickle.  Pickles are safe here because both ends are ours and the pipe is private.
 """
 
 from __future__ import annotations
@@ -50,8 +50,7 @@ def main() -> None:
     results = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     hurry = HURRY in sys.argv
-    if not hurry:
-        yield_priority(_NICE)
+    yield_priority(0 if hurry else _NICE)
     for module in _NEEDED:
         importlib.import_module(module)
     if hurry:

@@ -25,8 +25,8 @@ def sweeper() -> Iterator[Sweeper]:
     made = Sweeper(most_objects=5000)
     made.start(0)
     yield made
-    made.close()
-    assert gc.isenabled()
+    gc.enable()
+    gc.unfreeze()
 
 
 def knot() -> weakref.ref[Knot]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
@@ -11,6 +12,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
+from adaptive_contact.service import server
+from adaptive_contact.service.garbage import Sweeper
 from adaptive_contact.service.intake import Raw, Round
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
@@ -101,6 +104,51 @@ def test_one_round_is_one_judgement_of_all_legs(
     monkeypatch.setattr(step.bank, "judge", judge)
     step.work(1, rf=sample(1), lf=sample(1))
     assert batches == [["lf", "rf"]]
+
+
+def test_a_service_is_ready_for_its_first_sample(
+    router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The learners have their places, and the codec has seen a sample; each takes a while."""
+    bank, done = fake.FakeBank(robot), []
+    monkeypatch.setattr(bank, "finish", lambda: done.append(bank.legs))
+
+    def decoded(payload: bytes, kind: type[ServoSample]) -> object:
+        done.append(kind)
+        return decode(payload, kind)
+
+    monkeypatch.setattr(server, "decode", decoded)
+    Service(router, bank, robot, baseline=None, now_ns=0)
+    assert done == [("lf", "rf"), ServoSample]
+
+
+def test_garbage_is_collected_after_a_tick(
+    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    sample: Sample,
+) -> None:  # fmt: skip
+    pauses = inbox()
+
+    class Recorder(Sweeper):
+        def sweep(self, now_ns: int, *, pause: bool) -> None:
+            pauses(pause)
+
+    service = Service(
+        router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, sweeper=Recorder()
+    )
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=(stop,))
+    worker.start()
+    try:
+        assert not any(pauses.wait(3)), "without a sample it is no pause between two"
+        publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
+        for seq in itertools.count(1):
+            publisher.put(sample(seq))
+            if any(pauses.wait(len(pauses.items) + 1)):
+                break
+    finally:
+        stop.set()
+        worker.join(10)
+    assert not worker.is_alive()
 
 
 def test_late_joiners_get_the_last_event(step: Lockstep, inbox: Any, sample: Sample) -> None:
@@ -278,13 +326,13 @@ def test_callbacks_only_enqueue(
 
         return call
 
-    from adaptive_contact.service import intake, server
+    from adaptive_contact.service import intake
 
     monkeypatch.setattr(f"{module}.server.read", spy("read", server.read))
     monkeypatch.setattr(f"{module}.intake.leg_of_key", spy("offer", intake.leg_of_key))
+    service = Service(router, bank, robot, baseline=None, now_ns=0)
     for name in ("judge", "finish"):
         monkeypatch.setattr(bank, name, spy(name, getattr(bank, name)))
-    service = Service(router, bank, robot, baseline=None, now_ns=0)
     stop = threading.Event()
     worker = threading.Thread(target=service.run, args=[stop], name="worker")
     worker.start()
