@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 
 from adaptive_contact import ContactLearner, ServoSample
@@ -177,3 +179,22 @@ def test_a_first_model_has_its_place_before_the_next_sample(
             break
     assert cold.tracker is not None
     assert cold.tracker.home is not None
+
+
+def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) -> None:
+    """The service collects it once a minute only."""
+    streams = [
+        samples(*FakeLeg(seed=60 + n).run(15, touch=lambda k: 20 if k % 2 else None)[:3])
+        for n in range(2)
+    ]
+    team = Team([ContactLearner(robot, "rf", baseline) for _ in streams])
+    ticks = list(zip(*streams, strict=True))
+    team.advance(ticks[0])
+    gc.collect()
+    gc.disable()
+    try:
+        heard = [event for tick in ticks[1:] for event in team.advance(tick) if event is not None]
+        assert len(heard) > 10
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

@@ -97,6 +97,24 @@ def test_the_help_loads_no_linear_algebra() -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize(("asked", "others"), [("score", 0), ("state", 0), ("nosuch", 10)])
+def test_a_command_loads_itself_alone(asked: str, others: int) -> None:
+    """All of them where it is none, so that the likeliest can be named."""
+    code = (
+        "import sys\n"
+        "from adaptive_contact.cli.main import main\n"
+        f"sys.argv = ['adaptive-contact', {asked!r}, '--help']\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "here = 'adaptive_contact.cli.'\n"
+        f"skip = {{here + name for name in ('main', {asked!r})}}\n"
+        "print(sum(n.startswith(here) and '._' not in n for n in {*sys.modules} - skip))"
+    )
+    done = ran("-c", code)
+    found = int(done.stdout.splitlines()[-1])
+    assert found == 0 if others == 0 else found >= others
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_watch_gives_the_terminal_its_cursor_back(number: signal.Signals) -> None:
     """On a terminal, with a service to look at."""

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import gc
+import itertools
+import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
 
 import pytest
 
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.garbage import Sweeper
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.server import Service
+from adaptive_contact.wire import ServoSample, servo_key
 
 S = 1_000_000_000
 
@@ -64,3 +72,32 @@ def test_python_collects_nothing_by_itself(sweeper: Sweeper) -> None:
     kept = [[] for _ in range(100_000)]
     assert tied() is not None
     assert kept
+
+
+def test_garbage_is_collected_after_a_tick(
+    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
+    sample: Callable[..., ServoSample],
+) -> None:  # fmt: skip
+    pauses = inbox()
+
+    class Recorder(Sweeper):
+        def sweep(self, now_ns: int, *, pause: bool) -> None:
+            pauses(pause)
+
+    service = Service(
+        router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, sweeper=Recorder()
+    )
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=(stop,))
+    worker.start()
+    try:
+        assert not any(pauses.wait(3)), "without a sample it is no pause between two"
+        publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
+        for seq in itertools.count(1):
+            publisher.put(sample(seq))
+            if any(pauses.wait(len(pauses.items) + 1)):
+                break
+    finally:
+        stop.set()
+        worker.join(10)
+    assert not worker.is_alive()

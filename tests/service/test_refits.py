@@ -416,33 +416,6 @@ def test_it_stands_behind_others_whatever_started_it(refitter: ProcessRefitter) 
         assert wait(early, "rf", _submitted(early, Standing("rf", 1))) == found  # type: ignore[arg-type]
 
 
-def test_in_a_hurry_it_runs_before_no_ordinary_process() -> None:
-    """Nor while it loads, where the service was started before all of them."""
-    found: list[subprocess.Popen[bytes]] = []
-
-    def hurried() -> None:
-        take_priority()
-        found.append(start_process(hurry=True))
-
-    starter = threading.Thread(target=hurried)
-    starter.start()
-    starter.join()
-    (process,) = found
-    seen: set[tuple[int, int]] = set()
-    last = (os.SCHED_OTHER, min(os.getpriority(os.PRIO_PROCESS, 0) + 5, 19))
-    until = time.monotonic() + 30
-    try:
-        while last not in seen:
-            assert time.monotonic() < until
-            of = os.sched_getscheduler(process.pid), os.getpriority(os.PRIO_PROCESS, process.pid)
-            seen.add(of)
-            time.sleep(0.001)
-    finally:
-        end_process(process)
-    # It loads for a second: the two states before that take a hundredth of it.
-    assert (os.SCHED_OTHER, os.getpriority(os.PRIO_PROCESS, 0)) in seen
-
-
 def test_one_that_was_started_before_is_used_and_ended() -> None:
     process = start_process(hurry=True)
     with contextlib.closing(ProcessRefitter(timeout_s=20.0, process=process)) as refitter:

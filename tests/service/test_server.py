@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 from collections.abc import Callable, Mapping
 from types import ModuleType
@@ -13,7 +12,6 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service import server
-from adaptive_contact.service.garbage import Sweeper
 from adaptive_contact.service.intake import Raw, Round
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
@@ -120,35 +118,6 @@ def test_a_service_is_ready_for_its_first_sample(
     monkeypatch.setattr(server, "decode", decoded)
     Service(router, bank, robot, baseline=None, now_ns=0)
     assert done == [("lf", "rf"), ServoSample]
-
-
-def test_garbage_is_collected_after_a_tick(
-    router: Link, join: Callable[..., Link], inbox: Any, fake: ModuleType, robot: Robot,
-    sample: Sample,
-) -> None:  # fmt: skip
-    pauses = inbox()
-
-    class Recorder(Sweeper):
-        def sweep(self, now_ns: int, *, pause: bool) -> None:
-            pauses(pause)
-
-    service = Service(
-        router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, sweeper=Recorder()
-    )
-    stop = threading.Event()
-    worker = threading.Thread(target=service.run, args=(stop,))
-    worker.start()
-    try:
-        assert not any(pauses.wait(3)), "without a sample it is no pause between two"
-        publisher = join(router.endpoints[0]).publisher(servo_key("lf"))
-        for seq in itertools.count(1):
-            publisher.put(sample(seq))
-            if any(pauses.wait(len(pauses.items) + 1)):
-                break
-    finally:
-        stop.set()
-        worker.join(10)
-    assert not worker.is_alive()
 
 
 def test_late_joiners_get_the_last_event(step: Lockstep, inbox: Any, sample: Sample) -> None:
