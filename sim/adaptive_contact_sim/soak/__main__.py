@@ -16,6 +16,7 @@ import typer
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.soak import SoakPlan, Verdict, conduct, judge
+from adaptive_contact_sim.soak.kept import keep_heard
 from adaptive_contact_sim.soak.memory import Grown, Point
 
 
@@ -33,6 +34,7 @@ def soak(
     out.mkdir(parents=True, exist_ok=True)
     take = conduct(plan, lambda line: typer.echo(line), stop)
     typer.echo(take.simulator)
+    keep_heard(take, out / "heard.jsonl")  # first: a verdict may fail
     verdict = judge(take, plan, shipped_robot())
     text = msgspec.json.format(msgspec.json.encode(dataclasses.asdict(verdict)), indent=2)
     (out / "soak.json").write_bytes(text + b"\n")
