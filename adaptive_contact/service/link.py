@@ -29,6 +29,7 @@ from adaptive_contact.service.settings import (
     endpoint,
     router_settings,
 )
+from adaptive_contact.service.sockets import LinkSockets
 from adaptive_contact.service.traffic import Received, Reply
 from adaptive_contact.service.transport import Facts, configure, first_line, router_failure
 from adaptive_contact.service.zenoh_log import callback_faults
@@ -168,9 +169,10 @@ class Link:
         self._session = session
         self._faults_before = callback_faults()
         self._held: set[Declared] = set()
+        self._sockets = LinkSockets()
+        self._sockets.start()
         self.settings = settings
         self.endpoints = facts.listen
-        self.drop_after_ns = facts.drop_after_ns
         self.joins = facts.connect
 
     @classmethod
@@ -234,10 +236,14 @@ class Link:
         Returns:
             False where Zenoh did not finish within a second (a subscriber hangs).
         """
-        closer = threading.Thread(target=self._session.close, name="zenoh-close", daemon=True)
+        closer = threading.Thread(target=self._close, name="zenoh-close", daemon=True)
         closer.start()
         closer.join(_CLOSE_TIMEOUT_S)
         return not closer.is_alive()
+
+    def _close(self) -> None:
+        self._session.close()
+        self._sockets.close()  # last: sockets that close with a linger would hold up the session
 
     def publisher(self, key: str, *, reliable: bool = False, history: int = 0) -> Publisher:
         """Declare a publisher.
@@ -377,6 +383,17 @@ class Link:
             history=True,
         )
         return Declared(declared, self._held)
+
+    def drop_what_holds_up(
+        self, busy_ns: Callable[[int], int], on_drop: Callable[[int], None]
+    ) -> None:
+        """Drop every link that holds up a reliable put and takes nothing itself.
+
+        Args:
+            busy_ns: how long the put under way has been going on at a monotonic time, ns.
+            on_drop: called with how many links were dropped, on a thread of the link's own.
+        """
+        self._sockets.drop_what_holds_up(busy_ns, on_drop)
 
     def routers(self) -> tuple[str, ...]:
         """Ids of the routers this session is connected to."""

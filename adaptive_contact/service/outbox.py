@@ -1,7 +1,7 @@
 """Contact events on their way out, on a thread of their own.
 
-An event is put reliably, so a subscriber that hangs holds the put up (a quarter of a second,
-then Zenoh drops its link, and with it the event).  The learners must not wait for that: the worker
+An event is put reliably, so links that take nothing any more hold the put up, until the service
+drops them (:mod:`adaptive_contact.service.sockets`).  The learners must not wait for that: the worker
 only appends, and what cannot be sent for so long that the queue is full is dropped, oldest first,
 and counted; so is what is left at the end.  Each put that was slow, or failed, is logged: the
 watchdog sees only those that go on.
@@ -29,7 +29,7 @@ _log = structlog.get_logger()
 QUEUE_EVENTS: Final = 1024
 # An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs.
 SLOW_PUT_NS: Final = 100_000_000
-# A put that has gone on for so long is told of before it ends.
+# A put that has gone on for so long is reported before it ends.
 HELD_UP_NS: Final = 500_000_000
 _LATENCIES: Final = 4096
 
@@ -52,22 +52,18 @@ class Outbox:
 
     Args:
         size: messages that wait at most.
-        drop_after_ns: a put that blocks for so long ends with the link of whoever blocked it being
-            dropped, and the message with it; None where nothing is ever dropped.
 
     Attributes:
         lost: messages dropped because the queue was full, that could not be put, or that were left
             at the end.
         slow: puts that took longer than a tenth of a second.
-        cut_off: puts that blocked until the link of a subscriber was dropped: that one never got
-            the event.
+        cut_off: links dropped because they held up a put: their subscribers miss that event.
     """
 
-    def __init__(self, size: int = QUEUE_EVENTS, *, drop_after_ns: int | None = None) -> None:
+    def __init__(self, size: int = QUEUE_EVENTS) -> None:
         self.lost = 0
         self.slow = 0
         self.cut_off = 0
-        self._drop_after_ns = drop_after_ns
         self._brake = Brake()
         self._size = size
         self._queue: deque[_Letter] = deque()
@@ -75,6 +71,7 @@ class Outbox:
         self._ending = False
         self._thread: threading.Thread | None = None
         self._putting_since_ns: int | None = None
+        self._dropped_ns: int | None = None
         # Handed over by the sending thread, taken by the worker: both ends are atomic.
         self._latencies: deque[int] = deque(maxlen=_LATENCIES)
 
@@ -125,6 +122,21 @@ class Outbox:
             self._queue.append(letter)
             self._changed.notify_all()
 
+    def dropped(self, links: int) -> None:
+        """Count links that were dropped because they held up a put."""
+        now_ns = self._dropped_ns = time.monotonic_ns()
+        self.cut_off += links
+        times = self._brake.passes("dropped", now_ns, links)
+        if times is not None:
+            _log.warning(
+                "links dropped that held up contact events: their subscribers hang or are gone",
+                links=times,
+            )
+
+    def dropped_within(self, now_ns: int, span_ns: int) -> bool:
+        """Whether a link was dropped in the last ``span_ns``."""
+        return self._dropped_ns is not None and now_ns - self._dropped_ns <= span_ns
+
     def busy_ns(self, now_ns: int) -> int:
         """How long the put under way has been going on, 0 when there is none."""
         since_ns = self._putting_since_ns
@@ -173,13 +185,10 @@ class Outbox:
 
     def _slow(self, now_ns: int, took_ns: int) -> None:
         self.slow += 1
-        cut_off = self._drop_after_ns is not None and took_ns >= self._drop_after_ns
-        self.cut_off += cut_off
-        times = self._brake.passes(cut_off, now_ns)
+        times = self._brake.passes("slow", now_ns)
         if times is not None:
             _log.warning(
-                "a subscriber that hangs held up contact events",
+                "subscribers that hang held up contact events",
                 for_ms=round(took_ns / 1e6),
-                its_link="dropped" if cut_off else "kept",
                 times=times,
             )

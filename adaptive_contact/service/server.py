@@ -47,6 +47,8 @@ _log = structlog.get_logger()
 _LOOK_NS: Final = 100_000_000
 _SERVICE_STATUS_NS: Final = 1_000_000_000
 _LATENCY_LOG_NS: Final = 60_000_000_000
+# A link that was dropped stays in the status's note for so long.
+_REPORTED_NS: Final = 30_000_000_000
 # The worker waits so long for other legs' samples before it learns: they come one right after the
 # other, and the events' way out needs a core more than learning does.
 _REST_S: Final = 0.001
@@ -100,11 +102,12 @@ class Service:
         self._keeper = keeper
         self._sweeper = sweeper
         self._to_save: deque[tuple[int, Desk]] = deque()
-        self._outbox = Outbox(drop_after_ns=link.drop_after_ns)
+        self._outbox = Outbox()
         self._beats = 0
         self._watchdog = Watchdog(
             lambda: self._beats, self._outbox.busy_ns, on_stall=self._stalled, on_end=give_up
         )
+        link.drop_what_holds_up(self._outbox.busy_ns, self._outbox.dropped)
         self._surroundings = Surroundings(link, now_ns)
         self._status = link.publisher(SERVICE_STATUS, history=1)
         self._look_ns = self._status_ns = now_ns
@@ -215,9 +218,15 @@ class Service:
             if held_ns > HELD_UP_NS
             else None
         )
+        dropped = (
+            f"{self._outbox.cut_off} links dropped since the start, as they held up contact events: "
+            "their subscribers hang or are gone"
+            if self._outbox.dropped_within(now_ns, _REPORTED_NS)
+            else None
+        )
         return ServiceStatus(
             instance=self._surroundings.instance,
-            note="; ".join(filter(None, (self._surroundings.note, held, failing))) or None,
+            note="; ".join(filter(None, (self._surroundings.note, held, dropped, failing))) or None,
             events_lost=self._outbox.lost,
             slow_puts=self._outbox.slow,
             cut_off=self._outbox.cut_off,

@@ -44,7 +44,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         note: one line for a person when something is wrong with the service, None when all is well.
         events_lost: events dropped because a subscriber that hangs held them up for too long.
         slow_puts: events that took longer than 0.1 s to send.
-        cut_off: times that the link of a subscriber that hung was dropped, an event with it.
+        cut_off: links dropped because their subscribers took no events: they hang, or were cut.
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.

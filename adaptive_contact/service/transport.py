@@ -47,10 +47,17 @@ DEFAULTS: Final[Mapping[str, object]] = {
     "timestamping/enabled": True,
     "transport/shared_memory/enabled": False,
     "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
-    # A subscriber that hangs blocks a contact event this long (us), and with it every leg, then
-    # its link is dropped.  It is seconds behind by then; Zenoh's own 5 s would fell the robot, and
-    # half a second would make the legs look silent.
-    _DROP_AFTER_US: 250_000,
+    # A subscriber that hangs blocks a contact event this long (us), then its link is dropped, one
+    # link after the other.  The service drops them all within half a second (service/sockets.py);
+    # this is what remains where that cannot work.  Short waits cut healthy links on a busy machine:
+    # of 5 ms, 32 to 97 in 20 s at a load of 10 (decision 33).
+    _DROP_AFTER_US: 1_000_000,
+    # An express message fills a batch of its own: 16 events find room before a put has to wait.
+    "transport/link/tx/queue/size/interactive_high": 16,
+    # Messages that may be dropped wait for nothing: 1 ms for each link that hangs would make the
+    # router deaf.  Sixteen batches of 64 kB are room enough for a busy machine's pauses.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    "transport/link/tx/queue/size/data": 16,
     "connect/timeout_ms": CONNECT_TIMEOUT_MS,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
     # tried anew; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
@@ -82,12 +89,10 @@ class Facts(NamedTuple):
 
     Attributes:
         listen, connect: endpoints.
-        drop_after_ns: a subscriber that blocks a reliable message for so long loses its link.
     """
 
     listen: tuple[str, ...]
     connect: tuple[str, ...]
-    drop_after_ns: int
 
 
 def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
@@ -115,7 +120,6 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     facts = Facts(
         _endpoints(config, "listen", "router") if settings.mode == "router" else (),
         _endpoints(config, "connect", settings.mode),
-        1000 * int(json.loads(config.get_json(_DROP_AFTER_US))),
     )
     for text in facts.listen:
         if not (is_loopback(text) or settings.insecure):

@@ -49,7 +49,7 @@ def headline(view: View) -> Text:
     if service.slow_puts:
         line.append(f"  {service.slow_puts} events held up", style="yellow")
     if service.cut_off:
-        line.append(f"  a subscriber cut off {service.cut_off} times", style="bold red")
+        line.append(f"  {service.cut_off} links of subscribers dropped", style="bold red")
     unheard = sum(leg.unheard for leg in view.legs)
     if unheard:
         contacts = "contact" if unheard == 1 else "contacts"

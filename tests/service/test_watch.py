@@ -376,7 +376,7 @@ def test_what_the_service_says_of_itself_is_over_the_table() -> None:
         "state: disk full",
         "3 events lost",
         "2 events held up",
-        "a subscriber cut off 4 times",
+        "4 links of subscribers dropped",
         "stood still 1 times",
     ):
         assert part in text

@@ -224,16 +224,20 @@ def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch)
 
     now = [0]
     monkeypatch.setattr("adaptive_contact.service.outbox.time.monotonic_ns", lambda: now[0])
-    for drop_after_ns, cut_off, link in ((None, 0, "kept"), (2 * S, 0, "kept"), (S, 1, "dropped")):
-        box = Outbox(drop_after_ns=drop_after_ns)
-        with capture_logs() as logs:
-            box.post(Slow(), message(1), now[0])
-            box.post(Closed(), message(2), now[0])
-        assert (box.slow, box.lost, box.cut_off, box.latencies()) == (1, 1, cut_off, [S])
-        held, lost = logs
-        assert held["event"] == "a subscriber that hangs held up contact events"
-        assert (held["for_ms"], held["its_link"]) == (1000, link)
-        assert (lost["event"], lost["why"], lost["times"]) == ("contact events lost", "closed", 1)
+    box = Outbox()
+    with capture_logs() as logs:
+        box.post(Slow(), message(1), now[0])
+        box.post(Closed(), message(2), now[0])
+        box.dropped(3)
+    assert (box.slow, box.lost, box.cut_off, box.latencies()) == (1, 1, 3, [S])
+    assert box.dropped_within(now[0] + S, S)
+    assert not box.dropped_within(now[0] + S + 1, S)
+    held, lost, dropped = logs
+    assert held["event"] == "subscribers that hang held up contact events"
+    assert held["for_ms"] == 1000
+    assert (lost["event"], lost["why"], lost["times"]) == ("contact events lost", "closed", 1)
+    assert dropped["event"].startswith("links dropped that held up contact events")
+    assert dropped["links"] == 3
 
 
 def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:

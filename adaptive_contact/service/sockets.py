@@ -1,0 +1,158 @@
+"""The TCP sockets under a Zenoh session, for what no configuration of Zenoh reaches.
+
+Two things of a peer that hangs, or goes away without a word, stop a router for everybody else:
+
+- Zenoh (1.10.2) sets SO_LINGER of 10 s on every socket, and closes it on one of the two threads
+  that receive from all links.  :class:`LinkSockets` clears the option; the kernel then sends what
+  is left in the background, and ``close`` returns at once.
+- A reliable put waits for every link whose buffers are full, one after the other, for as long as
+  ``wait_before_close`` says.  A short wait cuts healthy links on a busy machine (decision 33).  So
+  the wait is long, and while an event is held up, every link whose peer has taken nothing for
+  :data:`STUCK_NS` is shut down, all at once.
+
+Sockets are found in ``/proc/self/fd``.  Without it Zenoh behaves as it would without this module.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import struct
+import termios
+import threading
+import time
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+__all__ = ["HELD_UP_NS", "STUCK_NS", "LinkSockets"]
+
+# A link that is cut sooner than one look after it was accepted can still hold a receiving thread
+# for 10 s.
+_LOOK_S: Final = 0.1
+# An honest put takes 0.05 ms; what goes on for this long is held up by a link.
+HELD_UP_NS: Final = 100_000_000
+# A live peer's kernel acknowledges what was sent even where its process gets no core, until its
+# buffer of 64 kB and more is full.
+STUCK_NS: Final = 250_000_000
+_NO_LINGER: Final = struct.pack("ii", 0, 0)
+_T = TypeVar("_T")
+
+
+class LinkSockets:
+    """Watches the process's TCP sockets on a thread of its own.
+
+    Attributes:
+        dropped: links shut down because they held up an event.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._busy_ns: Callable[[int], int] | None = None
+        self._on_drop: Callable[[int], None] | None = None
+        self._known: frozenset[str] = frozenset()
+        # What waits in the sending queue of each socket, and since when it is the same.
+        self._queued: dict[str, tuple[int, int]] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="link-sockets", daemon=True)
+
+    def start(self) -> None:
+        """Look ten times a second from now on."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop; calling it twice is safe."""
+        self._stop.set()
+
+    def drop_what_holds_up(
+        self, busy_ns: Callable[[int], int], on_drop: Callable[[int], None]
+    ) -> None:
+        """Shut links down that hold up a put.
+
+        Args:
+            busy_ns: how long the put under way has been going on at a monotonic time, ns.
+            on_drop: called with how many links were shut down.
+        """
+        self._busy_ns, self._on_drop = busy_ns, on_drop
+
+    def look(self, now_ns: int) -> None:
+        """Look once; ``now_ns`` is monotonic."""
+        sockets = _sockets()
+        for inode, number in sockets.items():
+            if inode not in self._known:
+                _use(number, _clear_linger)
+        self._known = frozenset(sockets)
+        if self._busy_ns is None:
+            return
+        stuck = self._stuck(sockets, now_ns)
+        if self._busy_ns(now_ns) < HELD_UP_NS:
+            return
+        dropped = sum(_use(sockets[inode], _shut_down) is True for inode in stuck)
+        if dropped and self._on_drop is not None:
+            self.dropped += dropped
+            self._on_drop(dropped)
+
+    def _stuck(self, sockets: dict[str, int], now_ns: int) -> list[str]:
+        """Sockets with something to send, of which nothing was taken for long enough."""
+        queued: dict[str, tuple[int, int]] = {}
+        for inode, number in sockets.items():
+            waiting = _use(number, _waiting_bytes)
+            if waiting:
+                before, since_ns = self._queued.get(inode, (-1, now_ns))
+                # More may have been queued since; only less means that the peer took something.
+                taken = waiting < before or before < 0
+                queued[inode] = (waiting, now_ns if taken else since_ns)
+        self._queued = queued
+        return [inode for inode, (_, since) in queued.items() if now_ns - since >= STUCK_NS]
+
+    def _work(self) -> None:
+        while not self._stop.wait(_LOOK_S):
+            try:
+                self.look(time.monotonic_ns())
+            except OSError:  # no /proc, or no descriptor left
+                return
+
+
+def _sockets() -> dict[str, int]:
+    """Descriptors of the process's sockets by their inodes."""
+    found = {}
+    for name in os.listdir("/proc/self/fd"):
+        try:
+            target = os.readlink(f"/proc/self/fd/{name}")
+        except OSError:  # closed since
+            continue
+        if target.startswith("socket:"):
+            found[target] = int(name)
+    return found
+
+
+def _use(number: int, what: Callable[[socket.socket], _T]) -> _T | None:
+    """Call ``what`` with a TCP socket; None where the descriptor is no such thing any more.
+
+    A duplicate is used, as the number may belong to something else a moment later.
+    """
+    try:
+        with socket.socket(fileno=os.dup(number)) as ours:
+            tcp = ours.family in (socket.AF_INET, socket.AF_INET6) and (
+                ours.type == socket.SOCK_STREAM
+            )
+            return what(ours) if tcp else None
+    except OSError:
+        return None
+
+
+def _clear_linger(ours: socket.socket) -> None:
+    value = ours.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, len(_NO_LINGER))
+    on, seconds = struct.unpack("ii", value)
+    if on and seconds:  # a wait of 0 s is a choice of its own: reset the link
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+
+
+def _waiting_bytes(ours: socket.socket) -> int:
+    """Bytes that the peer has not acknowledged."""
+    return int(struct.unpack("i", fcntl.ioctl(ours.fileno(), termios.TIOCOUTQ, b"\0" * 4))[0])
+
+
+def _shut_down(ours: socket.socket) -> bool:
+    ours.shutdown(socket.SHUT_RDWR)
+    return True

@@ -1,0 +1,103 @@
+"""Links that hang or are cut: real sockets, and real sessions in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from adaptive_contact.service.sockets import HELD_UP_NS, STUCK_NS, LinkSockets
+
+S = 1_000_000_000
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Two ends of a TCP link on loopback; the first is the service's."""
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+        peer = stack.enter_context(socket.create_connection(server.getsockname()))
+        ours, _ = server.accept()
+        stack.enter_context(ours)
+        yield ours, peer
+
+
+def linger(ours: socket.socket) -> tuple[int, ...]:
+    return struct.unpack("ii", ours.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
+
+
+def fill(ours: socket.socket) -> None:
+    """Send until the peer, which does not read, takes no more."""
+    ours.setblocking(False)
+    try:
+        while True:
+            ours.send(b"x" * 65536)
+    except BlockingIOError:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [((1, 10), (0, 0)), ((1, 0), (1, 0)), ((0, 0), (0, 0))]
+)
+def test_a_socket_that_would_linger_does_not(
+    pair: tuple[socket.socket, socket.socket], before: tuple[int, int], after: tuple[int, int]
+) -> None:
+    ours, _ = pair
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", *before))
+    LinkSockets().look(0)
+    assert linger(ours) == after
+
+
+def test_a_link_that_takes_nothing_is_shut_down_while_a_put_waits(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, _ = pair
+    fill(ours)
+    sockets, dropped = LinkSockets(), []
+    busy = 0
+    sockets.drop_what_holds_up(lambda now_ns: busy, dropped.append)
+    sockets.look(0)
+    sockets.look(10 * S)  # it hangs, and holds nothing up
+    assert dropped == []
+    busy = HELD_UP_NS
+    sockets.look(10 * S + 1)
+    assert dropped == [1]
+    with pytest.raises(OSError, match=r"Broken pipe|reset"):
+        ours.send(b"x")
+
+
+def test_a_link_whose_peer_reads_is_kept_however_long_a_put_waits(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, peer = pair
+    sockets, dropped = LinkSockets(), []
+    sockets.drop_what_holds_up(lambda now_ns: S, dropped.append)
+    fill(ours)
+    now_ns = 0
+    for _ in range(20):
+        sockets.look(now_ns)
+        now_ns += STUCK_NS - 1
+        left = 4 * 65536  # enough for its kernel to open the window again
+        while left > 0:
+            left -= len(peer.recv(min(left, 65536)))
+        fill(ours)
+        sockets.look(now_ns)
+    assert dropped == []
+
+
+def test_other_descriptors_are_left_alone() -> None:
+    with ExitStack() as stack:
+        ends = [stack.enter_context(end) for end in socket.socketpair()]
+        udp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        for end in (ends[0], udp):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
+        sockets = LinkSockets()
+        sockets.drop_what_holds_up(lambda now_ns: S, lambda links: pytest.fail(f"{links} dropped"))
+        sockets.look(0)
+        sockets.look(10 * S)
+        assert linger(ends[0]) == linger(udp) == (1, 10)
