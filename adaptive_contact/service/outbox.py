@@ -1,10 +1,10 @@
 """Contact events on their way out, on a thread of their own.
 
 An event is put reliably, so links that take nothing any more hold the put up, until the service
-drops them (:mod:`adaptive_contact.service.sockets`).  The learners must not wait for that: the worker
-only appends, and what cannot be sent for so long that the queue is full is dropped, oldest first,
-and counted; so is what is left at the end.  Each put that was slow, or failed, is logged: the
-watchdog sees only those that go on.
+drops them (:mod:`adaptive_contact.service.sockets`).  The learners must not wait for that: the
+worker only appends, and what cannot be sent for so long that the queue is full is dropped, oldest
+first, and counted; so is what is left at the end.  Each put that was slow, or failed, is logged:
+the watchdog sees only those that go on.
 """
 
 from __future__ import annotations

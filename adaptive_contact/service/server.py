@@ -219,8 +219,8 @@ class Service:
             else None
         )
         dropped = (
-            f"{self._outbox.cut_off} links dropped since the start, as they held up contact events: "
-            "their subscribers hang or are gone"
+            f"{self._outbox.cut_off} links dropped since the start, as they held up contact "
+            "events: their subscribers hang or are gone"
             if self._outbox.dropped_within(now_ns, _REPORTED_NS)
             else None
         )

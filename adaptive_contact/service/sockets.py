@@ -19,10 +19,12 @@ import fcntl
 import os
 import socket
 import struct
+import sys
 import termios
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, TypeVar
 
 __all__ = ["HELD_UP_NS", "STUCK_NS", "LinkSockets"]
@@ -36,6 +38,8 @@ HELD_UP_NS: Final = 100_000_000
 # buffer of 64 kB and more is full.
 STUCK_NS: Final = 250_000_000
 _NO_LINGER: Final = struct.pack("ii", 0, 0)
+# Where linux/tcp.h has `tcpi_bytes_acked`, since Linux 4.1.
+_BYTES_ACKED: Final = slice(120, 128)
 _T = TypeVar("_T")
 
 
@@ -51,7 +55,7 @@ class LinkSockets:
         self._busy_ns: Callable[[int], int] | None = None
         self._on_drop: Callable[[int], None] | None = None
         self._known: frozenset[str] = frozenset()
-        # What waits in the sending queue of each socket, and since when it is the same.
+        # Of sockets with something to send: bytes acknowledged, and since when they are as many.
         self._queued: dict[str, tuple[int, int]] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="link-sockets", daemon=True)
@@ -96,12 +100,10 @@ class LinkSockets:
         """Sockets with something to send, of which nothing was taken for long enough."""
         queued: dict[str, tuple[int, int]] = {}
         for inode, number in sockets.items():
-            waiting = _use(number, _waiting_bytes)
+            waiting, acknowledged = _use(number, _progress) or (0, 0)
             if waiting:
                 before, since_ns = self._queued.get(inode, (-1, now_ns))
-                # More may have been queued since; only less means that the peer took something.
-                taken = waiting < before or before < 0
-                queued[inode] = (waiting, now_ns if taken else since_ns)
+                queued[inode] = (acknowledged, since_ns if acknowledged == before else now_ns)
         self._queued = queued
         return [inode for inode, (_, since) in queued.items() if now_ns - since >= STUCK_NS]
 
@@ -116,13 +118,13 @@ class LinkSockets:
 def _sockets() -> dict[str, int]:
     """Descriptors of the process's sockets by their inodes."""
     found = {}
-    for name in os.listdir("/proc/self/fd"):
+    for descriptor in Path("/proc/self/fd").iterdir():
         try:
-            target = os.readlink(f"/proc/self/fd/{name}")
+            target = str(descriptor.readlink())
         except OSError:  # closed since
             continue
         if target.startswith("socket:"):
-            found[target] = int(name)
+            found[target] = int(descriptor.name)
     return found
 
 
@@ -148,9 +150,11 @@ def _clear_linger(ours: socket.socket) -> None:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
 
 
-def _waiting_bytes(ours: socket.socket) -> int:
-    """Bytes that the peer has not acknowledged."""
-    return int(struct.unpack("i", fcntl.ioctl(ours.fileno(), termios.TIOCOUTQ, b"\0" * 4))[0])
+def _progress(ours: socket.socket) -> tuple[int, int]:
+    """Bytes that the peer has not acknowledged yet, and those that it has, ever."""
+    waiting = struct.unpack("i", fcntl.ioctl(ours.fileno(), termios.TIOCOUTQ, b"\0" * 4))[0]
+    info = ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_ACKED.stop)
+    return int(waiting), int.from_bytes(info[_BYTES_ACKED], sys.byteorder)
 
 
 def _shut_down(ours: socket.socket) -> bool:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import socket
 import struct
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -41,16 +38,14 @@ def fill(ours: socket.socket) -> None:
         pass
 
 
-@pytest.mark.parametrize(
-    ("before", "after"), [((1, 10), (0, 0)), ((1, 0), (1, 0)), ((0, 0), (0, 0))]
-)
+@pytest.mark.parametrize(("before", "on"), [((1, 10), 0), ((1, 0), 1), ((0, 0), 0)])
 def test_a_socket_that_would_linger_does_not(
-    pair: tuple[socket.socket, socket.socket], before: tuple[int, int], after: tuple[int, int]
+    pair: tuple[socket.socket, socket.socket], before: tuple[int, int], on: int
 ) -> None:
     ours, _ = pair
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", *before))
     LinkSockets().look(0)
-    assert linger(ours) == after
+    assert linger(ours)[0] == on
 
 
 def test_a_link_that_takes_nothing_is_shut_down_while_a_put_waits(
