@@ -143,10 +143,16 @@ def command() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts this interpreter with arguments; ends it by its id if the test did not."""
     running: list[subprocess.Popen[str]] = []
 
-    def start(*args: str, **popen: Any) -> subprocess.Popen[str]:
+    def start(
+        *args: str, within: Callable[..., list[str]] | None = None, **popen: Any
+    ) -> subprocess.Popen[str]:
         paths = os.pathsep.join(path for path in sys.path if path)
+        line = [sys.executable, *args]
         process = subprocess.Popen(
-            [sys.executable, *args], text=True, env={**os.environ, "PYTHONPATH": paths}, **popen
+            line if within is None else within(*line),
+            text=True,
+            env={**os.environ, "PYTHONPATH": paths},
+            **popen,
         )
         running.append(process)
         return process

@@ -44,14 +44,16 @@ with Link.open(router_settings([sys.argv[1]])) as link:
     threading.Event().wait()
 """
 
-# A subscriber that hangs when it is stopped: a foreign one, with Zenoh's own settings.
+# Subscribers that hang when their process is stopped: foreign ones, with Zenoh's own settings.
 FOREIGN = """
 import sys, threading, zenoh
 text = '{mode: "client", connect: {endpoints: ["%s"]}}' % sys.argv[1]
-with zenoh.open(zenoh.Config.from_json5(text)) as session:
-    kept = session.declare_subscriber("robot/**", lambda sample: None)
-    print("subscribed", flush=True)
-    threading.Event().wait()
+kept = []
+for _ in range(int(sys.argv[2])):
+    session = zenoh.open(zenoh.Config.from_json5(text))
+    kept += [session, session.declare_subscriber("robot/**", lambda sample: None)]
+print("subscribed", flush=True)
+threading.Event().wait()
 """
 
 
