@@ -44,10 +44,14 @@ with Link.open(router_settings([sys.argv[1]])) as link:
     threading.Event().wait()
 """
 
-# Subscribers that hang when their process is stopped: foreign ones, with Zenoh's own settings.
+# Subscribers that hang when their process is stopped: foreign ones, with Zenoh's own settings but
+# for the lease of our own commands: a router gives a silent link up when what its peer said is over.
 FOREIGN = """
 import sys, threading, zenoh
-text = '{mode: "client", connect: {endpoints: ["%s"]}}' % sys.argv[1]
+text = (
+    '{mode: "client", connect: {endpoints: ["%s"]}, transport: {link: {tx: {lease: 2000}}}}'
+    % sys.argv[1]
+)
 kept = []
 for _ in range(int(sys.argv[2])):
     session = zenoh.open(zenoh.Config.from_json5(text))
