@@ -98,13 +98,14 @@ def robot_text(
     model: str = "AX-12A",
     protocol: int = 1,
     ports: int = 1,
+    timeout_ms: int = 10,
     extra: str = "",
 ) -> str:
     lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
     for p in range(ports):
         lines.append(
             f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\n'
-            f"timeout_ms = 10\n{extra}\n"
+            f"timeout_ms = {timeout_ms}\n{extra}\n"
         )
     for i in range(legs):
         ids = [i * joints + j + 1 for j in range(joints)]
