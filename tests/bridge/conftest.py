@@ -82,7 +82,7 @@ class Catcher:
             self.lines.append(line)
             self._changed.notify_all()
 
-    def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 10.0) -> None:
+    def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 40.0) -> None:
         with self._changed:
             assert self._changed.wait_for(lambda: true(self), timeout_s), (
                 f"not within {timeout_s} s: {len(self.ticks)} ticks, {self.lines}, "

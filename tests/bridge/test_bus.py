@@ -76,7 +76,7 @@ def test_one_sync_write_reaches_all(rig: Callable, kind: dict) -> None:
 
 @pytest.mark.parametrize("kind", [AX, XL, FAST])
 def test_a_silent_servo_hides_no_other(rig: Callable, kind: dict) -> None:
-    r = rig(**kind, timeout_ms=200)  # however busy the machine is
+    r = rig(**kind, timeout_ms=100)  # however busy the machine is
     bus, joints = opened(r), r.plans[0].joints
     r.fault("silent:id=2")
     readings = bus.read([j.servo for j in joints], joints[0].model.motion)
@@ -148,12 +148,12 @@ def test_every_wrong_checksum_of_a_common_answer_is_counted(
 
 @pytest.mark.parametrize("kind", [AX, XL, FAST])
 def test_silent_servos_take_no_longer_than_there_is_time(rig: Callable, kind: dict) -> None:
-    r = rig(**kind, timeout_ms=200)
+    r = rig(**kind, timeout_ms=100)
     bus, joints = opened(r), r.plans[0].joints
     r.fault("silent:")
     began = time.monotonic()
-    readings = bus.read([j.servo for j in joints], joints[0].model.motion, end=began + 0.5)
-    assert 1 <= len(readings) < 6  # at 200 ms each there is no time to ask them all
+    readings = bus.read([j.servo for j in joints], joints[0].model.motion, end=began + 0.25)
+    assert 1 <= len(readings) < 6  # at 100 ms each there is no time to ask them all
     assert all(reading.fault is Fault.NO_ANSWER for reading in readings.values())
     r.fault()
     readings = bus.read([j.servo for j in joints], joints[0].model.motion)
