@@ -26,6 +26,7 @@ def opened(rig) -> Bus:
     plan = rig.plans[0]
     bus = Bus(plan.name, plan.port)
     bus.open()
+    bus.timeout_ms = max(bus.timeout_ms, 100.0)  # however busy the machine is
     return bus
 
 
