@@ -12,6 +12,13 @@ BRIDGE_MINUTES ?= 10
 # Processes in real time have the machine to themselves; the other tests share it, file by file.
 TOGETHER := -n 2 --dist loadfile
 
+# A pipe must fail where pip fails.  What takes time is printed: packages as they come, not what
+# each asks for.
+SHELL := /bin/bash
+.SHELLFLAGS := -o pipefail -c
+PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off
+PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
+
 .DEFAULT_GOAL := help
 .PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills lock wheel clean
 
@@ -21,16 +28,22 @@ help:  ## this list
 env: $(STAMP)  ## the virtual environment, from the lock file
 
 $(STAMP): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-	  echo "found $$($(PYTHON) --version 2>&1 || echo no $(PYTHON)); expected Python 3.11 or newer;" \
-	       "run: apt install python3, or: make PYTHON=/path/to/python3.11"; exit 1; }
-	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	@command -v "$(PYTHON)" >/dev/null || { \
+	  echo "found no $(PYTHON); expected Python 3.11 or newer;" \
+	       "run: apt install python3 python3-venv, or: make PYTHON=/path/to/python3.11"; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "found $$("$(PYTHON)" --version 2>&1); expected Python 3.11 or newer;" \
+	       "run: make PYTHON=/path/to/python3.11"; exit 1; }
+	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo "found $(PYTHON) without ensurepip; expected the Debian package python3-venv;" \
 	       "run: apt install python3-venv"; exit 1; }
-	$(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@echo "making $(VENV): $$(grep -cE '^[a-z].*==' requirements.lock) packages," \
+	      "some 250 MB to download and 0.9 GB on disk; half a minute and more"
+	@"$(PYTHON)" -m venv --clear $(VENV)
+	@$(PIP) --require-hashes --requirement requirements.lock | $(PROGRESS)
+	@$(PIP) --no-deps --no-build-isolation --editable . | $(PROGRESS)
 	@touch $@
+	@echo "$(VENV) is ready"
 
 demo: env  ## service and simulator as two processes, a drift, a report in out/demo
 	$(BIN)/python -m adaptive_contact demo --out out/demo

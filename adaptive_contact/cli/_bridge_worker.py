@@ -12,6 +12,7 @@ from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.status import BridgeStatus
+from adaptive_contact.cli._output import protect_output
 from adaptive_contact.errors import AdaptiveContactError, LinkError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
@@ -75,6 +76,7 @@ def work(
         realtime: run before all ordinary processes.
         phase: share of the control period by which ticks begin later.
     """
+    protect_output()
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

@@ -26,6 +26,7 @@ from adaptive_contact.cli._options import (
     check_output,
     client,
 )
+from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.cli._sim_options import needs_simulator, stoppable
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
@@ -145,6 +146,7 @@ def dynamixel(
     json: JsonPayloadOption = False,
 ) -> None:
     """Publish the servos' positions and goals at the control rate, a process per port."""
+    make_stdout_optional()
     stop = stoppable()
     with needs_sdk():
         from adaptive_contact.bridge.handshake import check_ports
@@ -308,6 +310,7 @@ def virtual(
     json: JsonPayloadOption = False,
 ) -> None:
     """A bus on pseudo-terminals whose servos are the simulated robot."""
+    make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
         from adaptive_contact_sim.virtual import parse_fault

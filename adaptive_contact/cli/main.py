@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import errno
 import importlib
-import os
 import sys
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import typer
 
+from adaptive_contact.cli._output import OutputLost, make_stdout_optional, protect_output
 from adaptive_contact.errors import AdaptiveContactError
 
 __all__ = ["app", "main"]
@@ -33,7 +33,8 @@ _Misunderstood: Final[type[Exception]] = next(
     kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "UsageError"
 )
 _INTERRUPTED: Final = 130  # as a shell has it
-_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_READER_GONE: Final = 141  # likewise: 128 + SIGPIPE
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 # Command -> module with a function of the same name; order is the help's.
 _COMMANDS: Final = (
@@ -80,55 +81,70 @@ def _register(asked: str = "") -> None:
 def main() -> None:
     """Run the command line.
 
-    Expected failures end in one line on stderr and exit code 2, Ctrl-C in 130, and a reader of
-    stdout that is gone (`| head`) in 141.
+    Exit codes: 0 the command did its work; 1 it did not, or found something wrong; 2 an expected
+    failure, said in one line on stderr, such as a file that cannot be read or a full disk under
+    stdout; 130 Ctrl-C; 141 the reader of stdout is gone (``| head``).
     """
+    protect_output()
+    try:
+        code = _run()
+        sys.stdout.flush()
+    except OutputLost as lost:
+        code = _lost(lost.cause)
+    finally:  # the interpreter's own flush cannot fail any more
+        make_stdout_optional()
+    sys.exit(code)
+
+
+def _run() -> int:
     try:
         _register(sys.argv[1] if len(sys.argv) > 1 else "")
         code = app(prog_name="adaptive-contact", standalone_mode=False)
-        sys.stdout.flush()
     except KeyboardInterrupt:  # while a command was still being loaded
-        sys.exit(_INTERRUPTED)
+        return _INTERRUPTED
     except typer.Abort as abort:
         if isinstance(abort.__cause__, KeyboardInterrupt):
-            sys.exit(_INTERRUPTED)
+            return _INTERRUPTED
         print("adaptive-contact: nothing was done", file=sys.stderr)
-        sys.exit(1)
+        return 1
     except _Misunderstood as error:
-        _refuse(error)
+        return _refuse(error)
     except AdaptiveContactError as error:
         print(f"adaptive-contact: {error}", file=sys.stderr)
-        sys.exit(2)
-    except BrokenPipeError:
-        _drop_stdout()
-        sys.exit(141)
+        return 2
     except OSError as error:
         if error.errno not in _FULL:
             raise
-        _drop_stdout()
         print(
-            f"adaptive-contact: the output cannot be written ({error.strerror}); make room, or "
-            "send it elsewhere",
+            f"adaptive-contact: {error.filename or 'a file'} cannot be written "
+            f"({error.strerror}); make room",
             file=sys.stderr,
         )
-        sys.exit(2)
-    sys.exit(code if isinstance(code, int) else 0)
+        return 2
+    return code if isinstance(code, int) else 0
 
 
-def _refuse(error: Any) -> NoReturn:
+def _lost(cause: OSError) -> int:
+    """Say why stdout cannot be written; a reader that is gone knows."""
+    if isinstance(cause, BrokenPipeError):
+        return _READER_GONE
+    print(
+        f"adaptive-contact: the output cannot be written ({cause.strerror}); make room, or send it "
+        "elsewhere",
+        file=sys.stderr,
+    )
+    return 2
+
+
+def _refuse(error: Any) -> int:
     """One line for a command line that cannot be understood, and where its options are told."""
     if type(error).__name__ == "NoArgsIsHelpError":  # the help was its message
         error.show()
-        sys.exit(error.exit_code)
+        return int(error.exit_code)
     path = "adaptive-contact" if error.ctx is None else error.ctx.command_path
     words = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
     print(f"adaptive-contact: {words}; see `{path} --help`", file=sys.stderr)
-    sys.exit(error.exit_code)
-
-
-def _drop_stdout() -> None:
-    """Nothing can be written there: keep the interpreter's own flush at the end quiet."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return int(error.exit_code)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     client,
 )
+from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.errors import ConfigurationError, LinkError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def record(
     zenoh_config: ZenohConfigOption = None,
 ) -> None:
     """Record messages of any key, byte for byte, until Ctrl-C."""
+    make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

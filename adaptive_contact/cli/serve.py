@@ -32,6 +32,7 @@ from adaptive_contact.cli._options import (
     StateOption,
     ZenohConfigOption,
 )
+from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
 from adaptive_contact.priority import cores, take_priority
 
@@ -70,6 +71,7 @@ def serve(
 
     Embeds a router on loopback; with --connect alone it joins another one instead.
     """
+    make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -102,7 +104,7 @@ def serve(
         # Before Zenoh makes its threads: an event passes through them.
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
-            _tell(f"adaptive-contact: {refused}", err=True)
+            typer.echo(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
@@ -125,7 +127,7 @@ def serve(
                 sweeper=sweeper,
             )
             sweeper.start(time.monotonic_ns())
-            _tell(_ready_line(link, robot, origin))
+            typer.echo(_ready_line(link, robot, origin))
             refitter.start()
             service.run(stop)
             service.log_figures()
@@ -235,14 +237,4 @@ def _ready_line(link: Link, robot: Robot, origin: str | None) -> str:
 
 
 def _say(finding: Finding) -> None:
-    _tell(f"adaptive-contact: {finding.line}; trying on", err=True)
-
-
-def _tell(line: str, *, err: bool = False) -> None:
-    """Print a line, if that can be done: a full disk must not end the service."""
-    try:
-        typer.echo(line, err=err)
-    except (OSError, ValueError):  # full, gone, or closed
-        if not err:
-            # What is left in the buffer would be tried again at the exit, and spoil its code.
-            sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - for as long as we live
+    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

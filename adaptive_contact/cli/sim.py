@@ -16,6 +16,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     client,
 )
+from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.cli._sim_options import (
     BogusOption,
     DriftOption,
@@ -91,6 +92,7 @@ def pose(
     json: JsonPayloadOption = False,
 ) -> None:
     """Stand on five legs and move one, in free air or onto obstacles (the paper's set-up)."""
+    make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
         from adaptive_contact_sim import LEGS, PoseSettings, RunPlan
@@ -149,6 +151,7 @@ def walk(
     json: JsonPayloadOption = False,
 ) -> None:
     """Walk over flat, stepped, rough or soft ground."""
+    make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
         from adaptive_contact_sim import RunPlan, WalkSettings

@@ -82,7 +82,7 @@ class Catcher:
             self.lines.append(line)
             self._changed.notify_all()
 
-    def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 10.0) -> None:
+    def wait(self, true: Callable[[Catcher], Any], timeout_s: float = 40.0) -> None:
         with self._changed:
             assert self._changed.wait_for(lambda: true(self), timeout_s), (
                 f"not within {timeout_s} s: {len(self.ticks)} ticks, {self.lines}, "
@@ -98,13 +98,14 @@ def robot_text(
     model: str = "AX-12A",
     protocol: int = 1,
     ports: int = 1,
+    timeout_ms: int = 10,
     extra: str = "",
 ) -> str:
     lines = ['[robot]\nname = "rig"\nperiod_s = 0.02\nquantum_rad = 0.00511\n']
     for p in range(ports):
         lines.append(
             f'[port.p{p}]\ndevice = "{directory}/p{p}"\nprotocol = {protocol}\n'
-            f"timeout_ms = 10\n{extra}\n"
+            f"timeout_ms = {timeout_ms}\n{extra}\n"
         )
     for i in range(legs):
         ids = [i * joints + j + 1 for j in range(joints)]

@@ -197,9 +197,11 @@ def main() -> None:
     sys.modules["adaptive_contact.service.refit_process"] = process
     import typer
 
+    from adaptive_contact.cli._output import protect_output
     from adaptive_contact.cli.serve import serve
     from adaptive_contact.errors import AdaptiveContactError
 
+    protect_output()
     try:
         typer.run(serve)
     except AdaptiveContactError as error:

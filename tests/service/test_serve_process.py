@@ -18,8 +18,7 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.cli.serve import _say
-from adaptive_contact.service.link import Finding, Link, Publisher, Reach, router_settings
+from adaptive_contact.service.link import Link, Publisher, router_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.wire import (
     ALL_CONTACT,
@@ -261,15 +260,6 @@ def test_a_full_disk_for_its_lines_ends_nothing(
     statuses.wait(2)  # it works on after the line that could not be written
     process.send_signal(signal.SIGTERM)
     assert process.wait(5) == 0
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_what_it_waits_for_goes_where_it_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    full = Path("/dev/full").open("w", buffering=1)  # noqa: SIM115 - what is closed badly
-    monkeypatch.setattr(sys, "stderr", full)
-    _say(Finding(Reach.UNREACHABLE, "nobody there"))
-    with contextlib.suppress(OSError):
-        full.close()
 
 
 def test_a_stop_while_waiting_for_a_router_is_clean(serve: Any) -> None:

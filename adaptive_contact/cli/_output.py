@@ -1,0 +1,97 @@
+"""Standard output and standard error that cannot be written: a full disk, or a reader that is gone.
+
+A line on standard error is lost, and the command goes on.  Standard output is what a command is
+called for, so it ends with :class:`OutputLost`; a command that runs until it is stopped declares
+with :func:`make_stdout_optional` that its lines are lost as well.  After that nothing is left that
+the interpreter could fail to write at its exit, which would turn the exit code into 120.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+__all__ = ["OutputLost", "make_stdout_optional", "protect_output"]
+
+
+class OutputLost(Exception):  # noqa: N818 - no error of the program
+    """Standard output takes no more.
+
+    Not an ``OSError``: typer and rich take a broken pipe of any file for that of standard output,
+    and end with code 1.
+
+    Args:
+        cause: what the system said.
+    """
+
+    def __init__(self, cause: OSError) -> None:
+        super().__init__(cause.strerror)
+        self.cause = cause
+
+
+class _Channel(io.FileIO):
+    """A standard stream's file, which drops what cannot be written.
+
+    Args:
+        number: of the file descriptor, which stays open.
+        needed: the first write that fails raises :class:`OutputLost`; what is still buffered then
+            is dropped.
+    """
+
+    def __init__(self, number: int, *, needed: bool) -> None:
+        super().__init__(number, "w", closefd=False)
+        self.needed = needed
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if self.needed:
+                self.needed = False
+                raise OutputLost(error) from error
+            return memoryview(data).nbytes
+
+
+def protect_output() -> None:
+    """Replace ``sys.stdout`` and ``sys.stderr`` by streams that a failing write does not spoil.
+
+    Call it once per process, before anything is printed.  A stream that was closed by the caller
+    (``>&-``) becomes the null device, so that no file opened later takes its number.
+    """
+    with contextlib.suppress(OSError):
+        while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+            os.set_inheritable(number, True)
+        os.close(number)
+    sys.stdout = _protected(sys.stdout, 1, needed=True)
+    sys.stderr = _protected(sys.stderr, 2, needed=False)
+
+
+def make_stdout_optional() -> None:
+    """Lose lines on standard output that cannot be written, instead of ending with them."""
+    channel = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    if isinstance(channel, _Channel):
+        channel.needed = False
+
+
+def _protected(stream: TextIO | None, number: int, *, needed: bool) -> TextIO:
+    at_once = number == 2
+    encoding, errors = "utf-8", "backslashreplace"
+    if stream is None:  # closed by the caller; what has its number now may be another file
+        number = os.open(os.devnull, os.O_WRONLY)
+    if isinstance(stream, io.TextIOWrapper):
+        with contextlib.suppress(OSError):
+            stream.flush()
+        at_once = stream.line_buffering or stream.write_through
+        encoding, errors = stream.encoding, stream.errors or errors
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Channel(number, needed=needed)),
+        encoding=encoding,
+        errors=errors,
+        line_buffering=at_once,
+    )
