@@ -123,7 +123,10 @@ class Cycle:
         told = {}
         for leg, servos in self._lacking.items():
             if servos:
-                names = ", ".join(f"{servo} ({self._trouble(servo)})" for servo in servos)
+                reasons: dict[str, list[str]] = {}
+                for servo in servos:
+                    reasons.setdefault(self._trouble(servo), []).append(str(servo))
+                names = "; ".join(f"{', '.join(ids)} ({why})" for why, ids in reasons.items())
                 begun = self._drivers[leg].goal is not None
                 does = "goes on without" if begun else "commands wait for"
                 told[leg] = f"leg {leg}: {does} servo {names}"

@@ -93,6 +93,7 @@ class Stage:
     horns: Horns
     joint: JointPlan
     max_step_rad: float
+    wish: float | None = None
 
     def __post_init__(self) -> None:
         leg = LegPlan("l", (self.joint,), self.max_step_rad)
@@ -114,7 +115,10 @@ class Stage:
 
     def tick(self, command: float | None) -> None:
         """One tick: the horn moves at most a step towards the command, or not at all."""
-        if command is not None:
+        if command is None:
+            command = self.wish  # for another 200 ms
+        else:
+            self.wish = command
             payload = encode(Command(desired=[command]))
             self.mailbox.put("l", payload, MSGPACK, time.monotonic_ns())
         before, at, writes = self.horns.angle(0), self.told(), self.servo.writes
@@ -161,11 +165,11 @@ def registers_of(model: ServoModel) -> st.SearchStrategy[dict[str, int]]:
             }
             goal = st.one_of(step, st.integers(-28672, 28672))
         if "torque_control" in model.registers:
-            fields["torque_control"] = st.sampled_from([0, 0, 0, 1])
+            fields["torque_control"] = st.sampled_from([0] * 7 + [1])
     else:
         fields = {
-            "operating_mode": st.sampled_from([3, 3, 3, 4, 5, 0, 1, 16]),
-            "drive_mode": st.sampled_from([0, 0, 1, 4, 5, 8, 2, 13]),
+            "operating_mode": st.sampled_from([3, 3, 3, 3, 3, 4, 4, 5, 5, 0, 1, 16]),
+            "drive_mode": st.sampled_from([0, 0, 0, 0, 1, 1, 4, 5, 8, 2, 13]),
             "homing_offset": st.one_of(
                 st.just(0), st.integers(-1100, 1100), st.integers(-(2**20), 2**20)
             ),
@@ -233,7 +237,7 @@ def happen(stage: Stage, what: str, where: float) -> None:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     data=st.data(),
