@@ -15,6 +15,7 @@ import enum
 import math
 import termios
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -27,20 +28,25 @@ from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, split_fast_sync
 from adaptive_contact.bridge.tables import Block, Register
 from adaptive_contact.robot import Port
 
-__all__ = ["Bus", "Fault", "Pong", "Reading"]
+__all__ = ["MODEL_NUMBER", "Bus", "Fault", "Pong", "Reading"]
 
 T = TypeVar("T")
 
 _TIMEOUT: Final = -3001
 _ALERT: Final = 0x80
 # The same in every control table.
-_MODEL_NUMBER: Final = Block(0, 2)
+MODEL_NUMBER: Final = Block(0, 2)
 # For what has to succeed, outside the cycle.
 _TRIES: Final = 4
+# What arrives is waited out for so long at the most, before something is asked again.
+_SETTLE_S: Final = 0.5
+_SETTLE_BYTES: Final = 256
 # Of so many reads, so many garbled ones are no accident.
 _LOOKS, _GARBLED = 5, 3
 # What an answer takes at the least, with some wire and a computer in between.
 _ASK_S: Final = 0.0005
+# Bytes of a status packet around its data, protocol 2.0's; 1.0 has fewer.
+_STATUS_BYTES: Final = 11
 # Offsets in the SDK's list of a status packet's bytes, protocol 2.0: FF FF FD 00 id len len 55 err;
 # of 1.0: FF FF id len err.
 _ID2, _LENGTH2, _ERROR2, _DATA2 = 4, 5, 8, 9
@@ -89,6 +95,9 @@ class Bus:
     Args:
         name: of the port in ``robot.toml``.
         port: its settings.
+
+    Attributes:
+        late: answers that came after they were waited for, by servo.
     """
 
     def __init__(self, name: str, port: Port) -> None:
@@ -97,6 +106,8 @@ class Bus:
         self._fast = port.fast
         self._port = SdkPort(name, port)
         self._packets: Any = PacketHandler(float(port.protocol))
+        self.late: Counter[int] = Counter()
+        self._unanswered: set[int] = set()
 
     @property
     def device(self) -> str:
@@ -199,6 +210,29 @@ class Bus:
         faults = [self._guarded(lambda: self._read_one(servo, block)).fault for _ in range(_LOOKS)]
         return faults.count(Fault.CORRUPT) < _GARBLED
 
+    def confirmed(self, servo: int, block: Block) -> bytes | None:
+        """Bytes of registers that stay as they are: two answers in a row agree on them.
+
+        Nothing is to be said against a servo for one answer: it may be a late one to another
+        question.  The second question is a byte longer, so its answer cannot be the first's.
+
+        Returns:
+            The bytes, or None where no two answers in some tries agree.
+        """
+        for _ in range(_TRIES):
+            once, twice = (
+                self._guarded(lambda b=b: self._read_one(servo, b)).data  # type: ignore[misc]
+                for b in (block, block.longer)
+            )
+            if once is not None and twice is not None and twice[: block.size] == once:
+                return once
+            self._guarded(self._settle)
+        return None
+
+    def cost_s(self, block: Block) -> float:
+        """How long a servo's answer to a read takes, about, in a common one or alone."""
+        return _ASK_S + (block.size + _STATUS_BYTES) * self._port.byte_s
+
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not tell it within some tries."""
         block = Block(register.address, register.size)
@@ -278,13 +312,36 @@ class Bus:
             return None
         doubled = self._second_answer()
         for _ in range(_TRIES):
-            data = self._read_one(servo, _MODEL_NUMBER).data
+            data = self._read_one(servo, MODEL_NUMBER).data
             if data is not None:
                 return Pong(int.from_bytes(data, "little"), doubled)
         return Pong(None, doubled)
 
+    def _settle(self) -> None:
+        """Wait until nothing arrives any more."""
+        end = time.monotonic() + _SETTLE_S
+        while time.monotonic() < end:
+            self._port.setPacketTimeout(0)
+            if not self._port.readPort(_SETTLE_BYTES):
+                return
+
+    def _drain(self) -> None:
+        """Throw away what arrived too late, and count whose it was."""
+        before = self._port.discarded
+        self._port.clearPort()
+        if self._port.discarded > before:
+            self._count_late()
+
+    def _count_late(self) -> None:
+        self.late.update(self._unanswered)
+        self._unanswered.clear()
+
+    def _note(self, servo: int, *, answered: bool) -> None:
+        (self._unanswered.discard if answered else self._unanswered.add)(servo)
+
     def _ping_alone(self, servo: int) -> int:
         """Ping and nothing else: the SDK's own reads the model too, and hides what failed."""
+        self._drain()
         if self.protocol == 1:
             packet = [0, 0, servo, 2, Instruction.PING, 0]
         else:
@@ -297,7 +354,8 @@ class Bus:
         return len(self._port.readPort(1)) > 0
 
     def _read_one(self, servo: int, block: Block) -> Reading:
-        at_s = time.monotonic()
+        self._drain()
+        at_s, before = time.monotonic(), self._port.received
         place = block.address, block.size
         if self.protocol == 1:
             packet = [0, 0, servo, 4, Instruction.READ, *place, 0]
@@ -305,6 +363,9 @@ class Bus:
             wide = [byte for value in place for byte in (value & 0xFF, value >> 8)]
             packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *wide, 0, 0]
         answer, result, error = self._packets.txRxPacket(self._port, packet)
+        if self._port.received - before > len(answer or ()):
+            self._count_late()  # another's answer came in between
+        self._note(servo, answered=result != _TIMEOUT)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
         return self._reading(self._data(answer), error, block, at_s)
@@ -334,6 +395,7 @@ class Bus:
             wrong checksum, or a broken header, without a word.
         """
         found: dict[int, Reading] = {}
+        self._drain()
         at_s = time.monotonic()
         result = self._packets.syncReadTx(
             self._port, block.address, block.size, list(servos), len(servos), self._fast
@@ -345,9 +407,11 @@ class Bus:
             self._port.is_using = True
             packet, result = self._packets.rxPacket(self._port, True)
             if result == COMM_SUCCESS and packet[_ID2] == BROADCAST_ID:
-                understood += len(packet)
-                for answer in split_fast_sync(bytes(packet[_ERROR2:-2]), block.size):
-                    if answer.id in servos:
+                answers = split_fast_sync(bytes(packet[_ERROR2:-2]), block.size)
+                # One that was cut short would put all after it off their places.
+                if [answer.id for answer in answers] == list(servos):
+                    understood += len(packet)
+                    for answer in answers:
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
             return found, self._port.received - before > understood
         while len(found) < len(servos):

@@ -1,23 +1,25 @@
 """One control tick of a port: read, command, sample.
 
 In *observe* mode nothing is ever written: goals are read along with the positions.  In *drive*
-mode the positions are read first, then the newest commands are limited and written with one sync
-write; a sample pairs the two, as the wire's contract wants it.
+mode goals and positions are read first, then the newest commands are limited and written with one
+sync write; a sample pairs the two, as the wire's contract wants it.  A servo that did not answer in
+this tick gets no goal in it: what it holds, and whether it drives, is not known then.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
-from adaptive_contact.bridge.drive import EASY_SHARE, Driver, Mode, complaint
+from adaptive_contact.bridge.drive import Driver, Mode, complaint
 from adaptive_contact.bridge.health import SILENT_AFTER, Punctuality, ServoHealth, due, is_stale
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
 from adaptive_contact.bridge.status import ServoCounts
-from adaptive_contact.bridge.wake import Standing, standing
+from adaptive_contact.bridge.tables import Block
+from adaptive_contact.bridge.wake import Place, Register, Standing, Waker, standing
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["Cycle"]
@@ -29,8 +31,8 @@ _RETRY_SHARE: Final = 0.4
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
 # A servo that has shut itself down is looked at again after so long.
 _LOOK_S: Final = 1.0
-# A goal this close to where a servo is, or within one step of the easy pace, is where it is.
-_NEAR_STEPS: Final = 2
+# Settings of servos that are to be woken are read within this share of the period.
+_LEARN_SHARE: Final = 0.25
 # What alarms are about is asked for this share of the period at most, after the tick's own work.
 _ASK_SHARE: Final = 0.3
 
@@ -41,20 +43,27 @@ class _Servo:
 
     Attributes:
         joint: it is of.
+        waker: whether it may be moved.
         steps: position, as it was last read.
         goal: in force, steps.
-        awake: it has torque and goals from us.
+        fresh: it has answered in this tick.
+        stands: how, as far as this tick's readings say.
+        register: what its goal register held against what was written.
         look_at: cycle from which on a servo that has shut itself down is looked at again.
     """
 
     joint: JointPlan
+    waker: Waker
     steps: int | None = None
     off_rad: float = 0.0  # from the position read to where it was at its moment of the tick
     speed_rad_s: float = 0.0
     goal: int | None = None
     last_goal: int | None = None
     valid: bool = False
-    awake: bool = False
+    fresh: bool = False
+    stands: Standing | None = None
+    register: Register = Register.TAKEN
+    shut_seen: bool = False
     look_at: int = 0
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
 
@@ -90,7 +99,11 @@ class Cycle:
         self._mailbox = mailbox
         self._run = run
         self._model = plan.joints[0].model
-        self._servos = {joint.servo: _Servo(joint) for joint in plan.joints}
+        self._servos = {
+            joint.servo: _Servo(joint, Waker(joint, leg.max_step_rad))
+            for leg in plan.legs
+            for joint in leg.joints
+        }
         self.health = {joint.servo: ServoHealth() for joint in plan.joints}
         self._drivers = {leg.id: Driver(leg) for leg in plan.legs} if mode == "drive" else {}
         self._lacking: dict[str, list[int]] = {}
@@ -110,7 +123,10 @@ class Cycle:
         told = {}
         for leg, servos in self._lacking.items():
             if servos:
-                names = ", ".join(f"{servo} ({self._trouble(servo)})" for servo in servos)
+                reasons: dict[str, list[str]] = {}
+                for servo in servos:
+                    reasons.setdefault(self._trouble(servo), []).append(str(servo))
+                names = "; ".join(f"{', '.join(ids)} ({why})" for why, ids in reasons.items())
                 begun = self._drivers[leg].goal is not None
                 does = "goes on without" if begun else "commands wait for"
                 told[leg] = f"leg {leg}: {does} servo {names}"
@@ -136,7 +152,8 @@ class Cycle:
         for servo in self._servos.values():
             servo.last_goal = None
             servo.speed_rad_s = 0.0
-            servo.awake = servo.valid = False
+            servo.valid = servo.fresh = False
+            servo.waker.forget()
         for record in self.health.values():
             # Who was silent is asked, and told of, as one who is until it answers.
             record.misses = SILENT_AFTER - 1 if record.silent else 0
@@ -198,7 +215,7 @@ class Cycle:
         readings = self.bus.read(asked[first:] + asked[:first], self._model.state, 0.0, end_s)
         for number, reading in readings.items():
             if reading.data is not None:
-                stands = standing(self._model, reading.data)
+                stands = standing(self._model, self._model.state, reading.data)
                 if stands.alarms:
                     self.health[number].alarm(stands.alarms)
                 self._judge(self._servos[number], stands)
@@ -206,9 +223,9 @@ class Cycle:
     # -- private -------------------------------------------------------------------------------
 
     def _read(self, now_ns: int, due_ns: int) -> None:
-        # Goals are read where they are not known: by an observer always, by a driver at first.
-        known = self.mode == "drive" and all(d.goal is not None for d in self._drivers.values())
-        block = self._model.motion if known else self._model.goal_and_motion
+        block = self._model.watched if self.mode == "drive" else self._model.goal_and_motion
+        # Every other tick a byte more: a late answer cannot be taken for one to the next question.
+        block = block.longer if self._count % 2 else block
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
         now_s, period_s = now_ns / 1e9, self.plan.period_s
         self._until_s = now_s + _RETRY_SHARE * period_s
@@ -216,6 +233,7 @@ class Cycle:
         readings = self.bus.read(asked, block, self._until_s, self._end_s)
         for number, servo in self._servos.items():
             servo.last_goal = servo.goal
+            servo.fresh, servo.stands = False, None
             reading = readings.get(number)
             if reading is None:  # not asked, or no time was left
                 servo.valid = False
@@ -225,24 +243,29 @@ class Cycle:
             if was_silent and reading.data is not None:
                 # Power has come back, it seems: ask the others at once.
                 self._hurry_until = self._count + len(self._servos) + 1
-            # Of a silent one nobody knows where it is: not moved, nor woken by a goal.
-            servo.awake &= not self.health[number].silent
-            servo.valid = reading.data is not None and self._take(servo, reading, known, due_ns)
+            if self.health[number].silent:
+                servo.waker.forget()  # nobody knows where it is, nor which servo it will be
+            servo.fresh = reading.data is not None
+            servo.valid = servo.fresh and self._take(servo, reading, block, due_ns)
 
-    def _take(self, servo: _Servo, reading: Reading, known: bool, due_ns: int) -> bool:
+    def _take(self, servo: _Servo, reading: Reading, block: Block, due_ns: int) -> bool:
         """Take a reading's values; False if the position is not one of this tick."""
         assert reading.data is not None
         model, registers = self._model, self._model.registers
-        block = model.motion if known else model.goal_and_motion
+        faults = self.health[servo.joint.servo].faults
         steps = block.part(reading.data, registers["present_position"])
         speed = model.signed_speed(block.part(reading.data, registers["present_speed"]))
-        if not known:
-            servo.goal = block.part(reading.data, registers["goal_position"])
+        servo.goal = block.part(reading.data, registers["goal_position"])
+        if self.mode == "drive":
+            servo.register = servo.waker.compare(servo.goal)
+            if servo.register is Register.FOREIGN:
+                faults["foreign_goal"] += 1
+            if model.protocol == 1:
+                self._judge(servo, standing(model, block, reading.data))
         stale = servo.steps is not None and is_stale(
             steps, servo.steps, speed, servo.speed_rad_s, model.step_rad / self.plan.period_s
         )
         servo.steps, servo.speed_rad_s = steps, speed
-        faults = self.health[servo.joint.servo].faults
         if stale:
             faults["stale"] += 1
         due_s = due_ns / 1e9
@@ -257,84 +280,119 @@ class Cycle:
         return correction is not None and not stale
 
     def _write(self, now_ns: int) -> None:
-        registers = self._model.registers
+        """Limit the newest commands and write them, to servos that :mod:`.wake` lets be moved."""
+        for leg in self.plan.legs:
+            self._take_command(leg, self._drivers[leg.id])
+        legs = [leg for leg in self.plan.legs if self._drivers[leg.id].is_asked(now_ns)]
+        asked = [self._servos[joint.servo] for leg in legs for joint in leg.joints]
+        fresh = [servo for servo in asked if servo.fresh]
+        self._learn([servo for servo in fresh if servo.waker.wanted is not None])
+        self._look([servo for servo in fresh if servo.waker.setting is not None])
         goals: dict[int, int] = {}
+        here: dict[int, int] = {}
+        on: dict[int, int] = {}
         for leg in self.plan.legs:
             driver = self._drivers[leg.id]
-            self._hear(leg, driver)
             servos = [self._servos[joint.servo] for joint in leg.joints]
-            found = self._look(servos) if driver.is_asked(now_ns) else {}
-            start: list[float | None] = []
-            for j, servo in enumerate(servos):
-                stands = found.get(servo.joint.servo)
-                if stands is not None:
-                    if stands.torque:
-                        servo.goal = stands.goal
-                    at = servo.joint.angle(stands.goal) if stands.torque else servo.angle
-                    assert at is not None
-                    driver.found(j, at)
-                    start.append(at)
-                elif servo.awake and servo.goal is not None:
-                    start.append(servo.joint.angle(servo.goal))
-                else:
-                    start.append(None)
+            asked_now = leg in legs
+            if not asked_now:
+                for servo in servos:  # while nothing is commanded, others may set them anew
+                    servo.waker.forget()
+            places = [self._place(servo) if asked_now else None for servo in servos]
+            start = [self._start(driver, j, *pair) for j, pair in
+                     enumerate(zip(servos, places, strict=True))]  # fmt: skip
+            before = driver.goal and list(driver.goal)
             absent = [j for j, servo in enumerate(servos) if self._is_absent(servo)]
-            goal = driver.step(start, now_ns, absent)
-            lacks = [s.joint.servo for s in servos if not s.awake and s.joint.servo not in found]
-            if goal is None:  # none of them is driven
-                lacks = [s.joint.servo for s, at in zip(servos, start, strict=True) if at is None]
-            self._lacking[leg.id] = lacks if driver.is_asked(now_ns) else []
-            if goal is None:
+            wanted = driver.step(start, now_ns, absent)
+            self._lacking[leg.id] = [
+                servo.joint.servo
+                for servo, place in zip(servos, places, strict=True)
+                if asked_now and self._lacks(servo, place, begun=wanted is not None)
+            ]
+            if wanted is None or driver.goal is None:
                 continue
-            self._wake(leg, found)
-            for servo, angle in zip(servos, goal, strict=True):
-                stands = found.get(servo.joint.servo)
-                servo.awake |= stands is not None and stands.torque
-                if servo.awake:
-                    servo.goal = goals[servo.joint.servo] = servo.joint.steps(angle)
-        self.bus.put_all(registers["goal_position"], goals)
+            for j, (servo, place) in enumerate(zip(servos, places, strict=True)):
+                number, waker = servo.joint.servo, servo.waker
+                if place is None:
+                    # Not read in this tick, or not to be moved: its goal waits where it is.
+                    driver.goal[j] = driver.goal[j] if before is None else before[j]
+                elif place.torque:
+                    waker.awake = True
+                    servo.goal = goals[number] = waker.step(place, wanted[j])
+                elif place.at_goal:
+                    on[number] = 1
+                else:
+                    servo.goal = here[number] = waker.wrote(place.steps)
+        # Sync writes are not answered: each is seen in the next tick's reading, or written again.
+        registers = self._model.registers
+        self.bus.put_all(registers["goal_position"], here | goals)
+        self.bus.put_all(registers["torque_enable"], on)
 
-    def _wake(self, leg: LegPlan, found: Mapping[int, Standing]) -> None:
-        """Let servos without torque hold where they are, so that nothing jumps.
+    def _place(self, servo: _Servo) -> Place | None:
+        """From where a servo can be moved in this tick."""
+        if not servo.fresh or servo.steps is None or servo.goal is None:
+            return None
+        return servo.waker.place(servo.stands, servo.steps, servo.goal)
 
-        Sync writes are not answered.  So torque comes on a tick after the goal, where this tick's
-        look has seen that goal in the register, and goals follow once it has seen the torque: of
-        a write that was lost there is nothing but another tick to wait.
+    def _start(self, driver: Driver, j: int, servo: _Servo, place: Place | None) -> float | None:
+        """The angle from which a joint is moved; tells the driver where it is not as expected."""
+        if place is None:
+            return None
+        at = servo.joint.angle(place.steps)
+        driver.bounds[j] = servo.waker.bounds()
+        ours = servo.waker.awake and servo.register is not Register.FOREIGN
+        if not ours:
+            driver.found(j, at)
+        elif driver.goal is not None and servo.joint.steps(driver.goal[j]) != place.steps:
+            driver.goal[j] = at  # what was written last is not what is in force
+        return at
+
+    def _learn(self, servos: Sequence[_Servo]) -> None:
+        """Read how servos are set, before their first goal; a few at a time, they are long."""
+        by_block: dict[Block, list[int]] = {}
+        for servo in servos:
+            block = servo.waker.wanted
+            assert block is not None
+            by_block.setdefault(block, []).append(servo.joint.servo)
+        left_s = _LEARN_SHARE * self.plan.period_s
+        for block, numbers in by_block.items():
+            if left_s <= 0.0:
+                return
+            each_s = self.bus.cost_s(block)
+            some = numbers[: max(int(left_s / each_s), 1)]
+            left_s -= each_s * len(some)
+            for number, reading in self.bus.read(some, block, 0.0, self._end_s).items():
+                if reading.data is not None:
+                    self._servos[number].waker.learn(reading.data)
+
+    def _look(self, servos: Sequence[_Servo]) -> None:
+        """See how servos stand, where the tick's reading does not say (protocol 2.0).
+
+        Those that are awake take turns; the others, and those whose goal is not the one written,
+        are looked at in every tick.
         """
-        near = max(_NEAR_STEPS, int(EASY_SHARE * leg.max_step_rad / self._model.step_rad))
-        here: dict[int, int] = {}
-        ready: dict[int, int] = {}
-        for number, stands in found.items():
-            servo = self._servos[number]
-            if stands.torque or servo.steps is None:
-                continue
-            if abs(stands.goal - servo.steps) <= near:
-                ready[number] = 1
-            else:
-                servo.goal = here[number] = servo.steps
-        self.bus.put_all(self._model.registers["goal_position"], here)
-        self.bus.put_all(self._model.registers["torque_enable"], ready)
-
-    def _look(self, servos: Sequence[_Servo]) -> dict[int, Standing]:
-        """How those stand that are to be woken; one that cannot be is left out."""
+        if self._model.protocol == 1:
+            return
+        awake = [s for s in servos if s.waker.awake and s.register is Register.TAKEN]
+        turn = awake[self._count % len(awake)] if awake else None
         asked = []
         for servo in servos:
-            record = self.health[servo.joint.servo]
-            looked_at = servo.valid and not record.silent and self._count >= servo.look_at
-            if looked_at and not servo.awake:
+            if servo in awake and servo is not turn:
+                servo.stands = Standing(torque=True)
+            elif self._count >= servo.look_at:
                 asked.append(servo.joint.servo)
-        if not asked:
-            return {}
-        found = {}
-        readings = self.bus.read(asked, self._model.state, self._until_s, self._end_s)
-        for number, reading in readings.items():
-            if reading.data is None:
-                continue
-            stands = standing(self._model, reading.data)
-            self._judge(self._servos[number], stands)
-            if not stands.shut:
-                found[number] = stands
-        return found
+        for number, reading in self.bus.read(
+            asked, self._model.state, self._until_s, self._end_s
+        ).items():
+            servo = self._servos[number]
+            if reading.data is not None:
+                self._judge(servo, standing(self._model, self._model.state, reading.data))
+
+    def _lacks(self, servo: _Servo, place: Place | None, *, begun: bool) -> bool:
+        """Whether a leg's command has to do without a servo, for more than a tick."""
+        if self._is_absent(servo) or servo.waker.trouble is not None:
+            return True
+        return place is None and not begun
 
     def _is_absent(self, servo: _Servo) -> bool:
         record = self.health[servo.joint.servo]
@@ -344,16 +402,24 @@ class Cycle:
         record = self.health[number]
         if record.silent:
             return "no answer"
-        return "shut down" if record.shut else "not read yet"
+        if record.shut:
+            return "shut down"
+        return self._servos[number].waker.trouble or "not read yet"
 
     def _judge(self, servo: _Servo, stands: Standing) -> None:
-        """Note whether a servo has shut itself down; it gets no goals then."""
-        self.health[servo.joint.servo].shut = stands.shut
+        """Note how a servo stands; one that has shut itself down gets no goals.
+
+        It is said to be shut down where two readings in a row say so.
+        """
+        record = self.health[servo.joint.servo]
+        servo.stands = stands
+        record.shut, servo.shut_seen = stands.shut and servo.shut_seen, stands.shut
         if stands.shut:
-            servo.awake = False
+            servo.waker.forget()
+        if record.shut:
             servo.look_at = self._count + self._look_every
 
-    def _hear(self, leg: LegPlan, driver: Driver) -> None:
+    def _take_command(self, leg: LegPlan, driver: Driver) -> None:
         taken = self._mailbox.take(leg.id)
         if taken is None:
             return

@@ -42,6 +42,7 @@ class Driver:
         mode: what the leg does.
         goal: (J,) rad, in force; None before the first command.
         limited: commands that asked for more than limits or step allow.
+        bounds: (J,) lower and upper limit, rad: the plan's, or what the servos take, if less.
         preview: goals of the ticks to come, as far as this tick's command told of them and they
             will be followed to the letter but for the limits; None otherwise.
     """
@@ -51,6 +52,7 @@ class Driver:
         self.mode = Mode.IDLE
         self.goal: list[float] | None = None
         self.limited = 0
+        self.bounds = [(joint.lower_rad, joint.upper_rad) for joint in leg.joints]
         self.preview: list[list[float]] | None = None
         self._command: list[float] | None = None
         self._ahead: list[list[float]] | None = None
@@ -63,7 +65,7 @@ class Driver:
         self._command = self._ahead = None
 
     def found(self, joint: int, angle_rad: float) -> None:
-        """A servo that was silent is back, and here is where it stands: go on from there.
+        """Go on from where a servo was found, at an easy pace: it was silent, limp, or moved.
 
         It may have lost its power and its place meanwhile; the whole leg comes to its command at
         an easy pace again.
@@ -137,9 +139,9 @@ class Driver:
     ) -> tuple[list[float], bool, bool]:
         """One tick's goals; whether they arrive, and whether limits cut them down."""
         goal, arrived, limited = [], True, False
-        for now, want, joint in zip(start, wanted, self.leg.joints, strict=True):
+        for now, want, (lower, upper) in zip(start, wanted, self.bounds, strict=True):
             # A joint found outside its limits may stay, or move inwards; never further out.
-            target = min(max(want, min(joint.lower_rad, now)), max(joint.upper_rad, now))
+            target = min(max(want, min(lower, now)), max(upper, now))
             limited |= target != want
             step = min(max(target - now, -largest), largest)
             arrived &= step == target - now

@@ -1,7 +1,9 @@
 """Before a bridge starts: is everybody there, who they should be, and set as they should be?
 
-Everything that is wrong is told in one message.  Nothing is written to a servo's EEPROM unless
-``configure`` is asked for, and then only the return delay.
+Everything that is wrong is told in one message, and nothing for one answer alone: settings are read
+in one block and twice alike, a servo that seems to be wrong is asked again when the line is quiet,
+and where many answers come late, that is told, and no servo is blamed for it.  Nothing is written
+to a servo's EEPROM unless ``configure`` is asked for, and then only the return delay.
 """
 
 from __future__ import annotations
@@ -11,21 +13,28 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
-from adaptive_contact.bridge.bus import Bus, Pong
+from adaptive_contact.bridge.bus import MODEL_NUMBER, Bus, Pong
+from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
-from adaptive_contact.bridge.tables import model_of_number
+from adaptive_contact.bridge.tables import Block, model_of_number
 from adaptive_contact.bridge.wake import remedy, standing
 from adaptive_contact.errors import BusError
 
-__all__ = ["Findings", "check_ports", "scan", "scan_again"]
+__all__ = ["BUSY", "Findings", "check_ports", "crowd", "scan", "scan_again"]
+
+BUSY: Final = (
+    "this computer is too busy, or its adapter holds bytes back; end other programs, run with "
+    "--realtime, and see 'Timing' in docs/bridge.md"
+)
 
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
 _US_PER_DELAY: Final = 2
 _MORE_TRIES: Final = 2
 _PATIENT_MS: Final = 25.0
+_LEAST_CROWD: Final = 2
 
 
 @dataclasses.dataclass
@@ -61,8 +70,13 @@ class Findings:
             raise BusError(f"{len(self.errors)} things stand in the way of the bridge:{lines}")
 
 
+def crowd(servos: int) -> int:
+    """How many servos of a port are too many to be silent at once each for a reason of its own."""
+    return max(_LEAST_CROWD, (servos + 1) // 2)
+
+
 def check_ports(
-    plans: Sequence[PortPlan], *, configure: bool = False, full: bool = True
+    plans: Sequence[PortPlan], *, configure: bool = False, full: bool = True, drive: bool = False
 ) -> Findings:
     """Shake hands on all ports, each on a thread of its own.
 
@@ -70,9 +84,10 @@ def check_ports(
         plans: what is expected where.
         configure: write what should be set differently, EEPROM included.
         full: look for unexpected servos too, which takes about a second.
+        drive: they are to be driven, not only observed.
     """
     with ThreadPoolExecutor(max_workers=len(plans)) as pool:
-        results = list(pool.map(lambda plan: _check(plan, configure, full), plans))
+        results = list(pool.map(lambda plan: _check(plan, configure, full, drive), plans))
     findings = Findings()
     for result in results:
         findings.add(result)
@@ -116,13 +131,16 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
         sure = [s for s, pong in heard.items() if pong.model_number is not None]
         heard |= scan(bus, sorted(s for s in asked if s not in sure or heard[s].doubled))
     for servo, pong in heard.items():
+        number = bus.confirmed(servo, MODEL_NUMBER) if pong.model_number is not None else None
+        if number is not None:  # what a scan took for it may have been another answer
+            pong = heard[servo] = pong._replace(model_number=int.from_bytes(number, "little"))
         model = None if pong.model_number is None else model_of_number(pong.model_number)
         if model is not None and not pong.doubled and not bus.is_clear(servo, model.measured):
             heard[servo] = pong._replace(doubled=True)
     return dict(sorted(heard.items()))
 
 
-def _check(plan: PortPlan, configure: bool, full: bool) -> Findings:
+def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings:
     findings = Findings()
     bus = Bus(plan.name, plan.port)
     try:
@@ -137,8 +155,9 @@ def _check(plan: PortPlan, configure: bool, full: bool) -> Findings:
             found = scan_again(bus, found, expected)
         _compare(plan, bus, expected, found, findings)
         present = [] if findings.errors else list(plan.joints)
-        for joint in present:
-            _settings(plan, bus, joint, findings)
+        unread = [j.servo for j in present if not _settings(plan, bus, j, drive, findings)]
+        if unread:
+            findings.errors.append(_unread(plan, bus, unread))
         _delays(plan, bus, present, configure, findings)
         advice = latency_advice(bus.device)
         if advice is not None:
@@ -150,6 +169,22 @@ def _check(plan: PortPlan, configure: bool, full: bool) -> Findings:
     return findings
 
 
+def _unread(plan: PortPlan, bus: Bus, servos: Sequence[int]) -> str:
+    """What to say of servos that are there, and whose registers cannot be read reliably."""
+    ids = ", ".join(map(str, servos))
+    if _many_late(plan, bus, servos):
+        return f"port {plan.name}: answers of {len(servos)} servos come too late: {BUSY}"
+    return (
+        f"port {plan.name}: the settings of servo {ids} cannot be read twice alike; the line is "
+        "disturbed: check its plugs and cable, and try again"
+    )
+
+
+def _many_late(plan: PortPlan, bus: Bus, servos: Sequence[int]) -> bool:
+    late = [servo for servo in servos if bus.late[servo]]
+    return len(late) >= crowd(len(plan.joints))
+
+
 def _compare(
     plan: PortPlan,
     bus: Bus,
@@ -159,14 +194,16 @@ def _compare(
 ) -> None:
     where = f"port {plan.name} ({bus.device})"
     legs = {joint.servo: leg.id for leg in plan.legs for joint in leg.joints}
-    if not found:
+    if not found and not _many_late(plan, bus, list(expected)):
         findings.errors.append(
             f"{where}: no servo answers at {plan.port.baud} baud, protocol {plan.port.protocol}; "
             "check the servos' power, the cable and the baud rate"
         )
         return
     missing = [servo for servo in expected if servo not in found]
-    if missing:
+    if _many_late(plan, bus, missing):
+        findings.errors.append(f"{where}: answers of {len(missing)} servos come too late: {BUSY}")
+    elif missing:
         told = ", ".join(f"{s} ({legs[s]} {expected[s].name})" for s in missing)
         findings.errors.append(
             f"{where}: missing servo {told}; check cable, power, id and baud rate"
@@ -198,26 +235,22 @@ def _compare(
             )
 
 
-def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) -> None:
-    """Modes in which goals would not be followed."""
+def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, drive: bool, findings: Findings) -> bool:
+    """Modes in which goals would not be followed; False if the servo does not say reliably."""
     where, model, servo = f"port {plan.name}: servo {joint.servo}", joint.model, joint.servo
-    state = bus.read([servo], model.state)[servo].data
-    if state is not None and standing(model, state).shut:
+    data = [bus.confirmed(servo, block) for block in (*model.settings, model.state)]
+    known = [part for part in data if part is not None]
+    if len(known) < len(data):
+        return False
+    if standing(model, model.state, known.pop()).shut:
         findings.advice.append(f"{where}: {remedy(model)}")
-    if model.position_mode is not None:
-        mode = bus.get(servo, model.registers["operating_mode"])
-        if mode not in (None, model.position_mode):
-            findings.errors.append(
-                f"{where} is in operating mode {mode}, expected {model.position_mode} (position); "
-                "set it with DYNAMIXEL Wizard"
-            )
-    else:
-        limits = [bus.get(servo, model.registers[n]) for n in ("lower_limit", "upper_limit")]
-        if limits == [0, 0]:
-            findings.errors.append(
-                f"{where} is in wheel mode (both angle limits are 0); set limits, such as "
-                f"{model.lowest} and {model.highest}, with DYNAMIXEL Wizard"
-            )
+    found = setting(model, known)
+    wrong = found.wrong or (found.undriven if drive else None)
+    if wrong:
+        findings.errors.append(f"{where} {wrong}")
+    elif found.advice:
+        findings.advice.append(f"{where} {found.advice}")
+    return True
 
 
 def _delays(
@@ -227,9 +260,10 @@ def _delays(
     slow: dict[int, int] = {}
     for joint in joints:
         register = joint.model.registers["return_delay"]
-        delay = (bus.get(joint.servo, register) or 0) * _US_PER_DELAY
-        if delay <= _MOST_DELAY_US:
+        data = bus.confirmed(joint.servo, Block(register.address, register.size))
+        if data is None or data[0] * _US_PER_DELAY <= _MOST_DELAY_US:
             continue
+        delay = data[0] * _US_PER_DELAY
         slow[joint.servo] = delay
         if configure:
             _configure(plan, bus, joint, findings)

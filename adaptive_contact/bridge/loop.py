@@ -196,7 +196,7 @@ class PortLoop:
         self._status_ns = now_ns + _STATUS_NS
         if not self._lost:
             self.cycle.ask_alarms(time.monotonic_ns())
-            for line in self._news.lines(self.cycle.health):
+            for line in self._news.lines(self.cycle.health, self.bus.late):
                 self._outlet.say(line)
             self._tell_lacking()
         self._outlet.status(self.status(now_ns))

@@ -50,12 +50,9 @@ class JointPlan:
         return self.direction * (steps - model.centre) * model.step_rad + self.offset_rad
 
     def steps(self, angle_rad: float) -> int:
-        """Nearest position in steps of a joint angle, within the servo's range."""
+        """Nearest position in steps of a joint angle, be it within the servo's range or not."""
         model = self.model
-        steps = model.centre + round(
-            self.direction * (angle_rad - self.offset_rad) / model.step_rad
-        )
-        return min(max(steps, model.lowest), model.highest)
+        return model.centre + round(self.direction * (angle_rad - self.offset_rad) / model.step_rad)
 
 
 @dataclass(frozen=True)

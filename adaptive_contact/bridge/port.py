@@ -12,7 +12,8 @@ Measured on DynamixelSDK 4.1.0:
 - A hang-up leaves ``is_using`` set, so that every later call returns -1000: :meth:`SdkPort.lost`.
 - pyserial's errors, termios' and the system's are three kinds: here one, :class:`PortLostError`.
 - ``addStuffing`` of protocol 2.0 forgets the packet it has stuffed, so that parameters with
-  ``FF FF FD`` go out broken: goals here are 0 to 4095 and never hold those bytes.
+  ``FF FF FD`` go out broken: goals here are 0 to 4095 and never hold those bytes, as they never
+  leave a servo's one turn.
 """
 
 from __future__ import annotations
@@ -58,6 +59,8 @@ class SdkPort(PortHandler):
     Attributes:
         latest_s: monotonic time at which any wait for an answer ends.
         received: bytes read so far.
+        discarded: bytes thrown away before a question: they came unasked, or too late.
+        byte_s: how long a byte takes on the wire.
     """
 
     def __init__(self, name: str, port: Port) -> None:
@@ -66,10 +69,10 @@ class SdkPort(PortHandler):
         self.name = name
         self.baudrate = port.baud
         self._timeout_s = port.timeout_ms / 1000.0
-        self._byte_s = _BITS_PER_BYTE / port.baud
+        self.byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
-        self.received = 0
+        self.received = self.discarded = 0
         self._closed_to_others = False
         self._fd = -1
 
@@ -151,8 +154,8 @@ class SdkPort(PortHandler):
         # The SDK's way, tcflush, waits for the kernel's worker that hands bytes over, which on a
         # busy computer may wait itself: a cycle of 84 ms was seen.
         with contextlib.suppress(BlockingIOError):
-            while os.read(self._fd, _FLUSH_BYTES):
-                pass
+            while data := os.read(self._fd, _FLUSH_BYTES):
+                self.discarded += len(data)
 
     def readPort(self, length: int) -> bytes:
         """Read up to ``length`` bytes, sleeping until one is there or time is up."""
@@ -174,7 +177,7 @@ class SdkPort(PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Begin to wait for so many bytes."""
-        usual = time.monotonic() + packet_length * self._byte_s + self._timeout_s
+        usual = time.monotonic() + packet_length * self.byte_s + self._timeout_s
         self._deadline = min(usual, self.latest_s)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:

@@ -45,6 +45,11 @@ class Block(NamedTuple):
     address: int
     size: int
 
+    @property
+    def longer(self) -> Block:
+        """The same and a byte more: its answer cannot be taken for a late one to the shorter."""
+        return Block(self.address, self.size + 1)
+
     def part(self, data: bytes, register: Register) -> int:
         """A register's value out of the block's bytes."""
         at = register.address - self.address
@@ -86,10 +91,17 @@ _MX: Final = {
         for name, register in _AX.items()
         if name not in ("lower_margin", "upper_margin", "lower_slope", "upper_slope")
     },
+    "multi_turn_offset": Register(20, 2, eeprom=True, signed=True),  # multi-turn mode only
+    "resolution_divider": Register(22, 1, eeprom=True),  # multi-turn mode only
     "position_d": Register(26, 1),
     "position_i": Register(27, 1),
     "position_p": Register(28, 1),
+    # Multi-turn mode (both limits 4095): -28672 to 28672; joint mode: 0 to 4095.
+    "goal_position": Register(30, 2, signed=True),
+    "present_position": Register(36, 2, signed=True),
 }
+# e-manual MX-64 (protocol 1.0): the MX-28's, and a mode that follows torques.
+_MX64: Final = {**_MX, "torque_control": Register(70, 1)}
 
 # e-manual XL330-M288, XL430-W250, XM430-W350: the addresses used here are the same in all.
 _X: Final = {
@@ -98,11 +110,13 @@ _X: Final = {
     "id": Register(7, 1, eeprom=True),
     "baud": Register(8, 1, eeprom=True),
     "return_delay": Register(9, 1, eeprom=True),  # 2 us each; 250 when new
-    "drive_mode": Register(10, 1, eeprom=True),
-    "operating_mode": Register(11, 1, eeprom=True),  # 3: position
+    "drive_mode": Register(10, 1, eeprom=True),  # bits: see modes.py
+    "operating_mode": Register(11, 1, eeprom=True),  # see modes.py
+    "homing_offset": Register(20, 4, eeprom=True, signed=True),  # added to positions and goals
     "pwm_limit": Register(36, 2, eeprom=True),  # 885 is all of it
     "upper_limit": Register(48, 4, eeprom=True),
     "lower_limit": Register(52, 4, eeprom=True),
+    "startup": Register(60, 1, eeprom=True),  # bit 0: torque comes on with the power
     "shutdown": Register(63, 1, eeprom=True),  # bits of hardware_error that switch the drive off
     "torque_enable": Register(64, 1),
     "status_return": Register(68, 1),
@@ -134,7 +148,6 @@ class ServoModel:
         lowest, highest, centre: position steps; ``centre`` is the middle of the horn's travel.
         step_rad: one position step.
         speed_rad_s: one step of present speed.
-        position_mode: value of ``operating_mode`` in which goals are followed, None without.
     """
 
     name: str
@@ -146,7 +159,6 @@ class ServoModel:
     centre: int
     step_rad: float
     speed_rad_s: float
-    position_mode: int | None = None
 
     @property
     def motion(self) -> Block:
@@ -165,10 +177,33 @@ class ServoModel:
 
     @property
     def state(self) -> Block:
-        """Whether it drives, where to, and whether it has shut itself down."""
+        """Whether it drives, and whether it has shut itself down."""
         if self.protocol == 1:
-            return self._block("torque_enable", "goal_position", "torque_limit")
-        return self._block("shutdown", "torque_enable", "hardware_error", "goal_position")
+            return self._block("torque_enable", "torque_limit")
+        return self._block("shutdown", "torque_enable", "hardware_error")
+
+    @property
+    def watched(self) -> Block:
+        """What a driver reads in every tick: goal, position and speed.
+
+        Protocol 1.0's includes :attr:`state`: a goal switches the torque of such a servo on, so
+        that it may be written only where the same reading shows that the servo drives.
+        """
+        if self.protocol == 1:
+            return self._block("torque_enable", "torque_limit", "present_position", "present_speed")
+        return self.goal_and_motion
+
+    @property
+    def settings(self) -> tuple[Block, ...]:
+        """What decides how goals are followed, in one block, or two."""
+        if self.protocol == 2:
+            return (self._block("drive_mode", "startup"),)
+        if "resolution_divider" not in self.registers:
+            return (self._block("lower_limit", "upper_limit"),)
+        eeprom = self._block("lower_limit", "upper_limit", "resolution_divider")
+        if "torque_control" not in self.registers:
+            return (eeprom,)
+        return (eeprom, self._block("torque_control"))
 
     def signed_speed(self, raw: int) -> float:
         """Present speed in rad/s; positive towards higher positions."""
@@ -189,24 +224,24 @@ def _ax(name: str, number: int) -> ServoModel:
     return ServoModel(name, number, 1, _AX, 0, 1023, 512, step, speed)
 
 
-def _mx(name: str, number: int) -> ServoModel:
+def _mx(name: str, number: int, registers: dict[str, Register]) -> ServoModel:
     # 4096 steps a turn; speed in 0.114 rpm.
     step, speed = 2 * math.pi / 4096, 0.114 * 2 * math.pi / 60
-    return ServoModel(name, number, 1, _MX, 0, 4095, 2048, step, speed)
+    return ServoModel(name, number, 1, registers, 0, 4095, 2048, step, speed)
 
 
 def _x(name: str, number: int) -> ServoModel:
     # 4096 steps a turn; speed in 0.229 rpm.
     step, speed = 2 * math.pi / 4096, 0.229 * 2 * math.pi / 60
-    return ServoModel(name, number, 2, _X, 0, 4095, 2048, step, speed, position_mode=3)
+    return ServoModel(name, number, 2, _X, 0, 4095, 2048, step, speed)
 
 
 MODELS: Final = (
     _ax("AX-12A", 12),
     _ax("AX-18A", 18),
     _ax("AX-12W", 300),
-    _mx("MX-28", 29),
-    _mx("MX-64", 310),
+    _mx("MX-28", 29, _MX),
+    _mx("MX-64", 310, _MX64),
     _x("XL330-M077", 1190),
     _x("XL330-M288", 1200),
     _x("XC330-T288", 1220),

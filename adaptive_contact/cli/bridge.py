@@ -153,7 +153,7 @@ def dynamixel(
 
     plans = plans_of(robot_of(config), config, device, baud)
     settings = client(connect, namespace, zenoh_config, json=json)
-    findings = check_ports(plans, configure=configure)
+    findings = check_ports(plans, configure=configure, drive=drive)
     for line in findings.done + findings.advice:
         typer.echo(f"adaptive-contact bridge: {line}", err=True)
     findings.raise_errors()

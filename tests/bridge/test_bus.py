@@ -181,7 +181,7 @@ def test_an_alert_of_protocol_2_is_asked_for(rig: Callable) -> None:
     assert bus.read([j.servo for j in joints], model.motion)[4].alarms == ("hardware",)
     state = bus.read([4], model.state)[4].data
     assert state is not None
-    assert standing(model, state).alarms == ("overheating",)
+    assert standing(model, model.state, state).alarms == ("overheating",)
     bus.close()
 
 

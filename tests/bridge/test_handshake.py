@@ -92,7 +92,7 @@ def test_a_wrong_operating_mode(rig: Callable) -> None:
     r = rig(**XL)
     r.servo(4)._store("operating_mode", 1)
     [line] = check_ports(r.plans, full=False).errors
-    assert "servo 4 is in operating mode 1, expected 3" in line
+    assert "servo 4 is in operating mode 1 (velocity), expected 3 (position)" in line
 
 
 @pytest.mark.parametrize("kind", [AX, XL])
@@ -203,4 +203,5 @@ def test_angles_and_steps_agree(direction: int) -> None:
     assert (joint.angle(600) - 0.3) * direction > 0
     for steps in range(0, 1024, 7):
         assert joint.steps(joint.angle(steps)) == steps
-    assert joint.steps(99.0) in (0, 1023)
+    # No clamp hides a wish that cannot be met: whoever writes a goal limits it.
+    assert abs(joint.steps(99.0)) > joint.model.highest

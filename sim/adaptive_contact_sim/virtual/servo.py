@@ -1,7 +1,9 @@
 """One virtual servo: a control table over a backend's angle.
 
 Only what a master can see is modelled: which registers there are, which may be written and when,
-what is refused and with which error; that a servo in trouble shuts itself down, and how to wake it.
+what is refused and with which error; that a servo in trouble shuts itself down, and how to wake it;
+and how operating mode, drive mode, limits and offsets turn positions and goals into numbers (see
+:mod:`adaptive_contact.bridge.modes`).
 The slope of the control law (compliance slope, P gain, PWM limit) acts on the servo behind; other
 registers of the law (margin, punch, I and D, speeds, a torque limit above 0) are kept and change
 nothing.  Sources: the e-manual pages named in :mod:`adaptive_contact.bridge.tables`, whose
@@ -10,12 +12,14 @@ addresses are used.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from adaptive_contact.bridge.law import LAW_REGISTERS, slope_rad
+from adaptive_contact.bridge.modes import DriveMode
 from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
 from adaptive_contact_sim.virtual.backend import Backend
 
@@ -35,8 +39,14 @@ _READ_ONLY: Final = (
     "moving",
     "hardware_error",
 )
-# Size of the table: AX-12A ends at 49, X-series at 661.
+# Size of the table: AX-12A ends at 49, MX-64 at 73, X-series at 661.
 _SIZES: Final = {1: 50, 2: 662}
+_SIZE_MX64: Final = 74
+# Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
+_POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
+_MOST_HOMING: Final = 1024  # of position mode; more is ignored
+_MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
+_MULTI_TURN_STEPS: Final = 28_672  # of an MX servo's goal
 _BAUD_TOLERANCE: Final = 0.03  # e-manual: within 3 % no more errors than at the rate itself
 _FACTORY_BAUD: Final = {1: 1, 2: 1}  # 1,000,000 and 57,600
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
@@ -70,6 +80,8 @@ class VirtualServo:
     Attributes:
         id, baud: follow their registers.
         writes: instructions to write, carried out or refused.
+        keeps_goal: torque that comes on drives to the goal in the register.  Firmwares differ in
+            this: others set that goal to where the horn is, as X-series do here by default.
     """
 
     def __init__(
@@ -90,7 +102,11 @@ class VirtualServo:
         self._index = index
         self._rng = rng
         self._noise = noise_steps
-        self._memory = bytearray(_SIZES[model.protocol])
+        self._memory = bytearray(
+            _SIZE_MX64 if "torque_control" in model.registers else _SIZES[model.protocol]
+        )
+        self.keeps_goal = model.protocol == 1
+        self._turns = 0
         self.registered: tuple[int, bytes] | None = None
         self.stale_data: bytes | None = None
         self.writes = 0
@@ -204,9 +220,38 @@ class VirtualServo:
             if at < 0 or at + register.size > len(data):
                 return None
             goal = int.from_bytes(data[at : at + register.size], "little", signed=register.signed)
-            if not self.value("lower_limit") <= goal <= self.value("upper_limit"):
+            lowest, highest = self._goals()
+            if not lowest <= goal <= highest:
                 return Refusal(ANGLE1 if one else LIMIT2)
         return None
+
+    def _goals(self) -> tuple[int, int]:
+        """Goals that are taken."""
+        lower, upper = self.value("lower_limit"), self.value("upper_limit")
+        if self._multi_turn:
+            most = _MULTI_TURN_STEPS if self.model.protocol == 1 else _MOST_STEPS
+            return -most, most
+        if not self._follows:  # the register is kept, and means nothing
+            return -_MOST_STEPS, _MOST_STEPS
+        return lower, upper
+
+    @property
+    def _multi_turn(self) -> bool:
+        """Whether positions and goals go beyond one turn."""
+        if self.model.protocol == 2:
+            return self.value("operating_mode") in (_EXTENDED, _CURRENT_BASED)
+        limits = self.value("lower_limit"), self.value("upper_limit")
+        return "multi_turn_offset" in self.model.registers and limits == (self.model.highest,) * 2
+
+    @property
+    def _follows(self) -> bool:
+        """Whether goal positions are followed at all."""
+        if self.model.protocol == 2:
+            slave = self.value("drive_mode") & DriveMode.SLAVE
+            return not slave and (self._multi_turn or self.value("operating_mode") == _POSITION)
+        if "torque_control" in self.model.registers and self.value("torque_control"):
+            return False
+        return (self.value("lower_limit"), self.value("upper_limit")) != (0, 0)
 
     def _act(self, name: str) -> None:
         if name == "goal_position":
@@ -214,6 +259,10 @@ class VirtualServo:
                 # An AX servo that is given a goal switches its torque on.
                 self._store("torque_enable", 1)
                 self._backend.set_torque(self._index, self.drives)
+            elif not self.torque and self.value("drive_mode") & DriveMode.TORQUE_BY_GOAL:
+                self._settle_turns()
+                self._store("torque_enable", 1)
+                self._backend.set_torque(self._index, True)
             if self.torque:
                 self._drive()
         elif name == "id":
@@ -224,11 +273,14 @@ class VirtualServo:
             self._set_slope()
         elif name == "torque_limit":
             self._backend.set_torque(self._index, self.drives)
+        elif name == "operating_mode":
+            self._settle_turns()
         elif name == "torque_enable":
             self._backend.set_torque(self._index, self.drives)
-            if self.torque and self.model.protocol == 2:
-                # X-series: the goal is where the horn is when torque comes on.
-                self._store("goal_position", self._steps(self._backend.angle(self._index)))
+            if self.torque:
+                self._settle_turns()
+                if not self.keeps_goal:
+                    self._store("goal_position", self._steps(self._backend.angle(self._index)))
                 self._drive()
 
     def _set_slope(self) -> None:
@@ -240,12 +292,58 @@ class VirtualServo:
             self._backend.set_slope(self._index, slope)
 
     def _drive(self) -> None:
-        steps = self.value("goal_position") - self.model.centre
-        self._backend.set_goal(self._index, steps * self.model.step_rad)
+        if self._follows:
+            self._backend.set_goal(self._index, self._angle(self.value("goal_position")))
+        else:
+            # What it follows instead is not modelled: it stays.
+            self._backend.set_goal(self._index, self._backend.angle(self._index))
 
     def _steps(self, angle_rad: float, noise: float = 0.0) -> int:
-        steps = self.model.centre + round(angle_rad / self.model.step_rad + noise)
-        return min(max(steps, self.model.lowest), self.model.highest)
+        """The position told of a horn's angle, as mode, turns and offsets have it."""
+        model = self.model
+        offset, divider, sign = self._frame()
+        turn = model.centre + round(sign * angle_rad / model.step_rad + noise)
+        if model.protocol == 1 and not self._multi_turn:
+            if "multi_turn_offset" in model.registers:
+                return turn % (model.highest + 1)  # a full turn of encoder
+            return min(max(turn, model.lowest), model.highest)
+        return round((turn - self._turns * (model.highest + 1)) / divider) + offset
+
+    def _angle(self, steps: int) -> float:
+        """The horn's angle at a goal."""
+        model = self.model
+        offset, divider, sign = self._frame()
+        full = (steps - offset) * divider
+        if model.protocol == 1 and not self._multi_turn:
+            # A full turn of encoder: the goal is within the turn the horn is in.
+            own = math.floor(
+                (model.centre + self._backend.angle(self._index) / model.step_rad)
+                / (model.highest + 1)
+            )
+            full += own * (model.highest + 1) if "multi_turn_offset" in model.registers else 0
+        else:
+            full += self._turns * (model.highest + 1)
+        return sign * (full - model.centre) * model.step_rad
+
+    def _frame(self) -> tuple[int, int, int]:
+        """Offset, divider and sign of the positions told, as the mode applies them."""
+        if self.model.protocol == 1:
+            if not self._multi_turn:
+                return 0, 1, 1
+            return self.value("multi_turn_offset"), max(self.value("resolution_divider"), 1), 1
+        homing = self.value("homing_offset")
+        if self.value("operating_mode") == _POSITION and abs(homing) > _MOST_HOMING:
+            homing = 0
+        return homing, 1, -1 if self.value("drive_mode") & DriveMode.REVERSE else 1
+
+    def _settle_turns(self, *, anew: bool = False) -> None:
+        """Forget whole turns: at power-on, and in position mode as torque comes on."""
+        position = self.model.protocol == 2 and self.value("operating_mode") == _POSITION
+        if anew or position:
+            sign = self._frame()[2]
+            angle = self._backend.angle(self._index)
+            turn = self.model.centre + round(sign * angle / self.model.step_rad)
+            self._turns = turn // (self.model.highest + 1)
 
     def _refresh(self) -> None:
         model, backend, index = self.model, self._backend, self._index
@@ -281,6 +379,8 @@ class VirtualServo:
         }
         if model.protocol == 1:
             initial |= {"status_return": 2}
+            if "resolution_divider" in model.registers:
+                initial |= {"resolution_divider": 1}
         else:
             initial |= {"operating_mode": 3, "pwm_limit": 885}
         for name, value in initial.items():
@@ -297,6 +397,7 @@ class VirtualServo:
     def _power_on(self) -> None:
         model = self.model
         self._latched = 0
+        self._settle_turns(anew=True)
         initial = {
             "temperature": 35,
             "voltage": 120 if model.protocol == 1 else 50,
@@ -311,9 +412,14 @@ class VirtualServo:
         for name, value in initial.items():
             if name in model.registers:
                 self._store(name, value)
-        inside = self._backend.goal(self._index)
-        self._store("torque_enable", int(inside is not None))
-        self._backend.set_torque(self._index, inside is not None)
+        if "torque_control" in model.registers:
+            self._store("torque_control", 0)
+        starts = model.protocol == 2 and bool(self.value("startup") & 1)
+        on = starts or self._backend.goal(self._index) is not None
+        self._store("torque_enable", int(on))
+        self._backend.set_torque(self._index, on)
+        if starts:
+            self._drive()
 
 
 def _baud_register(protocol: int, baud: int) -> int:

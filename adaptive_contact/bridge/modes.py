@@ -1,0 +1,179 @@
+"""How a servo follows goals: operating mode, drive mode, limits, offsets, off its registers.
+
+A goal and a position of one servo are numbers of one frame, whatever the frame is: homing offset,
+reverse mode and multi-turn offset are in both, and ``directions`` and ``offsets_rad`` of
+``robot.toml`` are on top of them.  What differs is which numbers a servo takes as goals, and
+whether it turns towards them at all:
+
+=====================================  ====================  ======================================
+found                                  goals it takes        here
+=====================================  ====================  ======================================
+AX, MX: limits lo < hi                 lo to hi              driven
+AX, MX: both limits 0 (wheel)          ignored               refused
+MX: both limits 4095 (multi-turn)      -28672 to 28672       driven within its turn, 0 to 4095;
+                                                             refused with a resolution divider
+MX-64: torque control on               ignored               refused
+X: mode 3 (position)                   min to max limit      driven, homing offset considered
+X: mode 4, 5 (extended, current-based) +-1048575             driven within its turn, 0 to 4095
+X: mode 0, 1, 16 (current, velocity,   ignored               refused
+PWM)
+X: drive mode, slave                   ignored               refused
+X: drive mode, torque on by goal       as the mode           observed, not driven
+X: drive mode, reverse, time-based     as the mode           driven
+=====================================  ====================  ======================================
+
+A multi-turn servo forgets its turns with its power: a position beyond one turn says nothing of the
+joint, so goals stay within the turn that ``robot.toml`` describes.
+
+Where a turn of the encoder ends, one place has two numbers; a limp servo that stands there is not
+woken, for it could run the whole turn back.  With a homing offset h, an X-series servo in position
+mode sets its position to one of h to h + 4095 when its torque comes on: another turn than before,
+where it stood outside.
+
+Sources: ROBOTIS e-manual, MX-64 "CW/CCW Angle Limit(6, 8)", "Resolution Divider (22)", "Torque
+Control Mode Enable (70)"; XM430-W350 "Drive Mode(10)", "Operating Mode(11)", "Homing Offset(20)",
+"Min/Max Position Limit(48, 52)", "Torque Enable(64)", "Present Position(132)"; ROBOTIS forum 7814
+(the turn that is lost as torque comes on).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from adaptive_contact.bridge.tables import ServoModel
+
+__all__ = ["DriveMode", "Setting", "setting"]
+
+_MODES: Final = {
+    0: "current",
+    1: "velocity",
+    3: "position",
+    4: "extended position",
+    5: "current-based position",
+    16: "PWM",
+}
+_POSITION: Final = 3
+_MULTI_TURN: Final = (4, 5)
+# Beyond this, position mode ignores a homing offset.
+_MOST_HOMING: Final = 1024
+_WIZARD: Final = "with DYNAMIXEL Wizard"
+
+
+class DriveMode:
+    """Bits of the register Drive Mode (10)."""
+
+    REVERSE = 0x01
+    SLAVE = 0x02
+    TIME_BASED = 0x04
+    TORQUE_BY_GOAL = 0x08
+
+
+class Setting(NamedTuple):
+    """How a servo is set.
+
+    Attributes:
+        lowest, highest: goals that it takes and that are of its one turn, steps.
+        ends: positions at which its encoder ends, or begins its turn again, None where it counts
+            on.  An AX servo says one of them for all of the 60 degrees that it cannot see; the
+            others may say either of them for one place.
+        wrong: why its goals say nothing of its movements, and what to do; None where they do.
+        undriven: why it is not driven although it may be observed; None where it may be.
+        advice: what to set differently; None without.
+        values: registers by name; a servo in which they change is not the one it was.
+    """
+
+    lowest: int
+    highest: int
+    values: dict[str, int]
+    wrong: str | None = None
+    undriven: str | None = None
+    advice: str | None = None
+    ends: tuple[int, int] | None = None
+
+
+def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
+    """Judge a servo's registers.
+
+    Args:
+        model: the kind of servo.
+        data: the bytes of each of :attr:`.ServoModel.settings`.
+    """
+    values = {
+        name: block.part(part, register)
+        for block, part in zip(model.settings, data, strict=True)
+        for name, register in model.registers.items()
+        if block.address <= register.address
+        and register.address + register.size <= block.address + block.size
+    }
+    return _protocol1(model, values) if model.protocol == 1 else _protocol2(model, values)
+
+
+def _protocol1(model: ServoModel, values: dict[str, int]) -> Setting:
+    lower, upper = values["lower_limit"], values["upper_limit"]
+    usual = f"{model.lowest} and {model.highest}, {_WIZARD}"
+    full = Setting(model.lowest, model.highest, values, ends=(model.lowest, model.highest))
+    if values.get("torque_control"):
+        return full._replace(
+            wrong="is in torque control mode (register 70 is 1), expected 0: it ignores goal "
+            "positions; write 0 to that register, or switch its power off and on"
+        )
+    if lower == upper == 0:
+        return full._replace(
+            wrong=f"is in wheel mode (both angle limits are 0); set limits, such as {usual}"
+        )
+    if lower == upper == model.highest and "resolution_divider" in values:
+        divider = values["resolution_divider"]
+        if divider != 1:
+            return full._replace(
+                wrong=f"is in multi-turn mode with a resolution divider of {divider}, expected 1; "
+                f"set that, or joint mode with angle limits such as {usual}"
+            )
+        return full._replace(
+            ends=None,
+            advice="is in multi-turn mode (both angle limits are 4095) and forgets its turns with "
+            f"its power; joint mode is meant for legs: set limits, such as {usual}",
+        )
+    if lower >= upper:
+        return full._replace(
+            wrong=f"has angle limits {lower} and {upper}, between which there is no travel; set "
+            f"limits, such as {usual}"
+        )
+    return full._replace(lowest=max(lower, model.lowest), highest=min(upper, model.highest))
+
+
+def _protocol2(model: ServoModel, values: dict[str, int]) -> Setting:
+    mode, drive = values["operating_mode"], values["drive_mode"]
+    full = Setting(model.lowest, model.highest, values)
+    if drive & DriveMode.TORQUE_BY_GOAL:
+        full = full._replace(
+            undriven=f"has drive mode {drive} (torque on by goal update), expected that bit (8) "
+            f"clear: a goal written to it while it is limp would switch it on; clear it {_WIZARD}"
+        )
+    if mode != _POSITION and mode not in _MULTI_TURN:
+        name = _MODES.get(mode, "unknown")
+        return full._replace(
+            wrong=f"is in operating mode {mode} ({name}), expected {_POSITION} (position); set it "
+            f"{_WIZARD}"
+        )
+    if drive & DriveMode.SLAVE:
+        return full._replace(
+            wrong=f"has drive mode {drive} (slave: it follows another servo's cable), expected "
+            f"that bit (2) clear; clear it {_WIZARD}"
+        )
+    if mode in _MULTI_TURN:
+        return full
+    lower, upper = values["lower_limit"], values["upper_limit"]
+    homing = values["homing_offset"]
+    if abs(homing) > _MOST_HOMING:
+        homing = 0
+    lowest = max(lower, model.lowest, model.lowest + homing)
+    highest = min(upper, model.highest, model.highest + homing)
+    if lowest >= highest:
+        return full._replace(
+            wrong=f"has position limits {lower} and {upper} and a homing offset of {homing}, "
+            f"between which there is no travel; set limits, such as {model.lowest} and "
+            f"{model.highest}, {_WIZARD}"
+        )
+    ends = model.lowest + homing, model.highest + homing
+    return full._replace(lowest=lowest, highest=highest, ends=ends)
