@@ -44,7 +44,9 @@ AFTER_TICKS: Final = 3
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
 # Stamps on each side of a late one, by which it is judged whether the loop slipped.
-SLIP_TICKS: Final = 5
+SLIP_TICKS: Final = 25
+# And on each side of a tick, over which stamps off the grid are averaged.
+GRID_TICKS: Final = 50
 # Truth comes 20 ms after its samples, for it tells a mean force, and on a key of its own, which
 # may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
 ASTRAY_NS: Final = 1_000_000_000
@@ -99,7 +101,7 @@ class LegGatherer:
             return
         if missed != 0:  # None after a pause
             run.stretches.append([])
-        run.stretches[-1].append(_Read(sample, self._rate.at_ns))
+        run.stretches[-1].append(sample)
 
     def take_truth(self, truth: ContactTruth) -> None:
         """Take in a change of the true contact."""
@@ -160,15 +162,14 @@ class LegGatherer:
             around[n + 1] = 0
         return around
 
-    def _stretch(self, reads: list[_Read], truth: _Truth, free: bool) -> Stretch:
-        rows = [sample for sample, _ in reads]
+    def _stretch(self, rows: list[ServoSample], truth: _Truth, free: bool) -> Stretch:
         joints = len(self.leg.joints)
         desired = np.array([s.desired for s in rows])
         swing = self._swing(rows, desired)
         # A run that told of nothing may have touched nothing, or not know.
         certain = bool(truth.sure) or free
         mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
-        t_ns = np.array([at_ns for _, at_ns in reads], dtype=np.int64)
+        t_ns = _tick_times(rows, self._period_ns)
         for changes in truth.readings():
             mask &= untouched(t_ns, changes, self._period_ns)
         sound = [s.valid is None or all(s.valid) for s in rows]
@@ -253,7 +254,7 @@ class _Run:
     """
 
     t_ns: list[int]
-    stretches: list[list[_Read]]
+    stretches: list[list[ServoSample]]
 
     def near(self, t_ns: int, came: int) -> bool:
         """Whether a time is near this run's when ``came`` of its samples had come."""
@@ -265,20 +266,24 @@ class _Run:
         return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
 
 
-class _Read(NamedTuple):
-    """A sample, and the time of its tick by the schedule of its source."""
+def _tick_times(rows: list[ServoSample], period_ns: int) -> NDArray[np.int64]:
+    """(n,) times of ticks: those of an even grid, moved by the mean of what stamps are off it."""
+    grid = np.array([sample.seq for sample in rows], dtype=np.int64) * period_ns
+    off = np.array([sample.t_ns for sample in rows], dtype=np.int64) - grid
+    total = np.concatenate(([0], np.cumsum(off - off[0])))
+    k = np.arange(len(rows))
+    reach = np.minimum(np.minimum(k, k[::-1]), GRID_TICKS)  # even on both sides
+    mean = (total[k + reach + 1] - total[k - reach]) / (2 * reach + 1)
+    return np.asarray(grid + off[0] + np.round(mean).astype(np.int64))
 
-    sample: ServoSample
-    at_ns: int
 
-
-def _between_slips(reads: list[_Read], period_ns: int) -> Iterator[list[_Read]]:
+def _between_slips(reads: list[ServoSample], period_ns: int) -> Iterator[list[ServoSample]]:
     """A stretch cut where a tick came late by a whole period, or nearly, and the loop with it.
 
     Readings before and after are further apart than any others, however they are numbered.  A
     stamp that is wrong says nothing of its reading: the next ones return to the schedule.
     """
-    stamps = [read.sample.t_ns - read.sample.seq * period_ns for read in reads]
+    stamps = [sample.t_ns - sample.seq * period_ns for sample in reads]
     slip_ns = (LATE_PERIODS - 1.0) * period_ns
     first = 0
     for k in range(1, len(reads)):
