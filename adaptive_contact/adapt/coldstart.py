@@ -19,7 +19,6 @@ from scipy.special import chdtri  # scipy.stats takes half a second to import
 from adaptive_contact.adapt.baseline import LegBaseline
 from adaptive_contact.adapt.gather import cautious
 from adaptive_contact.adapt.refit import Refitter
-from adaptive_contact.adapt.stream import RATE_STEPS
 from adaptive_contact.adapt.training import LegFigures, Stretch, learn_leg
 from adaptive_contact.detect import Tail
 from adaptive_contact.detect.noise import WINDOWS
@@ -155,9 +154,9 @@ class ColdStart:
             self._starts.append(self.samples)
         self._swung = False
 
-    def drop_off_rate(self) -> None:
-        """Ticks have another length: those that told are as far off as those that come after."""
-        self.samples = max(self.samples - RATE_STEPS, self._starts[-1])
+    def drop_off_rate(self, ticks: int) -> None:
+        """Ticks have another length: as many as showed it are as far off as those that come."""
+        self.samples = max(self.samples - ticks, self._starts[-1])
         self.interrupt()
 
     def add(self, measured: list[float], desired: list[float], *, swing: bool, sound: bool) -> None:

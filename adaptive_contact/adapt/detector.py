@@ -62,6 +62,7 @@ class LegDetector:
         recent: as given.
         context: of the tick in hand, for its covariance.
         unit: variance of its residual over the baseline's, one number or (J,).
+        sigma: (J,) rad, deviation of the baseline's residuals.
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class LegDetector:
         self.recent = recent
         self.context = 0
         self.unit: Array | float = 1.0
+        self.sigma: list[float] = known.noise.rms.tolist()
         self._quantum = quantum_rad
         self._period_ns = period_ns
 

@@ -12,6 +12,7 @@ be of either of two runs, it makes no tick of either free.
 from __future__ import annotations
 
 import dataclasses
+import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
@@ -19,7 +20,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.stream import RATE_STEPS, RESET_SAMPLES, RateWatch, StreamGuard
+from adaptive_contact.adapt.stream import (
+    LATE_PERIODS,
+    RESET_SAMPLES,
+    RateWatch,
+    StreamGuard,
+)
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
 from adaptive_contact.errors import IdentificationError
@@ -37,6 +43,10 @@ BEFORE_TICKS: Final = 1
 AFTER_TICKS: Final = 3
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
+# Stamps on each side of a late one, by which it is judged whether the loop slipped.
+SLIP_TICKS: Final = 25
+# And on each side of a tick, over which stamps off the grid are averaged.
+GRID_TICKS: Final = 50
 # Truth comes 20 ms after its samples, for it tells a mean force, and on a key of its own, which
 # may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
 ASTRAY_NS: Final = 1_000_000_000
@@ -86,10 +96,10 @@ class LegGatherer:
             self.off_rate += 1
             # Those that told are as far off as those that came after.
             if run.stretches[-1]:
-                del run.stretches[-1][-RATE_STEPS:]
+                del run.stretches[-1][1 - self._rate.told_by :]
                 run.stretches.append([])
             return
-        if missed != 0:  # None after a pause; a late tick, too, is two periods from the last
+        if missed != 0:  # None after a pause
             run.stretches.append([])
         run.stretches[-1].append(sample)
 
@@ -110,7 +120,8 @@ class LegGatherer:
         return [
             self._stretch(rows, truth, free)
             for run, truth in zip(self._runs, self._truths(), strict=True)
-            for rows in run.stretches
+            for whole in run.stretches
+            for rows in _between_slips(whole, self._period_ns)
             if len(rows) > 1
         ]
 
@@ -158,7 +169,7 @@ class LegGatherer:
         # A run that told of nothing may have touched nothing, or not know.
         certain = bool(truth.sure) or free
         mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
-        t_ns = np.array([s.t_ns for s in rows], dtype=np.int64)
+        t_ns = _tick_times(rows, self._period_ns)
         for changes in truth.readings():
             mask &= untouched(t_ns, changes, self._period_ns)
         sound = [s.valid is None or all(s.valid) for s in rows]
@@ -253,6 +264,41 @@ class _Run:
     def holds(self, t_ns: int, slack_ns: int) -> bool:
         """Whether a time is between those of the first sample and the last."""
         return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
+
+
+def _tick_times(rows: list[ServoSample], period_ns: int) -> NDArray[np.int64]:
+    """(n,) times of ticks: those of an even grid, moved by the mean of what stamps are off it."""
+    grid = np.array([sample.seq for sample in rows], dtype=np.int64) * period_ns
+    off = np.array([sample.t_ns for sample in rows], dtype=np.int64) - grid
+    total = np.concatenate(([0], np.cumsum(off - off[0])))
+    k = np.arange(len(rows))
+    reach = np.minimum(np.minimum(k, k[::-1]), GRID_TICKS)  # even on both sides
+    mean = (total[k + reach + 1] - total[k - reach]) / (2 * reach + 1)
+    return np.asarray(grid + off[0] + np.round(mean).astype(np.int64))
+
+
+def _between_slips(reads: list[ServoSample], period_ns: int) -> Iterator[list[ServoSample]]:
+    """A stretch cut where a tick came late by a whole period, or nearly, and the loop with it.
+
+    Readings before and after are further apart than any others, however they are numbered.  A
+    stamp that is wrong says nothing of its reading: the next ones return to the schedule.
+    """
+    stamps = [sample.t_ns - sample.seq * period_ns for sample in reads]
+    slip_ns = (LATE_PERIODS - 1.0) * period_ns
+    first = 0
+    for k in range(1, len(reads)):
+        if stamps[k] - stamps[k - 1] < slip_ns:
+            continue
+        before, after = (statistics.median(part) for part in _around(stamps, k))
+        if after - before >= slip_ns:
+            yield reads[first:k]
+            first = k
+    yield reads[first:]
+
+
+def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
+    """Some values before the k-th, and as many from it on."""
+    return values[max(k - SLIP_TICKS, 0) : k], values[k : k + SLIP_TICKS]
 
 
 class _Heard(NamedTuple):

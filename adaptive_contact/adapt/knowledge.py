@@ -90,19 +90,19 @@ class Knowledge:
         floor: list[float] = self._known.noise.rms.tolist()
         return floor
 
-    def collect(self, sample: ServoSample, *, swing: bool, broken: bool, off: bool) -> None:
+    def collect(self, sample: ServoSample, *, swing: bool, broken: bool, off: int) -> None:
         """A sample for a first model, where one is wanted.
 
         Args:
             sample: accepted.
             swing: the leg is in one.
             broken: it does not connect to the one before.
-            off: ticks have another length than the robot's.
+            off: ticks that have shown another length than the robot's, 0 where they have not.
         """
         if self.cold is None:
             return
         if off:
-            self.cold.drop_off_rate()
+            self.cold.drop_off_rate(off)
             return
         if broken:
             self.cold.interrupt()

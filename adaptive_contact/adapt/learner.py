@@ -23,7 +23,7 @@ from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
-from adaptive_contact.adapt.tracker import Tracker
+from adaptive_contact.adapt.tracker import UNSURE_TICKS, Tracker
 from adaptive_contact.detect import ContactState, Decision
 from adaptive_contact.identify import LegModel
 from adaptive_contact.robot import Leg, Robot
@@ -87,6 +87,7 @@ class ContactLearner:
         self._command = self._command_before = [0.0] * len(self.leg.joints)  # in force, and before
         self._period_ns = round(robot.period_s * 1e9)
         self._rate = RateWatch(self._period_ns)
+        self._unsure = (0.0, 0)  # share of a period, and for how many ticks
         self._alone: Team | None = None
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
@@ -170,6 +171,7 @@ class ContactLearner:
             restarts=self._guard.restarts,
             contact=self._state.contact,
             contacts=self._tally.counts["contacts"],
+            jitter_ms=self._rate.jitter * self._period_ns / 1e6,
             note=self._ailment(),
         )
 
@@ -212,20 +214,24 @@ class ContactLearner:
             return False
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
-        missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        rate = self._rate
+        missed = rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        if self.tracker is not None:
+            self.tracker.lateness = rate.lateness if rate.late else 0.0
         broken = result.restart or missed != 0
         if broken:
             self._connect(result, sample, missed)
         self._follow_phase(sample)
         if self._knowledge.cold is not None:
             swing = self._swing.ticks > 0
-            self._knowledge.collect(sample, swing=swing, broken=broken, off=self._rate.off)
+            off = rate.told_by - 1 if rate.off else 0
+            self._knowledge.collect(sample, swing=swing, broken=broken, off=off)
         return True
 
     def released(self, sample: ServoSample) -> ContactEvent:
         """The end of a contact that was cut short by a restart, told with the next sample."""
         self.owes_release = False
-        cut_short = Decision(contact=False, onset_ns=sample.t_ns, score=0.0)
+        cut_short = Decision(contact=False, onset_ns=self._rate.at_ns, score=0.0)
         return self._event(cut_short, sample, [0.0] * len(self.leg.joints))
 
     def watch(self, sample: ServoSample) -> None:
@@ -255,6 +261,8 @@ class ContactLearner:
         detector.place(self._command, self._command_before, self._swing.direction)
         if self._follower is not None and tracker.theta is not None:
             detector.unit = self._follower.variance(tracker.theta) * tracker.inflation
+            if self._unsure[1] or self._rate.stretch:
+                self._allow_for_clock(detector)
         return True
 
     def decide(self, verdict: Verdict, sample: ServoSample) -> ContactEvent | None:
@@ -263,16 +271,17 @@ class ContactLearner:
         assert detector is not None
         tracker = detector.tracker
         loaded = self._state.loaded
-        score, onset_ns = verdict.score, sample.t_ns
+        now_ns = self._rate.at_ns
+        score, onset_ns = verdict.score, now_ns
         if score > 1.0 and self._quarantine.lift_first:
             score = 1.0
         elif score > 1.0 and not loaded:
             score, width = detector.known_score(verdict)
-            onset_ns = detector.onset_ns(sample.t_ns, width)
+            onset_ns = detector.onset_ns(now_ns, width)
         decision = self._state.swing_tick(
             score,
             detector.distance(verdict),
-            sample.t_ns,
+            now_ns,
             onset_ns,
             descending=self._quarantine.lift_over,
         )
@@ -284,7 +293,7 @@ class ContactLearner:
             tracker.thetas[0],
             verdict,
             detector,
-            t_ns=sample.t_ns,
+            t_ns=now_ns,
             at=sample.desired,
             free=not (loaded or self._state.contact),
         )
@@ -292,7 +301,7 @@ class ContactLearner:
             return None
         if decision.contact:
             self._tally.counts["contacts"] += 1
-            self._quarantine.alarm(decision.onset_ns, sample.t_ns, self._period_ns, detector)
+            self._quarantine.alarm(decision.onset_ns, now_ns, self._period_ns, detector)
         return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:
@@ -351,6 +360,26 @@ class ContactLearner:
                 self._quarantine.break_off()
                 self._state.begin_swing()  # it may be another one, and the foot on the ground
 
+    def _allow_for_clock(self, detector: LegDetector) -> None:
+        """Widen a tick's variance while nobody knows whether it or its stamp is late.
+
+        A reading that was late by a share of a period errs by that share of the movement, and so
+        do the velocities of the ticks that look back on it.
+        """
+        rate, tracker = self._rate, detector.tracker
+        if rate.stretch:
+            self._unsure = (abs(rate.stretch), UNSURE_TICKS + 1)
+        most, left = self._unsure
+        self._unsure = (most, left - 1)
+        moved = tracker.increments[0]
+        if rate.stretch and not (self._state.loaded or self._state.contact):
+            residual = tracker.residuals[0]
+            if rate.late:  # as the reading came
+                residual = residual + (rate.stretch * moved)
+            rate.vote(residual.tolist(), moved.tolist(), detector.sigma)
+        if rate.late is None:
+            detector.unit = detector.unit + np.square(most * moved / detector.sigma)
+
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
         self.owes_release |= self._state.contact
@@ -373,7 +402,8 @@ class ContactLearner:
             leg=self.leg.id,
             t_ns=sample.t_ns,
             seq=sample.seq,
-            onset_ns=min(decision.onset_ns, sample.t_ns),
+            # In the stamps' own time, of which the schedule is a smoothed one.
+            onset_ns=sample.t_ns - max(self._rate.at_ns - decision.onset_ns, 0),
             contact=decision.contact,
             status=self._status,
             score=decision.score,

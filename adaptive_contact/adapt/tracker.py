@@ -40,6 +40,8 @@ STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
+# A reading earlier than this, in periods, is moved by no more: its noise would grow with it.
+MOST_EARLY: Final = -0.5
 # Ticks after a substitute in which the prediction leans on it most (velocity terms), and the
 # factor on the residual's variance there: a substitute errs by a whole residual, a reading by two
 # thirds of one.
@@ -65,6 +67,7 @@ class Tracker:
         thetas: and those of the ticks observed, lag 0 first.
         filled: samples in the window.
         inflation: of the variance of the last residual.
+        lateness: of the reading to come, periods after its tick; 0 where it is on time.
         usable: sound residuals of this swing, newest first.
     """
 
@@ -83,6 +86,7 @@ class Tracker:
         self.filled = 0
         self.predicted = False
         self.inflation = 1.0
+        self.lateness = 0.0
         self.usable = 0
         self._sound, self._bad = True, False  # the reading taken last
         self._max_step = MAX_STEP_RAD_S * library.period_s
@@ -256,10 +260,16 @@ class Tracker:
         if missing is not None:
             bad = missing if bad is None else bad | missing
         if bad is None:
-            return measured
+            return self._on_time(measured) if self.lateness else measured
         self._bad, self._sound = True, not bad.all()
         substitute = self.measured[0] + self.increment if self._foreseen() else self.measured[0]
-        return np.where(bad, substitute, measured)
+        return np.where(bad, substitute, self._on_time(measured) if self.lateness else measured)
+
+    def _on_time(self, measured: Sequence[float]) -> Array:
+        """Where the leg was at its tick, (J,) rad, by the way that it has gone since the last."""
+        before = self.measured[0]
+        step = (np.array(measured) - before) / (1.0 + max(self.lateness, MOST_EARLY))
+        return np.asarray(before + step)
 
     def _foreseen(self) -> bool:
         """Whether there is a prediction for the tick to come; made now if there can be one."""

@@ -144,6 +144,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         restarts: times the source began anew; what is lost there, no number tells.
         contact: whether the leg touches, by its last event.
         contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
+        jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
         note: one line for a person when something is wrong, None when all is well.
     """
 
@@ -162,6 +163,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     restarts: int = 0
     contact: bool = False
     contacts: int = 0
+    jitter_ms: float = 0.0
     note: str | None = None
 
 

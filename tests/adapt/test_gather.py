@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 
@@ -211,3 +212,15 @@ def test_a_tick_that_comes_late_ends_a_stretch(gather: Callable[..., list[np.nda
 
     assert [len(free) for free in gather(ticks(0, 100))] == [100]
     assert [len(free) for free in gather(late())] == [40, 60]
+
+
+def test_a_stamp_that_is_wrong_ends_none(gather: Callable[..., list[np.ndarray]]) -> None:
+    """The next ones return to the schedule: one in ten is a period late, the others jitter."""
+    rng = np.random.default_rng(0)
+    by = [PERIOD if k % 10 == 5 else round(rng.uniform(0, 0.2 * PERIOD)) for k in range(100)]
+    wrong = [msgspec.structs.replace(s, t_ns=s.t_ns + by[k]) for k, s in enumerate(ticks(0, 100))]
+    for before, after in itertools.pairwise(range(100)):  # strictly increasing
+        if wrong[after].t_ns <= wrong[before].t_ns:
+            later = wrong[before].t_ns + 1
+            wrong[after] = msgspec.structs.replace(wrong[after], t_ns=later)
+    assert [len(free) for free in gather(wrong)] == [100]
