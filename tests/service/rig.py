@@ -45,7 +45,7 @@ with Link.open(router_settings([sys.argv[1]])) as link:
 """
 
 # Subscribers that hang when their process is stopped: foreign ones, with Zenoh's own settings but
-# for the lease of our own commands: a router gives a silent link up when what its peer said is over.
+# for the lease of our own commands, after which a router gives a silent link up.
 FOREIGN = """
 import sys, threading, zenoh
 text = (
