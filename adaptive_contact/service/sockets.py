@@ -15,6 +15,7 @@ Sockets are found in ``/proc/self/fd``.  Without it Zenoh behaves as it would wi
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import socket
@@ -134,13 +135,18 @@ def _use(number: int, what: Callable[[socket.socket], _T]) -> _T | None:
     A duplicate is used, as the number may belong to something else a moment later.
     """
     try:
-        with socket.socket(fileno=os.dup(number)) as ours:
-            tcp = ours.family in (socket.AF_INET, socket.AF_INET6) and (
-                ours.type == socket.SOCK_STREAM
-            )
-            return what(ours) if tcp else None
+        duplicate = os.dup(number)
     except OSError:
         return None
+    try:
+        ours = socket.socket(fileno=duplicate)
+    except OSError:  # no socket any more
+        os.close(duplicate)
+        return None
+    with ours, contextlib.suppress(OSError):
+        if ours.family in (socket.AF_INET, socket.AF_INET6) and ours.type == socket.SOCK_STREAM:
+            return what(ours)
+    return None
 
 
 def _clear_linger(ours: socket.socket) -> None:
