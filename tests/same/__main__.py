@@ -8,16 +8,18 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 from rich.console import Console
 
-from .compare import compare, known_fields
+from .compare import Flip, compare, known_fields
 from .faults import FAULTS, Fault, find, planted
 from .recordings import RECIPES, kept
-from .report import print_faults, print_report, write_json
-from .trees import ROOT, missing, of_revision, playing, tidy, working
+from .report import MOST_FLIPS, print_faults, print_report, write_json
+from .trees import ROOT, Tree, missing, of_revision, playing, tidy, working
 
 OUT: Final = ROOT / "out" / "same"
 PROCESSES: Final = 2
@@ -76,6 +78,8 @@ def _compare(
         )
         for name in files
     }  # fmt: skip
+    for name, of in found.items():
+        of.flips[:MOST_FLIPS] = _judged(of.flips[:MOST_FLIPS], files[name], (before, after), folder)
     write_json(OUT / "differences.json", before.name, after.name, options.tolerance, found)
     print_report(console, before.name, after.name, found, outcomes, frozenset(options.expect))
     console.print(
@@ -83,6 +87,32 @@ def _compare(
         highlight=False,
     )
     return int(any(not of.same for name, of in found.items() if name not in options.expect))
+
+
+def _judged(
+    flips: list[Flip], recording: Path, trees: tuple[Tree, Tree], folder: Path
+) -> list[Flip]:
+    """The flips with what either revision says of their ticks; the recording is replayed again."""
+    if not flips:
+        return []
+    content = msgspec.msgpack.decode(recording.read_bytes())
+    content["probes"] = [[flip.round, flip.leg] for flip in flips]
+    asked = folder / recording.name
+    asked.write_bytes(msgspec.msgpack.encode(content))
+    said = []
+    with ExitStack() as stack:
+        places = [folder / "judged" / side for side in ("first", "second")]
+        sides = [
+            stack.enter_context(playing(tree, {recording.name: asked}, place))
+            for tree, place in zip(trees, places, strict=True)
+        ]
+        for side in sides:
+            ((_, outcome),) = side.done()
+            said.append({(number, leg): judged for number, leg, judged in outcome["probes"]})
+    return [
+        replace(flip, judged=tuple(side.get((flip.round, flip.leg)) for side in said))
+        for flip in flips
+    ]
 
 
 def _find_faults(console: Console, files: dict[str, Path], folder: Path, wanted: list[str]) -> int:

@@ -55,6 +55,7 @@ class Flip:
         round: of the recording.
         seq, contact: of the event.
         before, after: score of the event in the first and in the second revision; None for none.
+        judged: what either says of the tick: scores and thresholds of every window.
     """
 
     leg: str
@@ -63,6 +64,7 @@ class Flip:
     contact: bool
     before: float | None
     after: float | None
+    judged: tuple[Any, Any] = (None, None)
 
 
 @dataclass

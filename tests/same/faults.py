@@ -49,7 +49,7 @@ FAULTS: Final = (
     ),
     Fault(
         "a window that is not there yet", "adapt/block.py",
-        "math.nan if ticks > usable", "math.nan if ticks > usable + 1", "pose-obstacles",
+        "math.nan if ticks > usable", "math.nan if ticks > usable + 1", "caught-foot",
     ),
     Fault(
         "a row of a block is not predicted", "adapt/block.py",
@@ -70,7 +70,7 @@ FAULTS: Final = (
     ),
     Fault(
         "a push from the ground", "adapt/segments.py",
-        "PUSHED_SIGMA: Final = 1.0", "PUSHED_SIGMA: Final = 1.2", "walk-soft",
+        "PUSHED_SIGMA: Final = 1.0", "PUSHED_SIGMA: Final = 1.2", "pose-joint6",
     ),
     Fault(
         "forgetting", "identify/recursive.py",
@@ -86,11 +86,11 @@ FAULTS: Final = (
     ),
     Fault(
         "lifts far off that are a hold", "adapt/monitor.py",
-        "FAR_LEVEL: Final = 100.0", "FAR_LEVEL: Final = 150.0", "caught-foot",
+        "FAR_LEVEL: Final = 100.0", "FAR_LEVEL: Final = 120.0", "trailing-foot",
     ),
     Fault(
         "ticks until a refit takes effect", "adapt/challenger.py",
-        "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51", "pose-free",
+        "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51", "walk-no-phase",
     ),
     Fault(
         "rows of the trial of a refit", "adapt/challenger.py",
@@ -132,6 +132,10 @@ FAULTS: Final = (
     Fault(
         "swings of a cold start", "adapt/coldstart.py",
         "FIRST_TRY_SWINGS: Final = 20", "FIRST_TRY_SWINGS: Final = 21", "cold-start",
+    ),
+    Fault(
+        "first lifts of an unfit baseline", "adapt/monitor.py",
+        "UNFIT_LIFTS: Final = 3", "UNFIT_LIFTS: Final = 4", "unfit-baseline",
     ),
     Fault(
         "counts over a restart", "adapt/learner.py",

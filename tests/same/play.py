@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 import adaptive_contact
 from adaptive_contact import ContactLearner, ServoSample, load_baseline, load_robot
@@ -58,6 +59,24 @@ class Learners:
         event = self._alone.update(samples[self.legs[0]])
         return [] if event is None else [event]
 
+    def judged(self, leg: str) -> dict[str, list[float]] | None:
+        """Scores and thresholds of the last tick, shortest window first, for people.
+
+        No decision rests on them; None of a revision that cannot be asked.
+        """
+        detector = getattr(self[leg], "detector", None)
+        if detector is None:
+            report = self[leg].model_report
+            threshold = None if report is None else report.threshold
+            return None if threshold is None else {"scores": [], "thresholds": [threshold]}
+        from adaptive_contact.detect import statistic
+
+        tracker, thresholds = detector.tracker, detector.thresholds
+        usable = np.array(tracker.usable)
+        found = statistic(tracker.residuals, tracker.increments, detector.whitening, usable)
+        scores = found.value / thresholds
+        return {"scores": scores.tolist(), "thresholds": thresholds.tolist()}
+
     def restart(self) -> None:
         """As when the service ends and starts again."""
         saved = {leg: msgspec.msgpack.encode(self[leg].snapshot()) for leg in self.legs}
@@ -73,7 +92,14 @@ def play(recording: dict[str, Any], folder: Path) -> dict[str, Any]:
     events: list[Any] = []
     looks: list[Any] = []
     fields: dict[str, list[str]] = {}
-    out: dict[str, Any] = {"events": events, "looks": looks, "end": {}, "fields": fields}
+    probes: list[Any] = []
+    out: dict[str, Any] = {
+        "events": events,
+        "looks": looks,
+        "end": {},
+        "fields": fields,
+        "probes": probes,
+    }
 
     def plain(kind: str, value: Any) -> Any:
         if value is not None and kind not in fields:
@@ -92,6 +118,9 @@ def play(recording: dict[str, Any], folder: Path) -> dict[str, Any]:
             made = {leg: ServoSample(**sample) for leg, sample in samples.items()}
             for event in learners.update(made):
                 events.append([number, event.leg, plain("event", event)])
+            for at, leg in recording["probes"]:
+                if at == number:
+                    probes.append([number, leg, learners.judged(leg)])
             for leg in sorted(asked.get(number, ())):
                 learner = learners[leg]
                 status = plain("status", learner.status)

@@ -73,6 +73,7 @@ class Recording:
         rounds: samples, by leg.
         looks: after which round the status of which legs is noted.
         restarts: before which rounds the service that has the learners is started again.
+        probes: after which rounds, of which leg, scores and thresholds are asked for.
     """
 
     robot: str
@@ -80,6 +81,7 @@ class Recording:
     rounds: list[Round]
     looks: list[tuple[int, list[str]]] = field(default_factory=list)
     restarts: list[int] = field(default_factory=list)
+    probes: list[tuple[int, str]] = field(default_factory=list)
 
     @property
     def samples(self) -> int:
@@ -245,6 +247,17 @@ def _other_leg() -> Recording:
     return recording
 
 
+def _unfit_baseline() -> Recording:
+    """A baseline that promises six times less noise than there is: given up, and learned again."""
+    recording = _pose(5208)
+    assert recording.baseline is not None
+    table = json.loads(recording.baseline)
+    leg = table["legs"]["rf"]
+    leg["covariance"] = (np.array(leg["covariance"]) / 40.0).tolist()
+    recording.baseline = json.dumps(table).encode()
+    return recording
+
+
 def _no_lengths() -> Recording:
     # Without geometry a lift is told by its time, which needs swings of 0.4 s and more.
     recording = _pose(5203, segment_ticks=14, drift=_drift("friction", 4.0, 30.0))
@@ -273,8 +286,16 @@ def _preview_library() -> Recording:
 
 
 def _service_restart() -> Recording:
+    """The service starts again while the leg touches, and while an old publisher still speaks."""
     recording = _pose(5206, drift=_drift("friction", 4.0))
-    recording.restarts = [700, 1507, 3001]
+    rounds: list[Round] = []
+    for number, samples in enumerate(recording.rounds):
+        samples["rf"]["run"] = 71 if number < 1400 else 72
+        rounds.append(samples)
+        if 1400 <= number < 1700:  # a process that was thought to have ended
+            rounds.append({"rf": {**samples["rf"], "run": 71}})
+    recording = _streams(recording, rounds)
+    recording.restarts = [700, 1601, 3001]
     return recording
 
 
@@ -492,9 +513,12 @@ RECIPES: Final[dict[str, Callable[[], Recording]]] = {
         5108, drift=_drift("friction", 3.0, shape="ramp", duration_s=60.0)
     ),
     "pose-passing": lambda: _pose(5109, drift=_drift("mass", 0.1, shape="pulse", duration_s=25.0)),
+    "pose-slipped": lambda: _pose(5111, drift=_drift("offset", 0.2)),
+    "trailing-foot": lambda: _pose(5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)),
     "caught-foot": lambda: _pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
     "cold-start": _cold_start,
     "other-leg": _other_leg,
+    "unfit-baseline": _unfit_baseline,
     "no-lengths": _no_lengths,
     "preview-library": _preview_library,
     "quadruped": _quadruped,

@@ -14,7 +14,7 @@ from rich.table import Table
 from .compare import KINDS, Comparison
 from .faults import Fault
 
-__all__ = ["print_faults", "print_report", "write_json"]
+__all__ = ["MOST_FLIPS", "print_faults", "print_report", "write_json"]
 
 # Shown of each recording; the file has all.
 MOST_FLIPS: Final = 12
@@ -59,10 +59,16 @@ def _print_details(console: Console, name: str, of: Comparison) -> None:
     for flip in of.flips[:MOST_FLIPS]:
         what = "contact" if flip.contact else "release"
         scores = " against ".join(_score(s) for s in (flip.before, flip.after))
-        console.print(
-            f"{name}: leg {flip.leg}, seq {flip.seq}: {what} in one only, {scores}",
-            highlight=False, markup=False,
-        )  # fmt: skip
+        line = f"{name}: leg {flip.leg}, seq {flip.seq}: {what} in one only, {scores}"
+        console.print(line, highlight=False, markup=False)
+        for which, judged in zip(("first", "second"), flip.judged, strict=True):
+            if judged is not None:
+                of_windows = (
+                    f"{what} {' '.join(f'{value:.6g}' for value in judged[what])}"
+                    for what in ("scores", "thresholds")
+                )
+                line = f"    {which}: {', '.join(of_windows)}"
+                console.print(line, highlight=False, markup=False)
     if len(of.flips) > MOST_FLIPS:
         console.print(f"{name}: and {len(of.flips) - MOST_FLIPS} more", highlight=False)
     for d in of.differences[:MOST_VALUES]:
