@@ -142,6 +142,7 @@ def compare(
                 f"snapshots have formats {formats[0] or 'none'} and {formats[1] or 'none'}: "
                 "not compared"
             )
+    found.differences.sort(key=lambda d: math.inf if d.round < 0 else d.round)
     return found
 
 
@@ -204,7 +205,9 @@ class _Pairs:
             size = _off(one, other)
             if size is not None and not math.isinf(size):
                 self.found.largest = max(self.found.largest, size)
-            if _equal(one, other) or (size is not None and size <= self._tolerance):
+            if _equal(one, other):
+                continue
+            if self._tolerance and size is not None and size <= self._tolerance:
                 continue
             self.differ(kind, leg, number, path, _short(one), _short(other), size)
 

@@ -101,6 +101,10 @@ def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str,
     digest = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:12]
     files = {name: folder / f"{name}-{digest}.msgpack" for name in names}
     missing = [name for name, path in files.items() if not path.is_file()]
+    for name, path in files.items():  # of an older recipe
+        for old in folder.glob(f"{name}-{'?' * len(digest)}.msgpack"):
+            if old != path:
+                old.unlink()
     with concurrent.futures.ProcessPoolExecutor(max(1, min(processes, len(missing)))) as pool:
         list(pool.map(_make, missing, [files[name] for name in missing]))
     return files
