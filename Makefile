@@ -9,6 +9,12 @@ SEED   ?= 1
 MINUTES ?= 30
 KILLS ?= 100
 BRIDGE_MINUTES ?= 10
+REV ?= HEAD
+# Of `make same`: AGAINST another revision, a TOLERANCE, recordings to EXPECT differences in, ONLY
+# some recordings, fields to IGNORE, FRESH=1 for replaying what was replayed before.
+SAME_OPTIONS = $(if $(AGAINST),--against "$(AGAINST)") $(if $(TOLERANCE),--tolerance $(TOLERANCE)) \
+	$(if $(EXPECT),--expect "$(EXPECT)") $(if $(ONLY),--only "$(ONLY)") \
+	$(if $(IGNORE),--ignore "$(IGNORE)") $(if $(FRESH),--fresh)
 # Processes in real time have the machine to themselves; the other tests share it, file by file.
 TOGETHER := -n 2 --dist loadfile
 
@@ -20,7 +26,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills lock wheel clean
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills lock wheel clean same same-faults
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -61,6 +67,12 @@ check: env  ## ruff, types, import contracts
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+same: env  ## revision REV against the working tree on recorded runs, bit by bit (or TOLERANCE=1e-9)
+	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
+
+same-faults: env  ## faults of one line that `make same` must find, planted one after another
+	PYTHONPATH=tests $(BIN)/python -m same --faults
 
 bench: env  ## the design's figures and speeds, in out/bench (half an hour or so)
 	$(BIN)/python -m adaptive_contact bench --out out/bench

@@ -1,0 +1,1 @@
+"""Compares two revisions of the learner on the same recordings: ``make same REV=...``."""

@@ -1,0 +1,297 @@
+"""Compares what two revisions made of the same recording: pure functions of two outcomes."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+
+__all__ = ["Comparison", "Difference", "Flip", "compare", "flat", "known_fields"]
+
+# Names of fields, by kind of message.
+Fields = dict[str, set[str]]
+Kind = Literal["event", "status", "confirmed", "report", "snapshot", "fault"]
+KINDS: Final[tuple[Kind, ...]] = (
+    "event", "status", "confirmed", "report", "snapshot", "fault",
+)  # fmt: skip
+
+# Maps of a snapshot whose keys are data, such as the reasons that occurred.
+_DATA_MAPS: Final = frozenset({"counts", "rejects"})
+_ABSENT: Final = "(absent)"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A value that is not the same.
+
+    Attributes:
+        kind: of what.
+        leg: whose.
+        round: of the recording, at which it was noted; -1 for its end.
+        field: path of the value.
+        before, after: in the first and in the second revision.
+        size: relative where values are beyond 1; None where it is no difference of numbers.
+    """
+
+    kind: Kind
+    leg: str
+    round: int
+    field: str
+    before: Any
+    after: Any
+    size: float | None = None
+
+
+@dataclass(frozen=True)
+class Flip:
+    """A decision that only one revision made.
+
+    Attributes:
+        leg: whose.
+        round: of the recording.
+        seq, contact: of the event.
+        before, after: score of the event in the first and in the second revision; None for none.
+        judged: what either says of the tick: scores and thresholds of every window.
+    """
+
+    leg: str
+    round: int
+    seq: int
+    contact: bool
+    before: float | None
+    after: float | None
+    judged: tuple[Any, Any] = (None, None)
+
+
+@dataclass
+class Comparison:
+    """Of one recording.
+
+    Attributes:
+        events: how many, in the first and the second revision.
+        flips: decisions of one revision only.
+        differences: beyond the tolerance.
+        largest: size of the largest difference of numbers, within the tolerance or beyond.
+        new_fields: that only one revision has, and which (``-`` the first, ``+`` the second).
+        notes: what could not be compared, and why.
+    """
+
+    events: tuple[int, int] = (0, 0)
+    flips: list[Flip] = field(default_factory=list)
+    differences: list[Difference] = field(default_factory=list)
+    largest: float = 0.0
+    new_fields: set[str] = field(default_factory=set)
+    notes: set[str] = field(default_factory=set)
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs by more than the tolerance."""
+        return not (self.flips or self.differences)
+
+    def count(self, kind: Kind) -> int:
+        """Differences of one kind."""
+        return sum(d.kind == kind for d in self.differences)
+
+
+def compare(
+    before: dict[str, Any],
+    after: dict[str, Any],
+    *,
+    fields: tuple[Fields, Fields] | None = None,
+    tolerance: float = 0.0,
+    ignore: frozenset[str] = frozenset(),
+) -> Comparison:
+    """Compare two outcomes of one recording.
+
+    Args:
+        before, after: as ``play.py`` writes them.
+        fields: that each revision has, as :func:`known_fields` tells them; those of the two
+            outcomes where left out.
+        tolerance: of numbers with a fraction, relative beyond 1; 0 for bit by bit.
+        ignore: fields that may differ, such as ``status.note``.
+    """
+    found = Comparison(events=(len(before["events"]), len(after["events"])))
+    fields = fields or (known_fields([before]), known_fields([after]))
+    of = _Pairs(found, fields, tolerance, ignore)
+    if before.get("fault") != after.get("fault"):
+        found.differences.append(
+            Difference("fault", "", -1, "fault", before.get("fault"), after.get("fault"))
+        )
+    _compare_events(of, before["events"], after["events"])
+    looks = [{(n, leg): rest for n, leg, *rest in side["looks"]} for side in (before, after)]
+    for at in dict.fromkeys([*looks[0], *looks[1]]):
+        number, leg = at
+        one, other = looks[0].get(at), looks[1].get(at)
+        if one is None or other is None:  # a revision that faulted has no more of them
+            continue
+        of.values("status", leg, number, one[0], other[0])
+        if one[1] != other[1]:
+            of.differ("confirmed", leg, number, "confirmed", one[1], other[1])
+    for leg in before["end"].keys() & after["end"].keys():
+        one, other = before["end"][leg], after["end"][leg]
+        of.values("report", leg, -1, one["report"], other["report"])
+        formats = [_formats(side["snapshot"]) for side in (one, other)]
+        if formats[0] == formats[1]:
+            of.values("snapshot", leg, -1, one["snapshot"], other["snapshot"])
+        else:
+            found.notes.add(
+                f"snapshots have formats {formats[0] or 'none'} and {formats[1] or 'none'}: "
+                "not compared"
+            )
+    found.differences.sort(key=lambda d: math.inf if d.round < 0 else d.round)
+    return found
+
+
+def known_fields(outcomes: Iterable[dict[str, Any]]) -> Fields:
+    """Fields of a revision's messages and snapshots, over all its outcomes, by kind."""
+    fields: Fields = {}
+    for outcome in outcomes:
+        for kind, names in outcome["fields"].items():
+            fields.setdefault(kind, set()).update(names)
+        for end in outcome["end"].values():
+            for path, _ in flat(end["snapshot"]):
+                names = _names(path)
+                stems = (".".join(names[:depth]) for depth in range(1, len(names) + 1))
+                fields.setdefault("snapshot", set()).update(stems)
+    return fields
+
+
+def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value of a tree with its path; arrays of snapshots as arrays."""
+    if isinstance(value, dict):
+        if set(value) == {"shape", "data"} and isinstance(value["data"], bytes):
+            array = np.frombuffer(value["data"], dtype="<f8").reshape(value["shape"])
+            yield path, array
+            return
+        for key in sorted(value, key=str):
+            yield from flat(value[key], f"{path}.{key}" if path else str(key))
+        if not value:
+            yield path, {}
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            yield from flat(item, f"{path}[{number}]")
+        yield f"{path}.length", len(value)
+    else:
+        yield path, value
+
+
+class _Pairs:
+    """Pairs of values of two revisions, compared into one comparison."""
+
+    def __init__(
+        self,
+        found: Comparison,
+        fields: tuple[Fields, Fields],
+        tolerance: float,
+        ignore: frozenset[str],
+    ) -> None:
+        self.found = found
+        self._fields = fields
+        self._tolerance = tolerance
+        self._ignore = ignore
+
+    def values(self, kind: Kind, leg: str, number: int, before: Any, after: Any) -> None:
+        """Compare two trees."""
+        sides = (dict(flat(before)), dict(flat(after)))
+        for path in dict.fromkeys([*sides[0], *sides[1]]):
+            present = [path in side for side in sides]
+            if not all(present) and self._is_new(kind, path, present[1]):
+                continue
+            one, other = (side.get(path, _ABSENT) for side in sides)
+            size = _off(one, other)
+            if size is not None and not math.isinf(size):
+                self.found.largest = max(self.found.largest, size)
+            if _equal(one, other):
+                continue
+            if self._tolerance and size is not None and size <= self._tolerance:
+                continue
+            self.differ(kind, leg, number, path, _short(one), _short(other), size)
+
+    def differ(
+        self, kind: Kind, leg: str, number: int, path: str, before: Any, after: Any,
+        size: float | None = None,
+    ) -> None:  # fmt: skip
+        """Note a difference, unless its field may differ."""
+        if f"{kind}.{path}" in self._ignore or kind in self._ignore:
+            self.found.notes.add(f"{kind}.{path} differs, as it may (IGNORE)")
+            return
+        self.found.differences.append(Difference(kind, leg, number, path, before, after, size))
+
+    def _is_new(self, kind: Kind, path: str, in_second: bool) -> bool:
+        """Whether a value that one side lacks is of a field that its revision does not have."""
+        here, there = (self._fields[side].get(kind) for side in (in_second, not in_second))
+        names = _names(path)
+        if here is None or there is None or _DATA_MAPS & set(names):
+            return False
+        for depth in range(1, len(names) + 1):
+            stem = ".".join(names[:depth])
+            if stem in here and stem not in there:
+                self.found.new_fields.add(f"{'+' if in_second else '-'} {kind}.{stem}")
+                return True
+        return False
+
+
+def _compare_events(of: _Pairs, before: list[Any], after: list[Any]) -> None:
+    sides: list[dict[tuple[int, str, bool], Any]] = []
+    for events in (before, after):
+        sides.append({(n, leg, e["contact"]): e for n, leg, e in events})
+    for at in sorted({*sides[0], *sides[1]}):
+        number, leg, contact = at
+        one, other = sides[0].get(at), sides[1].get(at)
+        if one is not None and other is not None:
+            of.values("event", leg, number, one, other)
+            continue
+        made = one if one is not None else other
+        scores = (None if side is None else side["score"] for side in (one, other))
+        of.found.flips.append(Flip(leg, number, made["seq"], contact, *scores))
+
+
+def _formats(snapshot: Any) -> str:
+    return ", ".join(f"{v}" for p, v in flat(snapshot) if p.split(".")[-1] == "format")
+
+
+def _names(path: str) -> list[str]:
+    """Names of a path without its numbers."""
+    plain = "".join(part.split("]")[-1] for part in path.split("["))
+    return plain.split(".")
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Bit by bit; a NaN equals itself, 1 is not 1.0."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.shape == other.shape and one.tobytes() == other.tobytes()
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, float):
+        return struct.pack("<d", one) == struct.pack("<d", other)
+    return bool(one == other)
+
+
+def _off(one: Any, other: Any) -> float | None:
+    """How far two numbers with a fraction are apart; None for all else."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        if one.shape != other.shape:
+            return None
+        if not one.size:
+            return 0.0
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(one - other) / np.maximum(1.0, np.maximum(abs(one), abs(other)))
+        alike = (one == other) | (np.isnan(one) & np.isnan(other))
+        return float(np.nan_to_num(np.where(alike, 0.0, apart), nan=math.inf).max())
+    if not (isinstance(one, float) and isinstance(other, float)):
+        return None
+    if one == other or (math.isnan(one) and math.isnan(other)):
+        return 0.0
+    apart_by = abs(one - other) / max(1.0, abs(one), abs(other))
+    return math.inf if math.isnan(apart_by) else apart_by
+
+
+def _short(value: Any) -> Any:
+    """For a report; of an array its form and a sum by which two can be told apart."""
+    if isinstance(value, np.ndarray):
+        return f"array {list(value.shape)} of sum {float(value.sum())!r}"
+    return value.hex() if isinstance(value, bytes) else value

@@ -1,0 +1,195 @@
+"""Faults of one line that the comparison must find, planted into copies of the working tree."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from .compare import compare
+from .trees import Tree, playing
+
+__all__ = ["FAULTS", "Fault", "find", "planted"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A line of the decision code, and what it is made.
+
+    Attributes:
+        name: permanent.
+        file: under ``adaptive_contact``.
+        old: the line, or a part of it, that occurs once.
+        new: instead.
+        by: the recording that is tried first.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    by: str
+
+
+FAULTS: Final = (
+    Fault(
+        "threshold of a contact", "detect/events.py",
+        "if score <= 1.0:", "if score <= 1.02:", "pose-obstacles",
+    ),
+    Fault(
+        "calm ticks to rearm", "detect/events.py",
+        "REARM_TICKS: Final = 4", "REARM_TICKS: Final = 5", "pose-obstacles",
+    ),
+    Fault(
+        "sign of the onset's share", "detect/events.py",
+        "np.clip(-(residual @ increment)", "np.clip((residual @ increment)", "pose-obstacles",
+    ),
+    Fault(
+        "a window that is not there yet", "adapt/block.py",
+        "math.nan if ticks > usable", "math.nan if ticks > usable + 1", "caught-foot",
+    ),
+    Fault(
+        "a row of a block is not predicted", "adapt/block.py",
+        "self.increment[rows] = increment[rows]",
+        "self.increment[rows[1:]] = increment[rows[1:]]", "walk-flat",
+    ),
+    Fault(
+        "ticks before an onset", "adapt/segments.py",
+        "GUARD_TICKS: Final = 3", "GUARD_TICKS: Final = 2", "pose-obstacles",
+    ),
+    Fault(
+        "ticks at the end of a swing", "adapt/segments.py",
+        "LAST_TICKS: Final = 6", "LAST_TICKS: Final = 5", "pose-free",
+    ),
+    Fault(
+        "ticks around a hole", "adapt/segments.py",
+        "HOLE_TICKS: Final = 8", "HOLE_TICKS: Final = 0", "lost-samples",
+    ),
+    Fault(
+        "a push from the ground", "adapt/segments.py",
+        "PUSHED_SIGMA: Final = 1.0", "PUSHED_SIGMA: Final = 1.2", "pose-joint6",
+    ),
+    Fault(
+        "forgetting", "identify/recursive.py",
+        "settings.forgetting * (1.0 + weight * m)", "1.0 + weight * m", "pose-free",
+    ),
+    Fault(
+        "lifts in doubt before a change", "adapt/monitor.py",
+        "DOUBTS: Final = 2", "DOUBTS: Final = 3", "pose-friction4",
+    ),
+    Fault(
+        "lifts until settled", "adapt/monitor.py",
+        "SETTLED_SWINGS: Final = 3", "SETTLED_SWINGS: Final = 4", "pose-friction4",
+    ),
+    Fault(
+        "lifts far off that are a hold", "adapt/monitor.py",
+        "FAR_LEVEL: Final = 100.0", "FAR_LEVEL: Final = 120.0", "trailing-foot",
+    ),
+    Fault(
+        "ticks until a refit takes effect", "adapt/challenger.py",
+        "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51", "walk-no-phase",
+    ),
+    Fault(
+        "rows of the trial of a refit", "adapt/challenger.py",
+        "TRIAL_ROWS: Final = 200", "TRIAL_ROWS: Final = 199", "pose-free",
+    ),
+    Fault(
+        "segment that a buffer gives up", "adapt/buffer.py",
+        "Counter(cells).most_common(1)[0][0]", "cells[-1]", "pose-obstacles",
+    ),
+    Fault(
+        "reason of a refusal", "adapt/stream.py",
+        "return self._refuse(sample, now, Reject.DUPLICATE_SEQ)",
+        "return self._refuse(sample, now, Reject.TIME_BACKWARDS)", "bad-samples",
+    ),
+    Fault(
+        "samples until a publisher takes back", "adapt/stream.py",
+        "TAKE_BACK_SAMPLES: Final = 25", "TAKE_BACK_SAMPLES: Final = 24", "two-publishers",
+    ),
+    Fault(
+        "a rate that is off", "adapt/stream.py",
+        "MOST_OFF: Final = 0.10", "MOST_OFF: Final = 0.30", "other-rate",
+    ),
+    Fault(
+        "what a substitute is worth", "adapt/tracker.py",
+        "UNSURE_VARIANCE: Final = 2.5", "UNSURE_VARIANCE: Final = 2.4", "lost-samples",
+    ),
+    Fault(
+        "a foot that is held", "adapt/swing.py",
+        "LIFTED_M: Final = 0.006", "LIFTED_M: Final = 0.012", "caught-foot",
+    ),
+    Fault(
+        "seed of when legs refit", "adapt/challenger.py",
+        "SPREAD * zlib.crc32(leg.encode())", "SPREAD * zlib.crc32(leg.encode()[:1])", "pose-free",
+    ),
+    Fault(
+        "tail that follows", "adapt/recent.py",
+        "if not row.value > level:", "if not row.value > 1.1 * level:", "pose-free",
+    ),
+    Fault(
+        "swings of a cold start", "adapt/coldstart.py",
+        "FIRST_TRY_SWINGS: Final = 20", "FIRST_TRY_SWINGS: Final = 21", "cold-start",
+    ),
+    Fault(
+        "first lifts of an unfit baseline", "adapt/monitor.py",
+        "UNFIT_LIFTS: Final = 3", "UNFIT_LIFTS: Final = 4", "unfit-baseline",
+    ),
+    Fault(
+        "counts over a restart", "adapt/learner.py",
+        'self._guard.restore(saved.get("stream"))', "pass", "service-restart",
+    ),
+)  # fmt: skip
+
+
+@contextmanager
+def planted(fault: Fault, sound: Tree, folder: Path) -> Iterator[Tree]:
+    """A copy of a tree with a fault in it.
+
+    Raises:
+        SystemExit: the tree does not have the line, exactly once.
+    """
+    path = folder / "planted"
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.copytree(sound.path, path)
+    file = path / "adaptive_contact" / fault.file
+    text = file.read_text(encoding="utf-8") if file.is_file() else ""
+    if text.count(fault.old) != 1:
+        raise SystemExit(
+            f"fault '{fault.name}': found '{fault.old}' {text.count(fault.old)} times in "
+            f"adaptive_contact/{fault.file}, expected once; "
+            "adapt this fault in tests/same/faults.py"
+        )
+    file.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
+    try:
+        yield Tree.at(fault.name, path)
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def find(
+    fault: Fault, sound: Tree, faulty: Tree, recordings: Mapping[str, Path], outcomes: Path
+) -> str | None:
+    """The first recording on which a fault shows, and how; None where none does.
+
+    Args:
+        fault: its own recording is tried first.
+        sound, faulty: trees without and with it.
+        recordings: files, by name.
+        outcomes: folder of those of the sound tree; the faulty one's are not kept.
+    """
+    names = sorted(recordings, key=lambda name: name != fault.by)
+    for name in names:
+        one = {name: recordings[name]}
+        passing = faulty.path / "outcomes"
+        with playing(sound, one, outcomes) as first, playing(faulty, one, passing) as second:
+            (_, before), (_, after) = next(first.done()), next(second.done())
+        of = compare(before, after)
+        if of.same:
+            continue
+        kinds = dict.fromkeys(d.kind for d in of.differences)
+        shown = [*([f"{len(of.flips)} decisions"] if of.flips else []), *kinds]
+        return f"{name} ({', '.join(shown)})"
+    return None

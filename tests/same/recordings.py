@@ -1,0 +1,541 @@
+"""Recordings on which revisions are compared: made once, from seeds, and kept.
+
+A recording is a row of rounds, each with at most one sample per leg, and with it what the learners
+start from.  Every revision replays the very same files, so that a change of the simulator between
+two revisions does not count.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import copy
+import hashlib
+import json
+import math
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from adaptive_contact.adapt import save_baseline
+from adaptive_contact.adapt.training import learn
+from adaptive_contact.identify import Window
+from adaptive_contact.robot import parse_robot
+from adaptive_contact.wire import Drift, ServoSample
+from adaptive_contact_sim import (
+    EncoderSettings,
+    Injection,
+    ObstacleSettings,
+    PoseGroupSettings,
+    PoseSettings,
+    Simulation,
+    SimulationSettings,
+    TerrainSettings,
+    WalkSettings,
+    record_arrays,
+)
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.training import stretch_of
+from adaptive_contact_sim.trials.spec import Staging
+from adaptive_contact_sim.trials.staging import stagehand
+from adaptive_contact_sim.virtual import quadruped_trials
+
+__all__ = ["RECIPES", "Recording", "kept", "quick"]
+
+# One leg's sample as plain values; what is left out has its default.
+Sample = dict[str, Any]
+Round = dict[str, Sample]
+# Makes a bad sample of one and the one before; whether it comes instead, or besides.
+Spoiler = Callable[[Sample, Sample], tuple[Sample, bool]]
+
+PERIOD_NS: Final = 20_000_000
+POSE_S: Final = 90.0
+LONG_POSE_S: Final = 180.0  # half a dozen refits
+WALK_S: Final = 60.0  # the first refits
+# When something about the leg changes: some 40 swings are long enough to know it by.
+CHANGE_S: Final = 20.0
+_TRIPOD: Final = ("lm", "rf", "rr")
+
+
+@dataclass
+class Recording:
+    """What learners are given, and when they are asked.
+
+    Attributes:
+        robot: content of ``robot.toml``.
+        baseline: content of a baseline file, None for a cold start.
+        rounds: samples, by leg.
+        looks: after which round the status of which legs is noted.
+        restarts: before which rounds the service that has the learners is started again.
+        probes: after which rounds, of which leg, scores and thresholds are asked for.
+    """
+
+    robot: str
+    baseline: bytes | None
+    rounds: list[Round]
+    looks: list[tuple[int, list[str]]] = field(default_factory=list)
+    restarts: list[int] = field(default_factory=list)
+    probes: list[tuple[int, str]] = field(default_factory=list)
+
+    @property
+    def samples(self) -> int:
+        """Of all legs."""
+        return sum(map(len, self.rounds))
+
+
+def kept(folder: Path, names: Sequence[str], *, processes: int = 2) -> dict[str, Path]:
+    """Files of recordings, by name; those that are not there are simulated.
+
+    Args:
+        folder: where they are kept.
+        names: of :data:`RECIPES`.
+        processes: how many are simulated at a time.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    digest = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:12]
+    files = {name: folder / f"{name}-{digest}.msgpack" for name in names}
+    missing = [name for name, path in files.items() if not path.is_file()]
+    for name, path in files.items():  # of an older recipe
+        for old in folder.glob(f"{name}-{'?' * len(digest)}.msgpack"):
+            if old != path:
+                old.unlink()
+    with concurrent.futures.ProcessPoolExecutor(max(1, min(processes, len(missing)))) as pool:
+        list(pool.map(_make, missing, [files[name] for name in missing]))
+    return files
+
+
+def quick() -> Recording:
+    """A leg in pose that changes, touches and loses readings, all within 20 s: for fast tests."""
+    drift = _drift("friction", 4.0, 8.0)
+    return _pose(5101, seconds=20.0, drift=drift, encoder=EncoderSettings(dropped=0.01))
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Write a recording, whole or not at all."""
+    draft = path.with_suffix(".draft")
+    draft.write_bytes(msgspec.msgpack.encode(recording))
+    draft.replace(path)
+
+
+def _make(name: str, path: Path) -> None:
+    write(RECIPES[name](), path)
+
+
+# -- what robots send ------------------------------------------------------------------------------
+
+
+def _simulated(
+    settings: SimulationSettings,
+    seconds: float,
+    legs: Sequence[str],
+    staging: Staging | None = None,
+) -> list[Round]:
+    sim = Simulation(settings)
+    rounds = []
+    with stagehand(sim, staging or Staging(), legs[0]) as hand:
+        for _ in range(round(seconds / settings.period_s)):
+            hand.before_tick()
+            samples = sim.tick().samples
+            rounds.append({leg: _plain(samples[leg]) for leg in legs})
+    return rounds
+
+
+def _plain(sample: ServoSample) -> Sample:
+    fields: Sample = msgspec.to_builtins(sample)
+    del fields["v"]
+    return fields
+
+
+def _looks(rounds: Sequence[Round]) -> list[tuple[int, list[str]]]:
+    """After the first sample of every stance that follows a swing, and at the end."""
+    swinging: set[str] = set()
+    looks = []
+    for number, samples in enumerate(rounds):
+        ended = [leg for leg, s in samples.items() if s["phase"] != "swing" and leg in swinging]
+        if ended:
+            looks.append((number, ended))
+        swinging = {leg for leg, s in samples.items() if s["phase"] == "swing"} | (
+            swinging - set(samples)
+        )
+    legs = sorted({leg for samples in rounds for leg in samples})
+    return [*looks, (len(rounds) - 1, legs)]
+
+
+def _shipped(name: str, file: str) -> bytes:
+    return resources.files("adaptive_contact_models").joinpath(name, file).read_bytes()
+
+
+def _hexapod(rounds: list[Round]) -> Recording:
+    robot = _shipped("hexapod", "robot.toml").decode()
+    return Recording(robot, _shipped("hexapod", "baseline.json"), rounds, _looks(rounds))
+
+
+def _walk(seed: int, kind: str, gait: str = "tripod", *, phase: bool = True) -> Recording:
+    settings = SimulationSettings(
+        motion=WalkSettings(gait=gait),  # type: ignore[arg-type]
+        terrain=TerrainSettings(kind=kind),  # type: ignore[arg-type]
+        seed=seed,
+    )
+    recording = _hexapod(_simulated(settings, WALK_S, LEGS))
+    if not phase:
+        for samples in recording.rounds:
+            for sample in samples.values():
+                del sample["phase"]
+    return recording
+
+
+def _pose(
+    seed: int,
+    *,
+    seconds: float = POSE_S,
+    obstacles: float = 0.5,
+    segment_ticks: int = 10,
+    drift: tuple[Injection, ...] = (),
+    encoder: EncoderSettings | None = None,
+    staging: Staging | None = None,
+    preview_ticks: int = 0,
+) -> Recording:
+    settings = SimulationSettings(
+        motion=PoseSettings(
+            segment_ticks=segment_ticks,
+            obstacles=ObstacleSettings(probability=obstacles, soft=0.3),
+        ),
+        seed=seed,
+        drift=drift,
+        encoder=encoder or EncoderSettings(),
+        preview_ticks=preview_ticks,
+    )
+    return _hexapod(_simulated(settings, seconds, ("rf",), staging))
+
+
+def _drift(
+    kind: str,
+    value: float,
+    at_s: float = CHANGE_S,
+    *,
+    joint: str | None = None,
+    shape: str = "step",
+    duration_s: float = 0.0,
+) -> tuple[Injection, ...]:
+    drift = Drift(
+        kind=kind,  # type: ignore[arg-type]
+        value=value,
+        joint=joint,
+        shape=shape,  # type: ignore[arg-type]
+        duration_s=duration_s,
+    )
+    return (Injection(drift, at_s),)
+
+
+# -- starts ----------------------------------------------------------------------------------------
+
+
+def _cold_start() -> Recording:
+    recording = _pose(5201)
+    recording.baseline = None
+    return recording
+
+
+def _other_leg() -> Recording:
+    recording = _pose(5202)
+    assert recording.baseline is not None
+    table = json.loads(recording.baseline)
+    table["legs"] = {"rf": table["legs"]["lf"]}
+    recording.baseline = json.dumps(table).encode()
+    return recording
+
+
+def _unfit_baseline() -> Recording:
+    """A baseline that promises six times less noise than there is: given up, and learned again."""
+    recording = _pose(5208)
+    assert recording.baseline is not None
+    table = json.loads(recording.baseline)
+    leg = table["legs"]["rf"]
+    leg["covariance"] = (np.array(leg["covariance"]) / 40.0).tolist()
+    recording.baseline = json.dumps(table).encode()
+    return recording
+
+
+def _no_lengths() -> Recording:
+    # Without geometry a lift is told by its time, which needs swings of 0.4 s and more.
+    recording = _pose(5203, segment_ticks=14, drift=_drift("friction", 4.0, 30.0))
+    recording.robot = re.sub(r"(?m)^lengths_m.*\n", "", recording.robot)
+    return recording
+
+
+def _preview_library() -> Recording:
+    """A baseline whose library looks one command ahead, learned here from free swings."""
+    recording = _pose(5204, preview_ticks=2, drift=_drift("supply", 9.5))
+    robot = parse_robot(recording.robot, source="hexapod")
+    run = record_arrays(SimulationSettings(seed=5205), 300.0)
+    training = learn(
+        robot,
+        {"rf": [stretch_of(run, "rf")]},
+        origin="tests/same",
+        window=Window(past_measured=2, past_desired=2, preview=1),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "baseline.json"
+        save_baseline(training.baseline, path)
+        recording.baseline = path.read_bytes()
+    for number in range(2000, 2040):  # the controller does not say what comes next
+        recording.rounds[number]["rf"].pop("preview", None)
+    return recording
+
+
+def _service_restart() -> Recording:
+    """The service starts again while the leg touches, and while an old publisher still speaks."""
+    recording = _pose(5206, drift=_drift("friction", 4.0))
+    rounds: list[Round] = []
+    for number, samples in enumerate(recording.rounds):
+        samples["rf"]["run"] = 71 if number < 1400 else 72
+        rounds.append(samples)
+        if 1400 <= number < 1700:  # a process that was thought to have ended
+            rounds.append({"rf": {**samples["rf"], "run": 71}})
+    recording = _streams(recording, rounds)
+    recording.restarts = [700, 1601, 3001]
+    return recording
+
+
+def _quadruped() -> Recording:
+    scenario = quadruped_trials.Scenario("same", "", 5207, 60.0, 0.5, (300.0, 3000.0))
+    rounds: list[Round] = []
+    for leg, sample in quadruped_trials.record(scenario).samples:
+        if not rounds or leg in rounds[-1]:
+            rounds.append({})
+        rounds[-1][leg] = _plain(sample)
+    return Recording(
+        _shipped("quadruped", "robot.toml").decode(),
+        _shipped("quadruped", "baseline.json"),
+        rounds,
+        _looks(rounds),
+    )
+
+
+# -- streams with faults ---------------------------------------------------------------------------
+
+
+def _streams(recording: Recording, rounds: Iterable[Round]) -> Recording:
+    """The recording with other rounds; the status is noted at every tenth."""
+    recording.rounds = list(rounds)
+    legs = sorted({leg for samples in recording.rounds for leg in samples})
+    numbers = [*range(0, len(recording.rounds), 10), len(recording.rounds) - 1]
+    recording.looks = [(number, legs) for number in numbers]
+    return recording
+
+
+def _restarted(*, run: bool) -> Recording:
+    """A source that starts again: in a swing, in a stance, and then every few samples."""
+    parts = [_pose(5301 + i, seconds=s) for i, s in enumerate((21.0, 14.1, 20.0))]
+    rounds: list[Round] = []
+    number = 0
+    for part in parts:
+        pieces = [part.rounds]
+        if part is parts[1]:  # a loop of starts
+            pieces += [part.rounds[k : k + 30] for k in range(0, 150, 30)]
+        for piece in pieces:
+            number += 1
+            for seq, samples in enumerate(copy.deepcopy(piece)):
+                for sample in samples.values():
+                    sample["seq"], sample["t_ns"] = seq, seq * PERIOD_NS
+                    if run:
+                        sample["run"] = 1_700_000_000_000 + number
+                rounds.append(samples)
+    return _streams(parts[0], rounds)
+
+
+def _tripod(seed: int, encoder: EncoderSettings) -> Recording:
+    """Three legs in pose at a time."""
+    poses = tuple(
+        PoseSettings(legs=(leg,), obstacles=ObstacleSettings(probability=0.4)) for leg in _TRIPOD
+    )
+    settings = SimulationSettings(motion=PoseGroupSettings(poses), seed=seed, encoder=encoder)
+    return _hexapod(_simulated(settings, 60.0, _TRIPOD))
+
+
+def _lost_samples() -> Recording:
+    """Three legs: readings marked as missing, and samples lost of one leg or of all."""
+    rng = np.random.default_rng(5311)
+    recording = _tripod(5310, EncoderSettings(dropped=0.01))
+    lost: set[tuple[int, str]] = set()
+    for leg in (*_TRIPOD, *_TRIPOD, "all"):
+        for start in rng.integers(100, 2900, 20).tolist():
+            length = int(rng.choice([1, 1, 2, 3, 6, 40]))
+            legs = _TRIPOD if leg == "all" else (leg,)
+            lost |= {(start + i, of) for i in range(length) for of in legs}
+    rounds = [
+        {leg: s for leg, s in samples.items() if (number, leg) not in lost}
+        for number, samples in enumerate(recording.rounds)
+    ]
+    return _streams(recording, [samples for samples in rounds if samples])
+
+
+def _failing_readings() -> Recording:
+    """Three legs: readings that come twice, and readings of -π for none."""
+    recording = _tripod(5312, EncoderSettings(repeated=0.01, bogus=0.003))
+    return _streams(recording, recording.rounds)
+
+
+def _late_ticks() -> Recording:
+    """Ticks that come late, their readings as well as their stamps, and pauses of the source."""
+    rng = np.random.default_rng(5313)
+    recording = _pose(5314, seconds=60.0)
+    late_ns = 0
+    for number, samples in enumerate(recording.rounds):
+        if number in (900, 1700):  # that no number shows
+            late_ns += 150_000_000
+        if number > 2000 and rng.random() < 0.05:
+            late_ns += 14_000_000
+        samples["rf"]["t_ns"] += late_ns
+    return _streams(recording, recording.rounds)
+
+
+def _stamp_jitter() -> Recording:
+    """Readings on time with stamps that are not: by 3 ms, then by 6 ms (standard deviation)."""
+    rng = np.random.default_rng(5322)
+    recording = _pose(5323, seconds=50.0)
+    for number, samples in enumerate(recording.rounds):
+        deviation_ns = 0.0 if number < 500 else 3e6 if number < 1500 else 6e6
+        jitter_ns = float(np.clip(rng.normal(), -1.5, 1.5)) * deviation_ns
+        samples["rf"]["t_ns"] += 20_000_000 + round(jitter_ns)
+    return _streams(recording, recording.rounds)
+
+
+def _other_rate() -> Recording:
+    """Ticks of 25 ms for 8 s, and of 20.6 ms for 8 s."""
+    recording = _pose(5320, seconds=50.0)
+    t_ns = 0
+    for number, samples in enumerate(recording.rounds):
+        t_ns += 25_000_000 if 700 <= number < 1020 else PERIOD_NS
+        t_ns += 600_000 if 1300 <= number < 1700 else 0
+        samples["rf"]["t_ns"] = t_ns
+    return _streams(recording, recording.rounds)
+
+
+def _two_publishers() -> Recording:
+    """Two sources of one leg: together, the older alone again, and the newer again."""
+    first, second = _pose(5331, seconds=40.0), _pose(5332, seconds=40.0)
+    rounds: list[Round] = []
+    for number, (one, other) in enumerate(zip(first.rounds, second.rounds, strict=True)):
+        one["rf"]["run"], other["rf"]["run"] = 41, 42
+        other["rf"]["t_ns"] += 7_000_000
+        if number < 600 or 900 <= number < 1500 or number >= 1800:
+            rounds.append(one)
+        if 600 <= number < 1200 or number >= 1500:
+            rounds.append(other)
+    return _streams(first, rounds)
+
+
+def _spoilt(seed: int, seconds: float, spoilers: Sequence[Spoiler]) -> Recording:
+    """One bad sample a second and some, each kind in turn."""
+    recording = _pose(seed, seconds=seconds)
+    last = len(recording.rounds) - 20
+    rounds: list[Round] = []
+    for number, samples in enumerate(recording.rounds):
+        sample = samples["rf"]
+        kind, place = divmod(number - 300, 57)
+        if place or not 300 <= number < last:
+            rounds.append(samples)
+            continue
+        before = copy.deepcopy(recording.rounds[number - 1]["rf"])
+        spoilt, instead = spoilers[kind % len(spoilers)](copy.deepcopy(sample), before)
+        rounds.append({"rf": spoilt})
+        if not instead:
+            rounds.append(samples)
+    return _streams(recording, rounds)
+
+
+def _with(sample: Sample, **fields: Any) -> Sample:
+    return {**sample, **fields}
+
+
+def _one(values: Sequence[float], joint: int, value: float) -> list[float]:
+    return [value if i == joint else old for i, old in enumerate(values)]
+
+
+# Samples that no learner can use, and whether each comes instead of the good one or besides.
+_UNUSABLE: Final[tuple[Spoiler, ...]] = (
+    lambda s, _: (_with(s, measured=_one(s["measured"], 1, math.nan)), True),
+    lambda s, _: (_with(s, desired=_one(s["desired"], 0, math.inf)), False),
+    lambda _, before: (before, False),  # twice
+    lambda s, before: (_with(before, t_ns=s["t_ns"]), False),  # its number twice
+    lambda s, before: (_with(s, t_ns=before["t_ns"]), True),  # its time twice
+    lambda _, before: (_with(before, t_ns=before["t_ns"] - 90_000_000), False),  # backwards
+    lambda s, _: (_with(s, measured=s["measured"][:2]), True),
+    lambda s, _: (_with(s, valid=[True, True]), False),
+    lambda s, _: (_with(s, measured=_one(s["measured"], 2, 100.0)), True),
+    lambda s, _: (_with(s, measured=_one(s["measured"], 2, 8.1 * math.pi)), False),
+    lambda s, _: (_with(s, seq=s["seq"] + 20_000_000), False),
+    lambda s, _: (_with(s, seq=-1), False),
+    lambda s, _: (_with(s, t_ns=2**63), False),
+    lambda s, _: (_with(s, preview=[[0.0, 0.0, math.nan]]), False),
+    lambda s, _: (_with(s, preview=[[0.0, 0.0, 0.0]] * 65), False),
+    lambda s, _: (_with(s, valid=[True, False, True]), True),
+    lambda s, _: (_with(s, valid=[False, False, False]), True),
+)
+# Readings that no leg can have made.
+_UNREAL: Final[tuple[Spoiler, ...]] = (
+    lambda s, _: (_with(s, measured=_one(s["measured"], 1, -math.pi)), True),
+    lambda s, _: (_with(s, measured=[x + 2 * math.pi for x in s["measured"]]), True),
+    lambda s, _: (_with(s, measured=[0.0, 0.0, 0.0]), True),
+    lambda s, _: (_with(s, measured=_one(s["measured"], 2, 0.0)), True),
+    lambda s, before: (_with(s, measured=before["measured"]), True),  # to the last bit
+)
+
+
+def _wrong_signs() -> Recording:
+    """Pitch angles that grow downwards: the baseline is of another leg, and one is learned."""
+    recording = _pose(5351, obstacles=0.3)
+    for samples in recording.rounds:
+        for sample in samples.values():
+            for name in ("measured", "desired"):
+                yaw, *pitches = sample[name]
+                sample[name] = [yaw, *(-angle for angle in pitches)]
+    return recording
+
+
+# Seeds are those of no test, benchmark or baseline; names are permanent.
+RECIPES: Final[dict[str, Callable[[], Recording]]] = {
+    "walk-flat": lambda: _walk(5001, "flat"),
+    "walk-rough": lambda: _walk(5002, "rough", "ripple"),
+    "walk-soft": lambda: _walk(5003, "soft"),
+    "walk-no-phase": lambda: _walk(5004, "rough", phase=False),
+    "pose-obstacles": lambda: _pose(5101, seconds=LONG_POSE_S),
+    "pose-free": lambda: _pose(5102, obstacles=0.0),
+    "pose-friction4": lambda: _pose(5103, drift=_drift("friction", 4.0)),
+    "pose-joint6": lambda: _pose(5104, drift=_drift("friction", 6.0, joint="femur")),
+    "pose-supply": lambda: _pose(5105, drift=_drift("supply", 9.0)),
+    "pose-mass": lambda: _pose(5106, drift=_drift("mass", 0.1)),
+    "pose-offset": lambda: _pose(5107, drift=_drift("offset", 0.05, joint="tibia")),
+    "pose-creeping": lambda: _pose(
+        5108, drift=_drift("friction", 3.0, shape="ramp", duration_s=60.0)
+    ),
+    "pose-passing": lambda: _pose(5109, drift=_drift("mass", 0.1, shape="pulse", duration_s=25.0)),
+    "pose-slipped": lambda: _pose(5111, drift=_drift("offset", 0.2)),
+    "trailing-foot": lambda: _pose(5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)),
+    "caught-foot": lambda: _pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
+    "cold-start": _cold_start,
+    "other-leg": _other_leg,
+    "unfit-baseline": _unfit_baseline,
+    "no-lengths": _no_lengths,
+    "preview-library": _preview_library,
+    "quadruped": _quadruped,
+    "service-restart": _service_restart,
+    "restart-with-run": lambda: _restarted(run=True),
+    "restart-without-run": lambda: _restarted(run=False),
+    "lost-samples": _lost_samples,
+    "failing-readings": _failing_readings,
+    "late-ticks": _late_ticks,
+    "other-rate": _other_rate,
+    "stamp-jitter": _stamp_jitter,
+    "two-publishers": _two_publishers,
+    "bad-samples": lambda: _spoilt(5341, 70.0, _UNUSABLE),
+    "bad-readings": lambda: _spoilt(5342, 60.0, _UNREAL),
+    "wrong-signs": _wrong_signs,
+}
