@@ -78,8 +78,9 @@ class Horns:
         pass
 
     def place(self, index: int, angle_rad: float) -> None:
-        """Turn a limp horn by hand."""
-        self.angles[index] = angle_rad
+        """Turn a horn by hand; one with torque stays."""
+        if not self.on[index]:
+            self.angles[index] = angle_rad
 
     def _go(self, index: int) -> None:
         if self.on[index]:

@@ -220,7 +220,7 @@ def happen(stage: Stage, what: str, where: float) -> None:
         put("goal_position", min(max(goal, lowest, -20000), highest, 20000))
     elif what == "overload":
         servo.set_errors(0x20)
-        stage.horns.place(0, where if not servo.drives else stage.horns.angle(0))
+        stage.horns.place(0, where)
     elif what == "recovers":
         if servo.model.protocol == 1:
             put("torque_limit", 1023)

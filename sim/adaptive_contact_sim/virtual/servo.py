@@ -273,6 +273,8 @@ class VirtualServo:
             self._set_slope()
         elif name == "torque_limit":
             self._backend.set_torque(self._index, self.drives)
+            if self.drives:
+                self._drive()
         elif name == "operating_mode":
             self._settle_turns()
         elif name == "torque_enable":
