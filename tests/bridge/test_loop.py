@@ -175,7 +175,7 @@ def test_a_leg_none_of_whose_servos_can_be_read_says_that_its_commands_wait(run:
     def feed(c: Any) -> bool:
         r.command("l0", 0.4, 0.4, 0.4)
         return bool(c.statuses) and c.statuses[-1].note == (
-            "leg l0: commands wait for servo 1 (no answer), 2 (no answer), 3 (no answer)"
+            "leg l0: commands wait for servo 1, 2, 3 (no answer)"
         )
 
     r.catcher.wait(feed)

@@ -275,8 +275,10 @@ class VirtualPort:
     def _troubled(self, servo: VirtualServo, status: Status, elapsed_s: float) -> Status:
         """A status as faults make it: stale data, error bits."""
         stale = self.faults.strike("stale", servo.id, elapsed_s)
-        if stale and servo.stale_data is not None and len(servo.stale_data) == len(status.data):
-            status = status._replace(data=servo.stale_data)
+        old = servo.stale_data
+        if stale and old is not None and abs(len(old) - len(status.data)) <= 1:
+            # The servo's registers are old, whether a master asks for a byte more or not.
+            status = status._replace(data=(old + status.data[len(old) :])[: len(status.data)])
         elif status.data:
             servo.stale_data = status.data
         spec = self.faults.strike("error", servo.id, elapsed_s)
