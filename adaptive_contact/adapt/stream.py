@@ -47,6 +47,8 @@ RATE_STEPS: Final = 8
 # errors within the limit; two seconds at 50 Hz at most.
 RATE_ERRORS: Final = 8.0
 MOST_RATE_STEPS: Final = 100
+# The latest tick that is no pause, 3 periods late, moves the mean of so many steps by MOST_OFF.
+MEAN_STEPS: Final = 30
 # A model's velocities are per tick: at a rate further off than this it predicts another leg.
 MOST_OFF: Final = 0.10
 STEADY_OFF: Final = 0.05
@@ -425,8 +427,10 @@ class RateWatch:
         found_ns = self.found_ns = (last.t_ns - first.t_ns) / (last.seq - first.seq)
         limit = STEADY_OFF if self.off else MOST_OFF
         by = found_ns / self._period_ns - 1.0
-        # One tick that came late is no other rate.
-        self.off = abs(by) > limit and self._most_off(math.copysign(limit / 2.0, by), steps)
+        # One tick that came late is no other rate; over many steps it cannot look like one.
+        self.off = abs(by) > limit and (
+            steps >= MEAN_STEPS or self._most_off(math.copysign(limit / 2.0, by), steps)
+        )
 
     def _most_off(self, limit: float, steps: int) -> bool:
         """Whether half of the last steps and more are off by a limit, on its side."""

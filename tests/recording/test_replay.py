@@ -133,7 +133,7 @@ def event(leg: str, t_ns: int) -> ContactEvent:
     )
 
 
-def test_decoding_and_grouping_leave_time_for_the_learners(tmp_path: Path) -> None:
+def test_every_tick_of_a_recording_is_decoded_and_grouped(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     rng = np.random.default_rng(5)
     with RecordingWriter(path) as writer:
@@ -149,12 +149,8 @@ def test_decoding_and_grouping_leave_time_for_the_learners(tmp_path: Path) -> No
                 )
                 writer.write_message(servo_key(leg), sample, k * TICK)
     bank, counts = NullBank(), Counts()
-    started = time.perf_counter()
     assert list(replay_events(read_recording(path), bank, counts)) == []
-    rate = counts.samples / (time.perf_counter() - started)
     assert (bank.ticks, counts.samples) == (2000, 12_000)
-    # Over 200,000 on an idle core; the learners' own aim is 30,000 to 100,000.
-    assert rate > 40_000
 
 
 class Wire:
