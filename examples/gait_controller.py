@@ -9,6 +9,11 @@ bridge's samples, contacts from the service.  Run it against a virtual robot on 
     adaptive-contact bridge dynamixel --config rig.toml --drive
     python examples/gait_controller.py --leg rf --steps 5
 
+What it does when something is missing: without samples it ends and commands nothing more, and the
+bridge holds the leg where it is.  While no service runs, nobody reports contacts: the leg holds
+still, lifts once the service is back, and steps again.  A contact from before a descent began (the
+last one is kept for late joiners) is not one of this descent.
+
 Legs of three joints (yaw, pitch, pitch) and of two (pitch, pitch) will do.
 
 Needs ``adaptive-contact`` and numpy.
@@ -29,6 +34,7 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.robot import Leg, foot, inverse, load_robot, shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.probe import Finding
+from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.wire import (
     Command,
     ContactEvent,
@@ -42,6 +48,7 @@ from adaptive_contact.wire import (
 
 # A step: up in so many ticks, then down in so many; the foot aims below the ground.
 LIFT_TICKS, DESCENT_TICKS, STAND_TICKS = 14, 24, 25
+LAG_TICKS = 6
 # Where a step goes, in lengths of the stretched leg from its first axis.
 REACH, TOP, BOTTOM = 0.586, -0.195, -0.605
 
@@ -51,7 +58,9 @@ class Ears:
 
     def __init__(self, link: Link, leg: str) -> None:
         self.samples: queue.Queue[ServoSample] = queue.Queue()
-        self.touches = threading.Event()
+        self.contact: ContactEvent | None = None
+        self.service = threading.Event()  # set while one runs
+        link.watch_tokens(SERVICE_TOKEN, self._token)
         link.subscribe(servo_key(leg), self._sample)
         link.subscribe(contact_key(leg), self._contact, history=True)  # also after a cut link
 
@@ -62,12 +71,19 @@ class Ears:
 
     def _contact(self, received) -> None:
         event = decode(received.payload, ContactEvent, received.encoding)
-        if isinstance(event, Rejected):
-            return
-        if event.contact:
-            self.touches.set()
+        if not isinstance(event, Rejected):
+            self.contact = event
+
+    def _token(self, key: str, alive: bool) -> None:
+        if alive:
+            self.service.set()
         else:
-            self.touches.clear()
+            self.service.clear()
+
+    def touched_since(self, t_ns: int) -> bool:
+        """Whether the foot touches, by an event no older than ``t_ns`` of the samples."""
+        event = self.contact
+        return event is not None and event.contact and event.t_ns >= t_ns
 
 
 class Legwork:
@@ -102,20 +118,40 @@ class Legwork:
         for _ in range(ticks):
             self.tick(self.goal)
 
-    def move(self, target_m, ticks: int, *, stop_on_contact: bool = False) -> bool:
-        """Move the foot in a straight line; True if a contact stopped it."""
-        start = foot(self.goal, self.leg.lengths_m, self.leg.joint_axes)
-        for k in range(1, ticks + 1):
-            if stop_on_contact and self.ears.touches.is_set():
-                return True
-            point = start + (k / ticks) * (np.array(target_m) - start)
-            self.tick(angles(self.leg, point))
-        # The foot lags its command: what it runs into now still counts as this descent's.
-        for _ in range(6 if stop_on_contact else 0):
-            if self.ears.touches.is_set():
-                return True
+    def await_service(self) -> None:
+        """Stay where the last goal is until somebody reports contacts."""
+        if not self.ears.service.is_set():
+            print("no service reports contacts; holding still until one does", flush=True)
+        while not self.ears.service.is_set():
             self.tick(self.goal)
-        return False
+
+    def move(self, target_m, ticks: int) -> None:
+        """Move the foot in a straight line."""
+        for goal in self._line(target_m, ticks):
+            self.tick(goal)
+
+    def descend(self, target_m, ticks: int) -> str:
+        """Move the foot down until a contact stops it.
+
+        Returns:
+            ``contact``, ``none``, or ``unwatched`` where the service has gone on the way: the foot
+            may have touched since, and nobody would have said so.
+        """
+        began_ns = self.sample.t_ns
+        # The foot lags its command: what it runs into after the last goal counts as well.
+        line = self._line(target_m, ticks)
+        for goal in [*line, *[line[-1]] * LAG_TICKS]:
+            if not self.ears.service.is_set():
+                return "unwatched"
+            if self.ears.touched_since(began_ns):
+                return "contact"
+            self.tick(goal)
+        return "none"
+
+    def _line(self, target_m, ticks: int) -> list[np.ndarray]:
+        start = foot(self.goal, self.leg.lengths_m, self.leg.joint_axes)
+        way = np.array(target_m) - start
+        return [angles(self.leg, start + (k / ticks) * way) for k in range(1, ticks + 1)]
 
 
 def angles(leg: Leg, point_m) -> np.ndarray:
@@ -194,12 +230,16 @@ def run(options: argparse.Namespace) -> None:
         began = time.monotonic()
         while time.monotonic() - began < 3.0:
             work.tick(top)
+        said = {"contact": "stopped on contact", "none": "no contact"}
         for step in range(options.steps):
-            work.ears.touches.clear()
-            touched = work.move([reach, 0.0, down], DESCENT_TICKS, stop_on_contact=True)
+            work.await_service()
+            found = work.descend([reach, 0.0, down], DESCENT_TICKS)
+            while found == "unwatched":
+                work.await_service()
+                work.move([reach, 0.0, up], LIFT_TICKS)
+                found = work.descend([reach, 0.0, down], DESCENT_TICKS)
             height = foot(work.sample.measured, work.leg.lengths_m, work.leg.joint_axes)[2]
-            what = "stopped on contact" if touched else "no contact"
-            print(f"step {step + 1}: {what}, foot at {100 * height:+.1f} cm", flush=True)
+            print(f"step {step + 1}: {said[found]}, foot at {100 * height:+.1f} cm", flush=True)
             work.hold(STAND_TICKS)
             work.move([reach, 0.0, up], LIFT_TICKS)
 

@@ -36,7 +36,8 @@ class ServoCounts(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
             its drive off for that.
         faults: how often, by kind: ``no_answer``, ``corrupt``, ``refused``, ``stale`` (an old
             position again), ``unpunctual`` (read too far from its moment), ``carried_back`` (read
-            off its moment, and put right by the servo's own speed), and the names of error bits.
+            off its moment, and put right by the servo's own speed), ``foreign_goal`` (its goal
+            was not the one written: another program, or a reset), and the names of error bits.
     """
 
     silent: bool = False

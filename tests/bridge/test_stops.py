@@ -1,0 +1,169 @@
+"""What a driven robot does when commands stop, when the service dies, and when it is back."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import queue
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.bridge.survey import write_robot
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.wire import Command, command_key
+
+pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
+
+AX = {"model": "AX-12A", "protocol": 1}
+
+
+class Program:
+    """A process of ours, and the lines it has said."""
+
+    def __init__(self, state: Path, *words: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "adaptive_contact", *words],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env={**os.environ, "XDG_STATE_HOME": str(state)},
+        )  # fmt: skip
+        self.lines: list[str] = []
+        self._new: queue.Queue[str | None] = queue.Queue()
+        self._reader = threading.Thread(target=self._pump, daemon=True)
+        self._reader.start()
+
+    def _pump(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._new.put(line)
+        self._new.put(None)
+
+    def wait(self, pattern: str, timeout_s: float = 40.0) -> str:
+        """The next line that matches."""
+        end = time.monotonic() + timeout_s
+        while True:
+            line = self._new.get(timeout=max(end - time.monotonic(), 0.01))
+            assert line is not None, f"ended: {self.lines}"
+            self.lines.append(line)
+            found = re.search(pattern, line)
+            if found:
+                return found[found.lastindex or 0]
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def end(self) -> None:
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(20)
+        self.kill()
+        self._reader.join(10)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
+    running: list[Program] = []
+
+    def make(*words: str) -> Program:
+        running.append(Program(tmp_path, *words))
+        return running[-1]
+
+    yield make
+    for program in reversed(running):
+        program.end()
+
+
+class Commands:
+    """Commands of one leg at 50 Hz, from a thread, until told otherwise."""
+
+    def __init__(self, link: Link, goal: list[float]) -> None:
+        self.goal: list[float] | None = goal
+        self._publisher = link.publisher(command_key("l0"))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.02):
+            goal = self.goal
+            if goal is not None:
+                self._publisher.put(Command(desired=goal))
+
+    def end(self) -> None:
+        self._stop.set()
+        self._thread.join(5)
+
+
+def until(true: Callable[[], Any], timeout_s: float = 30.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not true():
+        assert time.monotonic() < end
+        threading.Event().wait(0.01)
+
+
+def test_a_leg_is_held_when_commands_stop_or_the_service_dies_and_goes_on_gently_after(
+    rig: Callable, start: Callable[..., Program], tmp_path: Path
+) -> None:
+    r = rig(**AX)
+    (tmp_path / "robot.toml").write_text(write_robot(r.robot))
+    robot = str(tmp_path / "robot.toml")
+    service = start("serve", "--config", robot, "--listen", "tcp/127.0.0.1:0")
+    endpoint = service.wait(r"listening on (tcp/\S+?)[;,]")
+    bridge = start("bridge", "dynamixel", "--drive", "--config", robot, "--connect", endpoint)
+    bridge.wait("driving 6 servos")
+    servo = r.servo(1)
+    centre, goals = servo.model.centre, []
+    write = servo.write
+
+    def spy(address: int, data: bytes) -> Any:
+        if address == servo.model.registers["goal_position"].address:
+            goals.append(int.from_bytes(data, "little"))
+        return write(address, data)
+
+    servo.write = spy
+    with Link.open(client_settings([endpoint])) as link:
+        commands = Commands(link, [0.4] * 3)
+        try:
+            there = centre + round(0.4 / servo.model.step_rad)
+            until(lambda: goals and goals[-1] == there)
+            commands.goal = None
+            bridge.wait("leg l0: no command for 200 ms, holding the last goal")
+            written = len(goals)
+            commands.goal = [0.4] * 3
+            bridge.wait("leg l0: commands are back")
+            until(lambda: len(goals) > written + 5)
+            # The service is the router too: nothing arrives any more.
+            service.kill()
+            bridge.wait("leg l0: no command for 200 ms, holding the last goal")
+            held, written = servo.value("goal_position"), len(goals)
+            assert held == there
+            assert servo.drives
+            commands.goal = [0.2] * 3  # to nobody yet
+            start("serve", "--config", robot, "--listen", endpoint).wait("listening on")
+            bridge.wait("leg l0: commands are back")
+            aim = centre + round(0.2 / servo.model.step_rad)
+            until(lambda: goals[-1] == aim)
+        finally:
+            commands.end()
+    after = goals[written:]
+    easy = 0.15 / 5 / servo.model.step_rad
+    assert abs(after[0] - held) <= easy + 1  # from where it was held, at the easy pace
+    assert min(after) >= aim - 1
+    assert all(abs(b - a) <= easy + 1 for a, b in itertools.pairwise(after))
+    # At its end the bridge leaves the torque on: a standing robot does not fall.
+    bridge.end()
+    assert servo.drives
+    assert servo.value("goal_position") == aim
