@@ -23,7 +23,7 @@ from adaptive_contact.adapt.stream import RATE_STEPS, RESET_SAMPLES, RateWatch, 
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
 from adaptive_contact.errors import IdentificationError
-from adaptive_contact.robot import Leg
+from adaptive_contact.robot import AngleFrame, Leg
 from adaptive_contact.robot.phase import infer_phase
 from adaptive_contact.wire import ContactTruth, Reject, ServoSample
 
@@ -56,6 +56,7 @@ class LegGatherer:
         self.rejects: Counter[Reject] = Counter()
         self._period_ns = round(period_s * 1e9)
         self.off_rate = 0
+        self._frame = AngleFrame(leg)
         self._guard = StreamGuard(len(leg.joints))
         self._rate = RateWatch(self._period_ns)
         self._runs: list[_Run] = []
@@ -72,7 +73,8 @@ class LegGatherer:
         return sum(len(rows) for run in self._runs for rows in run.stretches)
 
     def take_sample(self, sample: ServoSample) -> None:
-        """Take in the next sample; a bad one is counted."""
+        """Take in the next sample of the wire; a bad one is counted."""
+        sample = self._frame.sample(sample)
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
             self.rejects[result] += 1

@@ -26,7 +26,7 @@ from adaptive_contact.adapt.team import Team
 from adaptive_contact.adapt.tracker import Tracker
 from adaptive_contact.detect import ContactState, Decision
 from adaptive_contact.identify import LegModel
-from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
@@ -56,6 +56,7 @@ class ContactLearner:
         refitter: does the sparse refits; in line where absent.
 
     Attributes:
+        frame: turns the wire's angles into the description's; None where they are the same.
         owes_release: whoever listens may hold the leg to touch, and no tick will decide that it
             has let go; to be told with the next sample.
 
@@ -77,6 +78,8 @@ class ContactLearner:
             baseline.check_fits(robot)
         self.robot = robot
         self.leg: Leg = robot.leg(leg)
+        frame = AngleFrame(self.leg)
+        self.frame = None if frame.same else frame
         self._knowledge = Knowledge(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self._guard = StreamGuard(len(self.leg.joints))
         self._swing = SwingWatch(self.leg)
@@ -93,7 +96,7 @@ class ContactLearner:
     # -- public --------------------------------------------------------------------------------
 
     def update(self, sample: ServoSample) -> ContactEvent | None:
-        """Take in the next sample.
+        """Take in the next sample of the wire.
 
         Args:
             sample: any sample; a bad one is counted in :attr:`status` and changes nothing.
