@@ -35,7 +35,7 @@ from adaptive_contact.robot.description import Leg, Mount, Robot
 from adaptive_contact.robot.geometry import foot, height_gradients
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["ConventionFinding", "ConventionWatch", "Kind", "LegMotion", "Verdict", "judge_motion"]
+__all__ = ["ConventionFinding", "Kind", "LegMotion", "Verdict", "judge_motion"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,6 +44,8 @@ Kind = Literal["sign", "order", "zero"]
 # Displacements are taken over this time, s: long against the jitter of a command's rounding, short
 # against a stance.
 LAG_S: Final = 0.08
+# Feet of a slow gait go too little way in it: then it is so many times as long.
+SLOW_LAGS: Final = 3
 # After a touch a controller may press the foot down for this long, s, and before the lift a
 # phase may be told late.
 SETTLE_S: Final = 0.12
@@ -51,7 +53,7 @@ BEFORE_LIFT_S: Final = 0.06
 # Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
 TRIMMED: Final = 0.3
 # A pair of legs with fewer ticks in common tells nothing.
-LEAST_ROWS: Final = 12
+LEAST_ROWS: Final = 40
 # Rows of a pair that are looked at; more add nothing, as they come from the same swings.
 MOST_ROWS: Final = 120
 # Standing feet must move by so much per LAG_S, m, for their distance to tell anything.
@@ -71,6 +73,7 @@ SLOW_RAD_S: Final = 1.0
 LEAST_SLOW: Final = 50
 # rho² beyond which a pair is as bad as can be.
 MOST: Final = 4.0
+_UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
 # Patterns of signs grow as powers of two, and choices of them with the legs.
 MOST_FLIPS: Final = 5
 MOST_CHOICES: Final = 300_000
@@ -157,7 +160,7 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     legs = [leg for leg in legs if len(leg.flips) > 1]
     if not legs:
         return Verdict()
-    chosen = _choose_rigid(legs) if _mounts_told(robot) else {}
+    chosen = _choose_rigid(legs, robot.period_s) if _mounts_told(robot) else {}
     findings, fits = [], []
     for leg in legs:
         pattern = chosen.get(leg.leg.id)
@@ -169,7 +172,11 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         elif (found > 0).all():
             fits.append(leg.leg.id)
         else:
-            told = "standing feet move against each other as they are described"
+            told = (
+                _UPSIDE_DOWN
+                if leg.upside_down(0)
+                else "feet that stand move against each other, as they are described"
+            )
             findings.append(_sign_finding(leg.leg, found, told))
     return Verdict(tuple(findings), tuple(fits))
 
@@ -199,8 +206,7 @@ class _Signs:
         ):
             row[free] = signs
         self.grid = np.rint(motion.t_ns / (period_s * 1e9)).astype(np.int64)
-        self.lag = max(round(LAG_S / period_s), 1)
-        self._settle = round(SETTLE_S / period_s) + self.lag
+        self._settle = round(SETTLE_S / period_s)
         self._leave = round(BEFORE_LIFT_S / period_s)
         self._slow = SLOW_RAD_S * period_s
         self._places: dict[int, Array] = {}
@@ -247,6 +253,11 @@ class _Signs:
         rises = self.rises(pattern)
         return self.below(pattern) >= SURE_SHARE and (rises is None or rises >= SURE_SHARE)
 
+    def insane(self, pattern: int) -> bool:
+        """Whether a leg that walks cannot move so; not the opposite of :meth:`sane`."""
+        rises = self.rises(pattern)
+        return self.below(pattern) < 0.5 or (rises is not None and rises < 0.5)
+
     def upside_down(self, pattern: int) -> bool:
         """Whether a leg that walks moves the other way round."""
         rises = self.rises(pattern)
@@ -275,23 +286,21 @@ class _Signs:
     def judge(self) -> ConventionFinding | None:
         """What this leg shows by itself; None for nothing that is sure."""
         wrong = self.upside_down(0)
-        told = "the foot is above its axis, and comes down in its swings"
+        told = _UPSIDE_DOWN
         if not wrong and self.motion.swing is None and self.below(0) <= 1 - SURE_SHARE:
             load = self.load_m(0)
             wrong = load is not None and load < 0
             told = "the foot is above its axis, and the ground pushes it down"
         if not wrong:
             return None
-        pitched = [
-            k
-            for k, flip in enumerate(self.flips)
-            if (flip[~self.pitch] > 0).all() and self.sane(k) and self._within(k)
-        ]
-        if not pitched:
+        pitched = [k for k, flip in enumerate(self.flips) if (flip[~self.pitch] > 0).all()]
+        left = [k for k in pitched if not self.insane(k) and self._within(k)]
+        # That all of them are turned round is the usual case: half of all robots are.
+        left.sort(key=lambda k: not (self.flips[k][self.pitch] < 0).all())
+        best = next((k for k in left if self.sane(k)), None)
+        if best is None:
             return None
-        turned = int(np.argmax([(f[self.pitch] < 0).all() for f in self.flips]))
-        best = turned if turned in pitched else pitched[0]
-        others = [self.flips[k] for k in pitched if k != best]
+        others = [self.flips[k] for k in left if k != best]
         return _sign_finding(self.leg, self.flips[best], told, others)
 
     def _within(self, pattern: int) -> bool:
@@ -313,8 +322,8 @@ class _Signs:
         )
         return np.asarray(self.place(pattern) @ turn.T + np.array(self.leg.mount.xyz_m))
 
-    def stands(self, pattern: int) -> Mask:
-        """(n,) ticks in which the foot stands, and has for a displacement's time."""
+    def stands(self, pattern: int, lag: int) -> Mask:
+        """(n,) ticks in which the foot stands, and has for ``lag`` ticks."""
         if self.motion.swing is not None:
             down = ~self.motion.swing
         else:  # by its height, the lower half of its range
@@ -322,19 +331,25 @@ class _Signs:
             down = self.height(pattern) < (low + high) / 2
         count = np.concatenate([[0], np.cumsum(down)])
         n = len(down)
-        first = np.maximum(np.arange(n) - self._settle, 0)
+        settle = self._settle + lag
+        first = np.maximum(np.arange(n) - settle, 0)
         last = np.minimum(np.arange(n) + self._leave + 1, n)
         steady = count[last] - count[first] == last - first
-        steady[: self._settle] = False
-        steady[self.lag :] &= self.grid[self.lag :] - self.grid[: -self.lag] == self.lag
+        steady[:settle] = False
+        steady[lag:] &= self.grid[lag:] - self.grid[:-lag] == lag
         return np.asarray(steady)
 
 
 class _Pairs:
-    """rho² of pairs of legs, by the patterns of both, as it is asked for."""
+    """rho² of pairs of legs, by the patterns of both, as it is asked for.
 
-    def __init__(self, legs: Sequence[_Signs]) -> None:
-        self.legs = legs
+    Args:
+        legs: those that are compared.
+        lag: ticks of a displacement.
+    """
+
+    def __init__(self, legs: Sequence[_Signs], lag: int) -> None:
+        self.legs, self._lag = legs, lag
         self._standing: dict[tuple[int, int], tuple[Array, NDArray[np.int64]]] = {}
         self._known: dict[tuple[int, int, int, int], tuple[float, float]] = {}
 
@@ -387,9 +402,9 @@ class _Pairs:
         key = (i, pattern)
         if key not in self._standing:
             leg = self.legs[i]
-            rows = np.flatnonzero(leg.stands(pattern))
+            rows = np.flatnonzero(leg.stands(pattern, self._lag))
             place = leg.on_body(pattern)
-            both = np.stack([place[rows], place[rows - leg.lag]], axis=1)
+            both = np.stack([place[rows], place[rows - self._lag]], axis=1)
             self._standing[key] = both, leg.grid[rows]
         return self._standing[key]
 
@@ -416,15 +431,19 @@ class _Pairs:
         return float(count) ** 2, float(np.square(apart[kept]).mean() / way)
 
 
-def _choose_rigid(legs: Sequence[_Signs]) -> dict[str, int]:
+def _choose_rigid(legs: Sequence[_Signs], period_s: float) -> dict[str, int]:
     """Patterns of signs under which the standing feet keep their distances; empty for none.
 
     Legs that stay out are those that no choice, or more than one, explains.
     """
     if len(legs) < 3:
         return {}
-    pairs = _Pairs(legs)
     described = [0] * len(legs)
+    ticks = max(round(LAG_S / period_s), 1)
+    for lag in (ticks, SLOW_LAGS * ticks):
+        pairs = _Pairs(legs, lag)
+        if all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
+            break
     if pairs.rigid(described) and all(leg.sane(0) for leg in legs):
         return dict.fromkeys((leg.leg.id for leg in legs), 0)
     sane = [[k for k in range(len(leg.flips)) if leg.sane(k)] for leg in legs]
@@ -464,73 +483,3 @@ def _sign_finding(
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-class ConventionWatch:
-    """Collects a robot's samples until the motion has confirmed or refuted its description.
-
-    Args:
-        robot: its description.
-
-    Attributes:
-        verdict: of the last :meth:`judge`.
-    """
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self._tracks: dict[str, _Track] = {}
-        self.verdict = Verdict()
-
-    def take(self, leg: str, sample: ServoSample) -> None:
-        """Take in an accepted sample, in the frame of the leg's description."""
-        track = self._tracks.get(leg)
-        if track is None:
-            track = self._tracks[leg] = _Track(len(sample.measured))
-        track.take(sample)
-
-    def judge(self) -> Verdict:
-        """Judge what was collected."""
-        motions = {leg: track.motion for leg, track in self._tracks.items()}
-        self.verdict = judge_motion(self._robot, motions)
-        return self.verdict
-
-
-# Samples kept of a leg: a minute at 50 Hz, some forty swings.
-KEPT: Final = 3000
-
-
-class _Track:
-    """The newest samples of a leg."""
-
-    def __init__(self, joints: int) -> None:
-        self._joints = joints
-        self._angles = np.zeros((KEPT, 2 * joints))
-        self._times = np.zeros(KEPT, dtype=np.int64)
-        self._swing = np.zeros(KEPT, dtype=np.bool_)
-        self._untold = 0
-        self.count = 0
-
-    def take(self, sample: ServoSample) -> None:
-        if self.count == KEPT:
-            self._forget()
-        self._angles[self.count] = sample.measured + sample.desired
-        self._times[self.count] = sample.t_ns
-        self._swing[self.count] = sample.phase == "swing"
-        self._untold += sample.phase is None
-        self.count += 1
-
-    def _forget(self) -> None:
-        half = KEPT // 2
-        for kept in (self._angles, self._times, self._swing):
-            kept[:half] = kept[half:].copy()
-        self.count = half
-
-    @property
-    def motion(self) -> LegMotion:
-        n, joints = self.count, self._joints
-        return LegMotion(
-            self._times[:n],
-            self._angles[:n, :joints],
-            self._angles[:n, joints:],
-            None if self._untold else self._swing[:n],
-        )
