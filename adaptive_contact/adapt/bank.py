@@ -8,6 +8,7 @@ from typing import Final
 import msgspec
 
 from adaptive_contact.adapt.baseline import Baseline
+from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.team import OnFault, Team
@@ -47,6 +48,7 @@ class LearnerBank:
         self.robot = robot
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
+        self._conventions = ConventionWatch(robot, self._refitter)
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
         self._team = Team(())
@@ -79,7 +81,9 @@ class LearnerBank:
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
             baseline = None  # one of that name there would be of another leg
-        self._learners[leg] = ContactLearner(robot, leg, baseline, refitter=self._refitter)
+        self._learners[leg] = ContactLearner(
+            robot, leg, baseline, refitter=self._refitter, conventions=self._conventions
+        )
         self._team.finish()
         self._team = Team(tuple(self._learners.values()), on_fault=self._on_fault)
         return self._learners[leg]
@@ -119,3 +123,4 @@ class LearnerBank:
     def finish(self) -> None:
         """Learn from what was judged; statuses and states are whole after it."""
         self._team.finish()
+        self._conventions.look()

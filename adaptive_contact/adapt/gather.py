@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,11 +29,17 @@ from adaptive_contact.adapt.stream import (
 from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
 from adaptive_contact.errors import IdentificationError
-from adaptive_contact.robot import Leg
+from adaptive_contact.robot import AngleFrame, Leg, Robot
+from adaptive_contact.robot.conventions import (
+    ConventionFinding,
+    LegMotion,
+    Verdict,
+    judge_motion,
+)
 from adaptive_contact.robot.phase import infer_phase
 from adaptive_contact.wire import ContactTruth, Reject, ServoSample
 
-__all__ = ["LegGatherer", "cautious", "untouched"]
+__all__ = ["LegGatherer", "cautious", "judge_conventions", "untouched"]
 
 Mask = NDArray[np.bool_]
 
@@ -50,6 +56,9 @@ GRID_TICKS: Final = 50
 # Truth comes 20 ms after its samples, for it tells a mean force, and on a key of its own, which
 # may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
 ASTRAY_NS: Final = 1_000_000_000
+# How much of a recording is judged at a time for signs and zeros, and how often.
+JUDGED_NS: Final = 60_000_000_000
+MOST_PARTS: Final = 10
 
 
 class LegGatherer:
@@ -66,6 +75,7 @@ class LegGatherer:
         self.rejects: Counter[Reject] = Counter()
         self._period_ns = round(period_s * 1e9)
         self.off_rate = 0
+        self._frame = AngleFrame(leg)
         self._guard = StreamGuard(len(leg.joints))
         self._rate = RateWatch(self._period_ns)
         self._runs: list[_Run] = []
@@ -82,7 +92,8 @@ class LegGatherer:
         return sum(len(rows) for run in self._runs for rows in run.stretches)
 
     def take_sample(self, sample: ServoSample) -> None:
-        """Take in the next sample; a bad one is counted."""
+        """Take in the next sample of the wire; a bad one is counted."""
+        sample = self._frame.sample(sample)
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
             self.rejects[result] += 1
@@ -124,6 +135,11 @@ class LegGatherer:
             for rows in _between_slips(whole, self._period_ns)
             if len(rows) > 1
         ]
+
+    def motion(self) -> LegMotion:
+        """All samples that were collected, in order of time."""
+        rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
+        return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
 
     def _truths(self) -> list[_Truth]:
         """Every run's truth."""
@@ -331,3 +347,32 @@ class _Truth(NamedTuple):
 
 def _time(change: ContactTruth) -> int:
     return change.t_ns
+
+
+def judge_conventions(robot: Robot, gathered: Mapping[str, LegGatherer]) -> Verdict:
+    """Whether the angles of what was gathered are counted as the robot's description says.
+
+    A recording is judged a minute at a time, as legs may move by turns.
+
+    Returns:
+        Findings of any minute in legs that no minute confirms; the first of each leg.
+    """
+    motions = {leg: one.motion() for leg, one in gathered.items() if one.samples > 1}
+    if not motions:
+        return Verdict()
+    begin = min(int(motion.t_ns[0]) for motion in motions.values())
+    end = max(int(motion.t_ns[-1]) for motion in motions.values())
+    parts = min(max(round((end - begin) / JUDGED_NS), 1), MOST_PARTS)
+    found: dict[str, ConventionFinding] = {}
+    fits: set[str] = set()
+    for part in range(parts):
+        first = begin + (end + 1 - begin) * part // parts
+        verdict = judge_motion(
+            robot,
+            {leg: motion.between(first, first + JUDGED_NS) for leg, motion in motions.items()},
+        )
+        fits.update(verdict.fits)
+        for finding in verdict.findings:
+            found.setdefault(finding.leg, finding)
+    left = tuple(finding for leg, finding in found.items() if leg not in fits)
+    return Verdict(left, tuple(leg for leg in motions if leg in fits))

@@ -26,7 +26,7 @@ from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.detect import Tail
 from adaptive_contact.errors import BaselineError
 from adaptive_contact.identify import leg_library
-from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["Knowledge"]
@@ -137,9 +137,9 @@ class Knowledge:
         kept, as the next twenty bring as much.
         """
         if self.follower is None:
-            self._saved = {"unfit": self._unfit}
+            self._saved = {"unfit": self._unfit, **self._frame}
             return self._saved
-        tree: dict[str, Any] = {"follower": self.follower.snapshot()}
+        tree: dict[str, Any] = {"follower": self.follower.snapshot(), **self._frame}
         if self._started_cold:  # no file holds what it started from
             assert self._known is not None
             tree["start"] = {"known": leg_tree(self._known), "origin": self.origin}
@@ -176,7 +176,17 @@ class Knowledge:
             self.start()
             return self._refused(f"{type(fault).__name__}: {fault}")
 
+    @property
+    def _frame(self) -> dict[str, Any]:
+        """How the wire's angles are turned, where they are; what is learned holds for no other."""
+        frame = AngleFrame(self._leg)
+        if frame.same:
+            return {}
+        return {"angles": [list(frame.directions), list(frame.offsets_rad)]}
+
     def _restore(self, saved: dict[str, Any]) -> str | None:
+        if saved.get("angles") != self._frame.get("angles"):
+            return self._refused("robot.toml had other [leg.angles] when it was learned")
         if isinstance(saved.get("unfit"), bool):
             if saved["unfit"] and self.follower is not None:
                 self.forget()

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.adapt.baseline import Baseline
+from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
@@ -26,7 +27,7 @@ from adaptive_contact.adapt.team import Team
 from adaptive_contact.adapt.tracker import UNSURE_TICKS, Tracker
 from adaptive_contact.detect import ContactState, Decision
 from adaptive_contact.identify import LegModel
-from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
@@ -54,8 +55,11 @@ class ContactLearner:
         baseline: what is known of its free motion; without one the learner says ``learning``.
         mode: how it follows changes of the leg.
         refitter: does the sparse refits; in line where absent.
+        conventions: watches whether the robot's angles are counted as described, together with its
+            other legs; the leg by itself where absent.
 
     Attributes:
+        frame: turns the wire's angles into the description's; None where they are the same.
         owes_release: whoever listens may hold the leg to touch, and no tick will decide that it
             has let go; to be told with the next sample.
 
@@ -72,11 +76,14 @@ class ContactLearner:
         *,
         mode: LearnerMode = LearnerMode.FULL,
         refitter: Refitter | None = None,
+        conventions: ConventionWatch | None = None,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
         self.robot = robot
         self.leg: Leg = robot.leg(leg)
+        frame = AngleFrame(self.leg)
+        self.frame = None if frame.same else frame
         self._knowledge = Knowledge(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self._guard = StreamGuard(len(self.leg.joints))
         self._swing = SwingWatch(self.leg)
@@ -89,12 +96,15 @@ class ContactLearner:
         self._rate = RateWatch(self._period_ns)
         self._unsure = (0.0, 0)  # share of a period, and for how many ticks
         self._alone: Team | None = None
+        self._conventions = ConventionWatch(robot) if conventions is None else conventions
+        self._track = self._conventions.track(self.leg)
+        self._misread = False  # the leg's angles are not counted as described
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
 
     def update(self, sample: ServoSample) -> ContactEvent | None:
-        """Take in the next sample.
+        """Take in the next sample of the wire.
 
         Args:
             sample: any sample; a bad one is counted in :attr:`status` and changes nothing.
@@ -104,7 +114,9 @@ class ContactLearner:
         """
         if self._alone is None:
             self._alone = Team([self])
-        return self._alone.advance([sample])[0]
+        event = self._alone.advance([sample])[0]
+        self._conventions.look()
+        return event
 
     def begin_anew(self, fault: Exception) -> None:
         """After a fault in its learning: go back to what was last saved of it, and say so."""
@@ -222,6 +234,10 @@ class ContactLearner:
         if broken:
             self._connect(result, sample, missed)
         self._follow_phase(sample)
+        if self._track is not None:
+            self._follow_convention(sample, restart=result.restart)
+        if self._misread:
+            return True
         if self._knowledge.cold is not None:
             swing = self._swing.ticks > 0
             off = rate.told_by - 1 if rate.off else 0
@@ -251,6 +267,9 @@ class ContactLearner:
             self._quarantine.break_off()
             if self._follower is not None:
                 self._follower.distrust(self._rate.since_ns)
+            return False
+        if self._misread:  # what is high and what is low is not known
+            self._quarantine.break_off()
             return False
         if not judged:
             self._quarantine.hole()
@@ -323,6 +342,8 @@ class ContactLearner:
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""
+        if self._misread:
+            return
         if self._knowledge.cold is not None:
             self._knowledge.try_cold()
         follower, tracker = self._follower, self.tracker
@@ -380,6 +401,16 @@ class ContactLearner:
         if rate.late is None:
             detector.unit = detector.unit + np.square(most * moved / detector.sigma)
 
+    def _follow_convention(self, sample: ServoSample, *, restart: bool) -> None:
+        """Keep the sample for a judgement of the leg's angles, and follow the last one."""
+        assert self._track is not None
+        if restart:
+            self._track.restart()
+        self._track.take(sample)
+        if self._track.spoils and not self._misread:
+            self._let_go()
+        self._misread = self._track.spoils
+
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
         self.owes_release |= self._state.contact
@@ -417,11 +448,22 @@ class ContactLearner:
 
     @property
     def _status(self) -> Status:
+        if self._misread:
+            return "ambiguous"
         return "learning" if self._follower is None else self._follower.status
 
     @property
     def _version(self) -> int:
         return 0 if self._follower is None else self._follower.model.version
+
+    @property
+    def _convention_note(self) -> str | None:
+        """One line for a person when the leg's angles are not counted as described."""
+        found = None if self._track is None else self._track.finding
+        if found is None:
+            return None
+        until = "; no contacts are reported until then" if self._misread else ""
+        return f"{found.message}: {found.advice}{until}"
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""
@@ -430,6 +472,7 @@ class ContactLearner:
             self._tally.fault_note,
             self._guard.note,
             self._rate.note,
+            self._convention_note,
             self._swing.blind_note,
             self._knowledge.note,
             None if follower is None else follower.note,

@@ -96,6 +96,8 @@ class Team:
             if sample is None:
                 continue
             try:
+                if learner.frame is not None:
+                    sample = learner.frame.sample(sample)
                 if not learner.admit(sample):
                     continue
                 if learner.owes_release:

@@ -11,7 +11,8 @@ import msgspec
 
 from adaptive_contact.bridge.tables import BAUDS, ServoModel, models_named
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import Leg, Port, Robot
+from adaptive_contact.robot import AngleFrame, Leg, Port, Robot, ServoBus
+from adaptive_contact.robot.angles import angles_text
 
 __all__ = ["DEFAULT_PORT", "JointPlan", "LegPlan", "PortPlan", "plan_ports"]
 
@@ -145,6 +146,7 @@ def plan_ports(
 def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
     servos = leg.servos
     assert servos is not None
+    _refuse_angles(leg, servos)
     try:
         models = models_named(servos.model)
     except ConfigurationError as error:
@@ -175,6 +177,26 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
             )
         joints.append(JointPlan(servo, joint, models, direction, offset, lower, upper))
     return LegPlan(leg.id, tuple(joints), servos.max_step_rad)
+
+
+def _refuse_angles(leg: Leg, servos: ServoBus) -> None:
+    """Refuse a leg whose samples the service would turn once more.
+
+    The bridge's samples and commands are in the description's frame already (decision 28).
+    """
+    frame = AngleFrame(leg)
+    if frame.same:
+        return
+    joints = len(leg.joints)
+    directions = servos.directions or (1,) * joints
+    offsets = servos.offsets_rad or (0.0,) * joints
+    both = list(zip(frame.directions, directions, strict=True))
+    moved = zip(frame.directions, offsets, frame.offsets_rad, strict=True)
+    text = angles_text([a * b for a, b in both], [d * s + o for d, s, o in moved], "[leg.servos]")
+    raise ConfigurationError(
+        f"[[leg]] '{leg.id}' has [leg.angles], which are for sources that are no bridge: they "
+        f"would turn the bridge's samples twice; remove them, and write {text}"
+    )
 
 
 def _protocol_of(robot: Robot) -> Literal[1, 2]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
 from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output
+from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.adapt.training import Training
     from adaptive_contact.robot import Robot
 
-__all__ = ["fit", "gather", "print_training"]
+__all__ = ["check_conventions", "fit", "gather", "print_training"]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -68,6 +70,7 @@ def fit(
     check_output(out, "--out")
     robot = shipped_robot() if config is None else load_robot(config)
     gathered = gather(recordings, robot)
+    check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
             robot,
@@ -138,6 +141,39 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
                 err=True,
             )
     return legs
+
+
+def check_conventions(
+    robot: Robot, gathered: Mapping[str, LegGatherer], *, bridge: bool = False
+) -> None:
+    """Refuse to learn legs whose angles are not counted as their description says.
+
+    Args:
+        robot: its description.
+        gathered: by leg.
+        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``.
+
+    Raises:
+        ConfigurationError: there is such a leg; a wrong yaw alone is said only, as no model and no
+            height depends on it.
+    """
+    from adaptive_contact.adapt.gather import judge_conventions
+
+    grave = []
+    for finding in judge_conventions(robot, gathered).findings:
+        advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
+        line = f"leg '{finding.leg}': {finding.message}: {advice}"
+        typer.echo(f"adaptive-contact: {line}", err=True)
+        axes = dict(
+            zip(robot.leg(finding.leg).joints, robot.leg(finding.leg).joint_axes, strict=True)
+        )
+        if any(axes[name] == "pitch" for name in finding.joints):
+            grave.append(finding.leg)
+    if grave:
+        raise ConfigurationError(
+            f"leg {', '.join(grave)}: angles are not counted as robot.toml says (above); nothing "
+            "is learned from them: correct robot.toml and run this again"
+        )
 
 
 def print_training(training: Training, robot: Robot, *, json: bool) -> None:

@@ -295,7 +295,7 @@ def learn_(
 
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.cli import _robot_learning as learning
-    from adaptive_contact.cli.fit import gather, print_training
+    from adaptive_contact.cli.fit import check_conventions, gather, print_training
 
     check_output(out, "--out")
     kept = learning.free_file(out) if recording is None else recording
@@ -328,6 +328,7 @@ def learn_(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
+    check_conventions(robot, gathered, bridge=True)
     try:
         training = learning.fit_samples(
             robot, gathered, f"adaptive-contact robot learn ({out.name})"

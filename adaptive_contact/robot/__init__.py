@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from adaptive_contact.robot.angles import AngleFrame
 from adaptive_contact.robot.description import (
     ROBOT_HOUR_TICKS,
+    Angles,
     DetectorSettings,
     Leg,
     Limits,
@@ -18,6 +20,8 @@ from adaptive_contact.robot.load import load_robot, parse_robot, shipped_robot
 
 __all__ = [
     "ROBOT_HOUR_TICKS",
+    "AngleFrame",
+    "Angles",
     "DetectorSettings",
     "Leg",
     "Limits",

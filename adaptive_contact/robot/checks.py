@@ -101,6 +101,8 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
         ("servos.ids", leg.servos.ids if leg.servos else None),
         ("servos.directions", leg.servos.directions if leg.servos else None),
         ("servos.offsets_rad", leg.servos.offsets_rad if leg.servos else None),
+        ("angles.directions", leg.angles.directions if leg.angles else None),
+        ("angles.offsets_rad", leg.angles.offsets_rad if leg.angles else None),
     ]
     for name, values in sized:
         if values is not None and len(values) != joints:
@@ -115,6 +117,9 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
                 fail(
                     f"{where}: limits {low} .. {high} rad; expected lower below upper, within 2 pi"
                 )
-    directions = None if leg.servos is None else leg.servos.directions
-    if directions is not None and any(d not in (-1, 1) for d in directions):
-        fail(f"{where}: servos.directions are {list(directions)}; use 1 or -1")
+    for table, of in (("servos", leg.servos), ("angles", leg.angles)):
+        if of is not None and any(d not in (-1, 1) for d in of.directions or ()):
+            fail(f"{where}: {table}.directions are {list(of.directions or ())}; use 1 or -1")
+    for offset in (leg.angles.offsets_rad if leg.angles else None) or ():
+        if not -2 * math.pi <= offset <= 2 * math.pi:  # false for NaN, too
+            fail(f"{where}: angles.offsets_rad has {offset}; expected -6.28 to 6.28 rad")

@@ -13,6 +13,7 @@ from adaptive_contact.errors import ConfigurationError
 
 __all__ = [
     "ROBOT_HOUR_TICKS",
+    "Angles",
     "Axis",
     "DetectorSettings",
     "Leg",
@@ -42,6 +43,19 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     lower_rad: tuple[float, ...]
     upper_rad: tuple[float, ...]
+
+
+class Angles(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How a source's angles become the description's: ``direction * wire + offset``.
+
+    Attributes:
+        directions: (J,) 1 or -1; all 1 where absent.
+        offsets_rad: (J,) the description's angle of a joint whose source says 0; all 0 where
+            absent.
+    """
+
+    directions: tuple[int, ...] | None = None
+    offsets_rad: tuple[float, ...] | None = None
 
 
 class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -100,6 +114,7 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mount: Mount = Mount()
     limits: Limits | None = None
     servos: ServoBus | None = None
+    angles: Angles | None = None
 
     @property
     def joint_axes(self) -> tuple[Axis, ...]:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["foot", "foot_point", "height_gradient", "inverse", "link_angles"]
+__all__ = ["foot", "foot_point", "height_gradient", "height_gradients", "inverse", "link_angles"]
 
 Array = NDArray[np.float64]
 
@@ -124,6 +124,13 @@ def height_gradient(q: Sequence[float], lengths_m: Sequence[float], axes: Sequen
         if axes[i] == "pitch":
             rises[i] = beyond
     return np.array(rises)
+
+
+def height_gradients(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str]) -> Array:
+    """:func:`height_gradient` of many postures, (..., J) rad to (..., J) m per rad."""
+    reach = np.asarray(lengths_m, dtype=np.float64) * np.cos(link_angles(q, axes))
+    beyond = np.cumsum(reach[..., ::-1], axis=-1)[..., ::-1]
+    return np.asarray(np.where([axis == "pitch" for axis in axes], beyond, 0.0))
 
 
 def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:

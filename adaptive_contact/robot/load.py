@@ -19,6 +19,7 @@ import msgspec
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot.checks import check
 from adaptive_contact.robot.description import (
+    Angles,
     Axis,
     DetectorSettings,
     Leg,
@@ -123,7 +124,8 @@ _TABLES: Final = _File.__struct_fields__
 _FIELDS: Final = sorted(
     {
         *_TABLES,
-        *(name for kind in (_Head, Leg, Mount, Limits, ServoBus, ServoLaw, DetectorSettings, Port)
+        *(name for kind in (_Head, Leg, Mount, Limits, Angles, ServoBus, ServoLaw,
+                       DetectorSettings, Port)
           for name in kind.__struct_fields__),
     }
 )  # fmt: skip

@@ -20,8 +20,10 @@ import numpy as np
 import structlog
 
 from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
+from adaptive_contact.adapt.conventions import ConventionJob
 from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
 from adaptive_contact.identify import FitStatus
+from adaptive_contact.robot.conventions import Verdict
 from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refit_worker import read_frame, write_frame
 
@@ -190,4 +192,6 @@ def _failed(job: Job) -> object:
         return RefitResult(job.number, FitStatus.LOST, empty, 0.0, float("nan"))
     if isinstance(job, ColdJob):
         return ColdResult(job.number, None, str(FitStatus.LOST))
+    if isinstance(job, ConventionJob):
+        return Verdict()
     return None
