@@ -81,7 +81,7 @@ def _compare(
     for name, of in found.items():
         of.flips[:MOST_FLIPS] = _judged(of.flips[:MOST_FLIPS], files[name], (before, after), folder)
     write_json(OUT / "differences.json", before.name, after.name, options.tolerance, found)
-    print_report(console, before.name, after.name, found, outcomes, frozenset(options.expect))
+    print_report(console, before.name, after.name, found, frozenset(options.expect))
     console.print(
         f"{time.monotonic() - began:.0f} s; all differences: out/same/differences.json",
         highlight=False,

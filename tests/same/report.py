@@ -6,8 +6,9 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -27,23 +28,21 @@ def print_report(
     before: str,
     after: str,
     found: Mapping[str, Comparison],
-    outcomes: tuple[Mapping[str, Any], Mapping[str, Any]],
     expected: frozenset[str],
 ) -> None:
     """Print a row per recording, every flipped decision, and the first differing values."""
-    table = Table(title=f"{before} against {after}", title_justify="left")
-    table.add_column("recording")
-    for name in ("events", "flips", *KINDS, "largest", "s"):
+    table = Table(title=f"{before} against {after}", title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("recording", no_wrap=True, min_width=max(map(len, found)))
+    for name in ("events", "flips", *KINDS, "largest"):
         table.add_column(name, justify="right")
-    table.add_column("")
+    table.add_column("", no_wrap=True, min_width=len("DIFFERENT"))
     for name, of in found.items():
         events = str(of.events[0]) if of.events[0] == of.events[1] else "{}, {}".format(*of.events)
         counts = [str(n or "") for n in (len(of.flips), *(of.count(kind) for kind in KINDS))]
-        seconds = ", ".join(f"{side[name]['seconds']:.1f}" for side in outcomes)
         size = f"{of.largest:.0e}" if of.largest else ""
         verdict = "same" if of.same else "expected" if name in expected else "DIFFERENT"
         style = None if of.same else "yellow" if name in expected else "red"
-        table.add_row(name, events, *counts, size, seconds, verdict, style=style)
+        table.add_row(name, events, *counts, size, verdict, style=style)
     console.print(table)
     for name, of in found.items():
         _print_details(console, name, of)
@@ -53,6 +52,8 @@ def print_report(
         console.print(f"note: {line}", highlight=False)
     for name in sorted(expected & {name for name, of in found.items() if of.same}):
         console.print(f"note: '{name}' was expected to differ and does not", highlight=False)
+    different = [name for name, of in found.items() if not of.same and name not in expected]
+    console.print(f"different: {','.join(different) or 'none'}", highlight=False, soft_wrap=True)
 
 
 def _print_details(console: Console, name: str, of: Comparison) -> None:
