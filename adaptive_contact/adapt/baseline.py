@@ -39,9 +39,6 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FORMAT: Final = 1
-# A baseline speaks of the description's angles, whatever its source called them: `[leg.angles]` is
-# applied to samples before anything is learned from them (decision 28).
-FRAME: Final = "description"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +155,6 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     library: _LibraryFile
     tails: list[_TailFile]
     legs: dict[str, _LegFile]
-    frame: str = FRAME  # absent from files older than `[leg.angles]`: theirs is the same
 
 
 def dump_baseline(baseline: Baseline) -> str:
@@ -249,11 +245,6 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
                 "learn it anew with `adaptive-contact fit`"
             )
         file = msgspec.convert(table, _File)
-        if file.frame != FRAME:
-            raise BaselineError(
-                f"{source}: its angles are in the frame '{file.frame}'; expected '{FRAME}': learn "
-                "it again with `adaptive-contact fit`"
-            )
         return _baseline(file)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:  # covers ValidationError
         raise BaselineError(
