@@ -40,6 +40,7 @@ MODEL_NUMBER: Final = Block(0, 2)
 _TRIES: Final = 4
 # What arrives is waited out for so long at the most, before something is asked again.
 _SETTLE_S: Final = 0.5
+_QUIET_MS: Final = 100.0
 _SETTLE_BYTES: Final = 256
 # Of so many reads, so many garbled ones are no accident.
 _LOOKS, _GARBLED = 5, 3
@@ -210,6 +211,23 @@ class Bus:
         faults = [self._guarded(lambda: self._read_one(servo, block)).fault for _ in range(_LOOKS)]
         return faults.count(Fault.CORRUPT) < _GARBLED
 
+    def settle(self) -> None:
+        """Wait until nothing arrives any more; what does was late.
+
+        Raises:
+            PortLostError: the port is gone.
+        """
+
+        def work() -> None:
+            end = time.monotonic() + _SETTLE_S
+            while time.monotonic() < end:
+                self._port.setPacketTimeoutMillis(_QUIET_MS)
+                if not self._port.readPort(_SETTLE_BYTES):
+                    return
+                self._count_late()
+
+        self._guarded(work)
+
     def confirmed(self, servo: int, block: Block) -> bytes | None:
         """Bytes of registers that stay as they are: two answers in a row agree on them.
 
@@ -226,7 +244,7 @@ class Bus:
             )
             if once is not None and twice is not None and twice[: block.size] == once:
                 return once
-            self._guarded(self._settle)
+            self.settle()
         return None
 
     def cost_s(self, block: Block) -> float:
@@ -317,14 +335,6 @@ class Bus:
                 return Pong(int.from_bytes(data, "little"), doubled)
         return Pong(None, doubled)
 
-    def _settle(self) -> None:
-        """Wait until nothing arrives any more."""
-        end = time.monotonic() + _SETTLE_S
-        while time.monotonic() < end:
-            self._port.setPacketTimeout(0)
-            if not self._port.readPort(_SETTLE_BYTES):
-                return
-
     def _drain(self) -> None:
         """Throw away what arrived too late, and count whose it was."""
         before = self._port.discarded
@@ -346,7 +356,12 @@ class Bus:
             packet = [0, 0, servo, 2, Instruction.PING, 0]
         else:
             packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
-        return int(self._packets.txRxPacket(self._port, packet)[1])
+        before = self._port.received
+        answer, result, _ = self._packets.txRxPacket(self._port, packet)
+        if self._port.received - before > len(answer or ()):
+            self._count_late()
+        self._note(servo, answered=result != _TIMEOUT)
+        return int(result)
 
     def _second_answer(self) -> bool:
         """Whether bytes follow an answer: another servo of the same id, a little slower."""

@@ -18,7 +18,7 @@ from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
-from adaptive_contact.bridge.tables import Block, model_of_number
+from adaptive_contact.bridge.tables import Block, ServoModel, model_of_number
 from adaptive_contact.bridge.wake import remedy, standing
 from adaptive_contact.errors import BusError
 
@@ -32,7 +32,7 @@ BUSY: Final = (
 # A tenth of what servos are delivered with; 18 of these cost 2 ms a cycle at the most.
 _MOST_DELAY_US: Final = 100
 _US_PER_DELAY: Final = 2
-_MORE_TRIES: Final = 2
+_MORE_TRIES: Final = 3
 _PATIENT_MS: Final = 25.0
 _LEAST_CROWD: Final = 2
 
@@ -126,18 +126,45 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
     """
     bus.timeout_ms = max(bus.timeout_ms, _PATIENT_MS)
     heard = dict(found)
-    asked = {*ids, *found}
-    for _ in range(_MORE_TRIES):
-        sure = [s for s, pong in heard.items() if pong.model_number is not None]
-        heard |= scan(bus, sorted(s for s in asked if s not in sure or heard[s].doubled))
-    for servo, pong in heard.items():
+    for servo in sorted({*ids, *found}):
+        pong = heard.get(servo)
+        if pong is None or pong.model_number is None or pong.doubled:
+            pong = _again(bus, servo, pong)
+        if pong is None:
+            continue
         number = bus.confirmed(servo, MODEL_NUMBER) if pong.model_number is not None else None
         if number is not None:  # what a scan took for it may have been another answer
-            pong = heard[servo] = pong._replace(model_number=int.from_bytes(number, "little"))
+            pong = pong._replace(model_number=int.from_bytes(number, "little"))
         model = None if pong.model_number is None else model_of_number(pong.model_number)
-        if model is not None and not pong.doubled and not bus.is_clear(servo, model.measured):
-            heard[servo] = pong._replace(doubled=True)
+        if model is not None and not pong.doubled and not _is_clear(bus, servo, model):
+            pong = pong._replace(doubled=True)
+        heard[servo] = pong
     return dict(sorted(heard.items()))
+
+
+def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
+    """Ask one again that was not heard, or not heard well, each time when the line is quiet.
+
+    What came in between may have been a late answer to another question.
+    """
+    worst = before
+    for _ in range(_MORE_TRIES):
+        if before is not None:
+            bus.settle()
+        pong = bus.ping(servo)
+        if pong is not None:
+            if pong.model_number is not None and not pong.doubled:
+                return pong
+            worst = pong
+    return worst
+
+
+def _is_clear(bus: Bus, servo: int, model: ServoModel) -> bool:
+    """Whether a servo can be understood; asked again on a quiet line before it is denied."""
+    if bus.is_clear(servo, model.measured):
+        return True
+    bus.settle()
+    return bus.is_clear(servo, model.measured)
 
 
 def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings:
@@ -153,6 +180,8 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         found = scan(bus, range(MAX_ID + 1) if full else expected)
         if found:  # a bus where nobody answers is asked once
             found = scan_again(bus, found, expected)
+        if not set(expected) <= set(found):
+            bus.settle()  # were they late?
         _compare(plan, bus, expected, found, findings)
         present = [] if findings.errors else list(plan.joints)
         unread = [j.servo for j in present if not _settings(plan, bus, j, drive, findings)]

@@ -1,0 +1,182 @@
+"""Modes and limits that the bridge finds: driven as the servo has them, or refused in one line."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from adaptive_contact.bridge.handshake import check_ports
+from adaptive_contact.bridge.health import ServoHealth
+from adaptive_contact.bridge.modes import setting
+from adaptive_contact.bridge.news import News
+from adaptive_contact.bridge.packets import Status
+from adaptive_contact.bridge.protocol2 import fast_sync_status, split_fast_sync
+from adaptive_contact.bridge.tables import MODELS, models_named
+
+AX = {"model": "AX-12A", "protocol": 1}
+MX = {"model": "MX-28", "protocol": 1}
+MX64 = {"model": "MX-64", "protocol": 1}
+XM = {"model": "XM430-W350", "protocol": 2}
+
+WRONG = [
+    (AX, {"lower_limit": 0, "upper_limit": 0}, "is in wheel mode (both angle limits are 0)"),
+    (AX, {"lower_limit": 600, "upper_limit": 500}, "has angle limits 600 and 500"),
+    (AX, {"lower_limit": 1023, "upper_limit": 1023}, "has angle limits 1023 and 1023"),
+    (
+        MX,
+        {"lower_limit": 4095, "upper_limit": 4095, "resolution_divider": 4},
+        "is in multi-turn mode with a resolution divider of 4, expected 1",
+    ),
+    (MX64, {"torque_control": 1}, "is in torque control mode (register 70 is 1), expected 0"),
+    (XM, {"operating_mode": 0}, "is in operating mode 0 (current), expected 3"),
+    (XM, {"operating_mode": 16}, "is in operating mode 16 (PWM), expected 3"),
+    (XM, {"drive_mode": 2}, "has drive mode 2 (slave"),
+    (XM, {"lower_limit": 3000, "upper_limit": 2000}, "has position limits 3000 and 2000"),
+]
+
+
+@pytest.mark.parametrize("drive", [False, True])
+@pytest.mark.parametrize(("kind", "registers", "words"), WRONG)
+def test_what_follows_no_goals_is_refused_in_one_line(
+    rig: Callable, kind: dict, registers: dict[str, int], words: str, drive: bool
+) -> None:
+    r = rig(**kind)
+    for name, value in registers.items():
+        r.servo(2)._store(name, value)
+    [line] = check_ports(r.plans, full=False, drive=drive).errors
+    assert f"servo 2 {words}" in line
+    assert "set" in line or "write" in line or "clear it" in line  # what to do
+
+
+def test_torque_by_goal_is_observed_and_not_driven(rig: Callable) -> None:
+    r = rig(**XM)
+    r.servo(1)._store("drive_mode", 8)
+    assert check_ports(r.plans, full=False).errors == []
+    [line] = check_ports(r.plans, full=False, drive=True).errors
+    assert "torque on by goal update" in line
+    assert "clear it" in line
+
+
+@pytest.mark.parametrize("registers", [{"drive_mode": 1}, {"drive_mode": 4}, {"operating_mode": 4}])
+def test_what_is_followed_is_let_through(rig: Callable, registers: dict[str, int]) -> None:
+    r = rig(**XM)
+    for name, value in registers.items():
+        r.servo(1)._store(name, value)
+    findings = check_ports(r.plans, full=False, drive=True)
+    assert findings.errors == findings.advice == []
+
+
+def test_a_servo_in_torque_by_goal_mode_gets_no_goal_though_no_handshake_refused_it(
+    run: Callable,
+) -> None:
+    r = run("drive", **XM)
+    servo = r.rig.servo(1)
+    servo._store("drive_mode", 8)
+    feed = r.commanding([0.4] * 3)
+    r.catcher.wait(feed(lambda c: any("torque on by goal" in line for line in c.lines)))
+    assert servo.writes == 0
+    assert not servo.torque
+
+
+def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Callable) -> None:
+    r = run("drive", **XM)
+    feed = r.commanding([0.4] * 3)
+    r.catcher.wait(lambda c: len(c.ticks) >= 3)
+    r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
+    servo = r.rig.servo(2)
+    servo._store("homing_offset", 512)
+    servo.reboot()
+    r.catcher.wait(feed(lambda c: any("set differently" in line for line in c.lines)))
+    [line] = [line for line in r.catcher.lines if "set differently" in line]
+    assert "homing offset 512, was 0" in line
+    assert not servo.torque
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_every_model_as_delivered_is_driven_over_its_whole_travel(model: object) -> None:
+    [one] = models_named(model.name)  # type: ignore[attr-defined]
+    registers = {"lower_limit": one.lowest, "upper_limit": one.highest, "operating_mode": 3}
+    registers |= {"resolution_divider": 1}
+    data = []
+    for block in one.settings:
+        memory = bytearray(block.size)
+        for name, value in registers.items():
+            place = one.registers.get(name)
+            if place and block.address <= place.address < block.address + block.size:
+                at = place.address - block.address
+                memory[at : at + place.size] = value.to_bytes(place.size, "little")
+        data.append(bytes(memory))
+    found = setting(one, data)
+    assert found.wrong is found.undriven is None
+    assert (found.lowest, found.highest) == (one.lowest, one.highest)
+
+
+def test_a_homing_offset_takes_away_the_turn_that_torque_would_lose() -> None:
+    """ROBOTIS forum 7814: homing -512, limits 2048 to 4095, at 3700: -396 once torque is on."""
+    [model] = models_named("XC430-W240")
+    block = model.settings[0]
+    memory = bytearray(block.size)
+    for name, value in {
+        "operating_mode": 3, "homing_offset": -512, "lower_limit": 2048, "upper_limit": 4095,
+    }.items():  # fmt: skip
+        place = model.registers[name]
+        at = place.address - block.address
+        memory[at : at + place.size] = value.to_bytes(place.size, "little", signed=value < 0)
+    found = setting(model, [bytes(memory)])
+    assert (found.lowest, found.highest) == (2048, 3583)
+
+
+@pytest.mark.parametrize("kind", [AX, MX, XM])
+def test_late_answers_accuse_no_servo(rig: Callable, kind: dict) -> None:
+    """Limits of 0 and 1023, and an answer to the first question in the place of the second's."""
+    r = rig(**kind)
+    for seed in range(1):
+        r.faults._rng = np.random.default_rng(seed)
+        r.fault("late:p=0.25,ms=45")
+        findings = check_ports(r.plans, full=False, drive=True)
+        for line in findings.errors + findings.advice:
+            for accusation in ("mode", "limits", "expected AX", "torque limit", "several servos"):
+                assert accusation not in line, line
+
+
+def test_when_all_answers_are_late_the_computer_is_named_once(rig: Callable) -> None:
+    r = rig(**AX)
+    r.fault("late:ms=60")
+    errors = check_ports(r.plans, full=False).errors
+    assert len(errors) == 1
+    assert "this computer is too busy" in errors[0]
+
+
+def test_a_crowd_of_late_servos_is_one_line_and_a_single_one_is_named(rig: Callable) -> None:
+    plan = rig(**AX).plans[0]
+    health = {joint.servo: ServoHealth() for joint in plan.joints}
+    news, late = News(plan), Counter[int]()
+    said: list[str] = []
+    for second in range(60):
+        for servo in health:
+            late[servo] += 1
+            health[servo].misses = 3 * (second % 2)  # they come and go
+        said += news.lines(health, late)
+    assert len(said) == 1
+    assert "too busy" in said[0]
+    for record in health.values():
+        record.misses = 0
+    for _ in range(12):
+        said += news.lines(health, late)
+    assert said[1:] == ["port p0: answers come in time again"]
+    health[1].misses = 3
+    [line] = news.lines(health, late)
+    assert "servo 1 (l0 j0): no answer; check its cable and power" in line
+
+
+def test_a_part_cut_short_spoils_a_fast_answer_and_is_no_reading() -> None:
+    """What follows a short part lies off its place; the ids no longer are those that were asked."""
+    whole = fast_sync_status([Status(i, 0, bytes([i] * 4)) for i in (1, 2, 3)])
+    short = fast_sync_status(
+        [Status(1, 0, b"\1\1\1\1"), Status(2, 0, b"\0"), Status(3, 0, b"\3\3\3\3")]
+    )
+    assert [a.id for a in split_fast_sync(whole[8:-2], 4)] == [1, 2, 3]
+    assert [a.id for a in split_fast_sync(short[8:-2], 4)] != [1, 2, 3]
