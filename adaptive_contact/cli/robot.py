@@ -311,7 +311,7 @@ def learn_(
             )
     home = None if pose is None else learning.pose_of(pose, robot, plans)
     gathered = gather(more or [], robot)
-    _shake_hands(plans)
+    _shake_hands(plans, drive=drive)
     if drive and not yes:
         around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
         typer.confirm(
@@ -352,10 +352,10 @@ def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tupl
     return robot, plans_of(robot, config, device)
 
 
-def _shake_hands(plans: tuple[PortPlan, ...]) -> None:
+def _shake_hands(plans: tuple[PortPlan, ...], *, drive: bool = False) -> None:
     from adaptive_contact.bridge.handshake import check_ports
 
-    findings = check_ports(plans)
+    findings = check_ports(plans, drive=drive)
     for line in findings.advice:
         _say(line)
     findings.raise_errors()
