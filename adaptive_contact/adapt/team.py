@@ -92,11 +92,12 @@ class Team:
             self._finish()
         here: dict[int, tuple[ContactLearner, ServoSample]] = {}
         events: list[ContactEvent | None] = [None] * len(self.learners)
-        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
-            if sample is None:
+        for i, (learner, given) in enumerate(zip(self.learners, samples, strict=True)):
+            if given is None:
                 continue
             try:
-                if not learner.admit(sample):
+                sample = learner.admit(given)
+                if sample is None:
                     continue
                 if learner.owes_release:
                     events[i] = learner.released(sample)
