@@ -48,7 +48,7 @@ REACH_TICKS: Final = 200
 # A value that was refused twice to the last bit is what a failed read leaves behind: where it is
 # off the prediction by this many steps, it is doubted for one tick.
 KNOWN_QUANTA: Final = 3.0
-# Values remembered for each joint, a bound on memory.
+# Values remembered, a bound on memory.
 MAX_VALUES: Final = 8
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
@@ -120,7 +120,7 @@ class Tracker:
         self._known_step = KNOWN_QUANTA * quantum_rad
         self._doubts = [False] * joints  # whether the last reading of a joint was doubted
         self._none_doubted = self._doubts
-        self._values: list[dict[float, int]] = [{} for _ in range(joints)]  # times refused
+        self._values: dict[float, int] = {}  # times refused, of any joint
 
     def move(self, home: Block, row: int) -> None:
         """Live with others: the arrays become a row of theirs, with the values they have."""
@@ -155,6 +155,7 @@ class Tracker:
         self.predicted = False
         self.usable = 0
         self._impossible = 0
+        self._doubts = self._none_doubted
         self._unsure = 0
 
     def begin_swing(self) -> None:
@@ -265,17 +266,19 @@ class Tracker:
         if valid is not None and not all(valid):
             missing = ~np.array(valid, dtype=bool)
             jumps = [jump if good else 0.0 for jump, good in zip(jumps, valid, strict=True)]
-        bad = None
+        bad = impossible = None
         if max(jumps) > self._max_step:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
                 return measured
             bad = self._refused = np.array(jumps) > self._max_step
-            self._remember(measured, bad.tolist())
+            impossible = bad.tolist()
         elif self._impossible and (missing is None or not (missing & self._refused).any()):
             self._impossible = 0  # whoever was refused has brought a reading to believe
-        doubts = self._beyond_reach(measured, last, jumps, valid)
+        doubts = self._beyond_reach(measured, last, jumps, valid, impossible)
+        if doubts is None and impossible is not None:
+            self._remember(measured, impossible)
         if doubts is not None:
             if not any(doubts):  # two in a row that agree
                 self.restart()
@@ -301,6 +304,7 @@ class Tracker:
         last: Sequence[float],
         jumps: Sequence[float],
         valid: Sequence[bool] | None,
+        impossible: Sequence[bool] | None,
     ) -> list[bool] | None:
         """Which joints read what they cannot have reached in a tick.
 
@@ -317,7 +321,7 @@ class Tracker:
             self._reach_ticks += 1
         limits = [min(REACH * most + self._allowance, self._max_step) for most in reach]
         learned = self._reach_ticks >= REACH_TICKS
-        known = [values.get(new, 0) > 1 for new, values in zip(measured, self._values, strict=True)]
+        known = [self._values.get(new, 0) > 1 for new in measured]
         if expected is None:
             # Between swings a prediction is made only for what needs one.
             suspect = learned and any(
@@ -329,37 +333,55 @@ class Tracker:
                 # Nothing says which of two places is right; the newer one is where it goes on.
                 return self._none_doubted if suspect else None
             expected = self.increment.tolist()
+            recent = limits
+        else:
+            rows = [expected, *self.increments.tolist()]
+            recent = [
+                REACH * max(map(abs, column)) + self._allowance
+                for column in zip(*rows, strict=True)
+            ]
         doubts: list[bool] = []
         agreed = False
-        for j, (new, old, step) in enumerate(
-            zip(measured, self.measured[0].tolist(), expected, strict=True)
-        ):
-            off = abs(new - old - step)
+        offs = [
+            abs(new - old - step)
+            for new, old, step in zip(measured, self.measured[0].tolist(), expected, strict=True)
+        ]
+        for j, off in enumerate(offs):
             beyond = learned and off > limits[j]
-            doubt = beyond or (known[j] and off > self._known_step and not before[j])
+            once = off > recent[j] or (known[j] and off > self._known_step)
+            doubt = beyond or (once and not before[j])
             if valid is not None and not valid[j]:
                 doubt = beyond = False
-            if beyond and before[j] and not known[j] and abs(new - last[j]) <= limits[j]:
+            if beyond and before[j] and not known[j] and abs(measured[j] - last[j]) <= limits[j]:
                 agreed = True
             doubts.append(doubt)
-        if not any(doubts):
+        refused = {new for new, bad in zip(measured, doubts, strict=True) if bad}
+        if impossible is not None:
+            refused.update(new for new, bad in zip(measured, impossible, strict=True) if bad)
+        if not refused:
             return None
         if agreed:
             return self._none_doubted
+        # A read that failed for one joint and left the same in others failed for them, too.
+        for j, off in enumerate(offs):
+            good = valid is None or valid[j]
+            if measured[j] in refused and off > self._known_step and good:
+                doubts[j] = True
         self._remember(measured, doubts)
         self._doubts = doubts
         return doubts
 
     def _remember(self, measured: Sequence[float], refused: Sequence[bool]) -> None:
         """Count refused readings, and keep their values: one that returns is no movement."""
+        values = self._values
         for j, (value, bad) in enumerate(zip(measured, refused, strict=True)):
             if not bad:
                 continue
             self.refused += 1
-            values = self._values[j]
-            values[value] = values.pop(value, 0) + 1
-            if values[value] > 1:
+            if values.get(value, 0) > 0:
                 self.refused_values[j] = value
+        for value in {value for value, bad in zip(measured, refused, strict=True) if bad}:
+            values[value] = values.pop(value, 0) + 1
             if len(values) > MAX_VALUES:
                 # Once refused goes before twice refused, the oldest first.
                 del values[min(values, key=lambda kept: min(values[kept], 2))]
