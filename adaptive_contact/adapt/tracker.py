@@ -118,6 +118,7 @@ class Tracker:
         self._reach_ticks = 0
         self._allowance = REACH_QUANTA * quantum_rad
         self._known_step = KNOWN_QUANTA * quantum_rad
+        self._believed: Sequence[float] = ()  # the newest reading of each joint not refused
         self._doubts = [False] * joints  # whether the last reading of a joint was doubted
         self._none_doubted = self._doubts
         self._values: dict[float, int] = {}  # times refused, of any joint
@@ -255,6 +256,7 @@ class Tracker:
         substituted, self._sound, self._bad = self._bad, True, False
         last, self._last = self._last, measured
         if self.filled == 0 or last is None:
+            self._believed = measured
             return measured
         steps = [abs(new - old) for new, old in zip(measured, last, strict=True)]
         # A joint moves from where it was taken to be: a reading that was none is no such place.
@@ -271,17 +273,19 @@ class Tracker:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
+                self._believed = measured
                 return measured
             bad = self._refused = np.array(jumps) > self._max_step
             impossible = bad.tolist()
         elif self._impossible and (missing is None or not (missing & self._refused).any()):
             self._impossible = 0  # whoever was refused has brought a reading to believe
-        doubts = self._beyond_reach(measured, last, jumps, valid, impossible)
+        doubts = self._beyond_reach(measured, last, valid, impossible)
         if doubts is None and impossible is not None:
             self._remember(measured, impossible)
         if doubts is not None:
             if not any(doubts):  # two in a row that agree
                 self.restart()
+                self._believed = measured
                 return measured
             bad = np.array(doubts) if bad is None else bad | np.array(doubts)
         if self.predicted and not all(steps) and self._doubtful(steps):
@@ -293,8 +297,13 @@ class Tracker:
         if missing is not None:
             bad = missing if bad is None else bad | missing
         if bad is None:
+            self._believed = measured
             return self._on_time(measured) if self.lateness else measured
         self._bad, self._sound = True, not bad.all()
+        self._believed = [
+            old if refused else new
+            for new, old, refused in zip(measured, self._believed, bad.tolist(), strict=True)
+        ]
         substitute = self.measured[0] + self.increment if self._foreseen() else self.measured[0]
         return np.where(bad, substitute, self._on_time(measured) if self.lateness else measured)
 
@@ -302,7 +311,6 @@ class Tracker:
         self,
         measured: Sequence[float],
         last: Sequence[float],
-        jumps: Sequence[float],
         valid: Sequence[bool] | None,
         impossible: Sequence[bool] | None,
     ) -> list[bool] | None:
@@ -322,6 +330,8 @@ class Tracker:
         limits = [min(REACH * most + self._allowance, self._max_step) for most in reach]
         learned = self._reach_ticks >= REACH_TICKS
         known = [self._values.get(new, 0) > 1 for new in measured]
+        # A joint that the ground stops stays where it was last: no doubt of that.
+        jumps = [abs(new - old) for new, old in zip(measured, self._believed, strict=True)]
         if expected is None:
             # Between swings a prediction is made only for what needs one.
             suspect = learned and any(
@@ -343,8 +353,10 @@ class Tracker:
         doubts: list[bool] = []
         agreed = False
         offs = [
-            abs(new - old - step)
-            for new, old, step in zip(measured, self.measured[0].tolist(), expected, strict=True)
+            min(abs(new - old - step), jump)
+            for new, old, step, jump in zip(
+                measured, self.measured[0].tolist(), expected, jumps, strict=True
+            )
         ]
         for j, off in enumerate(offs):
             beyond = learned and off > limits[j]
