@@ -20,7 +20,7 @@ from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
-from adaptive_contact.adapt.stream import Accepted, RateWatch, StreamGuard
+from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
@@ -86,6 +86,7 @@ class ContactLearner:
         self.frame = None if frame.same else frame
         self._knowledge = Knowledge(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self._guard = StreamGuard(len(self.leg.joints))
+        self._seams = Seams()
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
         self.owes_release = False
@@ -218,12 +219,13 @@ class ContactLearner:
 
     # -- one tick, in the order `Team` calls it -------------------------------------------------
 
-    def admit(self, sample: ServoSample) -> bool:
-        """Check a sample; True if it is to be judged and learned from."""
+    def admit(self, sample: ServoSample) -> ServoSample | None:
+        """Check a sample; as it is to be judged and learned from, or None."""
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
             self.count(result)
-            return False
+            return None
+        sample = self._seams.unwrap(sample, restart=result.restart)
         self._tally.counts["ticks"] += 1
         self._t_ns = sample.t_ns
         rate = self._rate
@@ -242,7 +244,7 @@ class ContactLearner:
             swing = self._swing.ticks > 0
             off = rate.told_by - 1 if rate.off else 0
             self._knowledge.collect(sample, swing=swing, broken=broken, off=off)
-        return True
+        return sample
 
     def released(self, sample: ServoSample) -> ContactEvent:
         """The end of a contact that was cut short by a restart, told with the next sample."""
@@ -261,6 +263,9 @@ class ContactLearner:
         assert detector is not None
         tracker = detector.tracker
         judged = tracker.judge()
+        if tracker.refused:
+            self.count(Reject.IMPLAUSIBLE, tracker.refused)
+            tracker.refused = 0
         self._swing.observe(tracker.measured[0].tolist())  # as repaired: -π is no place of a foot
         if self._rate.off:  # the model speaks of ticks of another length
             tracker.restart()

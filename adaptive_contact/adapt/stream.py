@@ -13,9 +13,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
+import msgspec
+
 from adaptive_contact.wire import MAX_PREVIEW_TICKS, Reject, ServoSample
 
-__all__ = ["Accepted", "RateWatch", "StreamGuard"]
+__all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
 
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
@@ -441,6 +443,47 @@ class RateWatch:
             for before, after in pairwise(recent)
         ]
         return 2 * sum(off) >= len(off)
+
+
+class Seams:
+    """Takes the seam of an encoder out of one leg's angles.
+
+    A joint whose travel crosses the seam reads, and is commanded, a turn further on its other
+    side.  Commands go on from the last command, readings lie within half a turn of the command.
+    """
+
+    def __init__(self) -> None:
+        self._last: list[float] | None = None  # (J,) rad, the command before
+
+    def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
+        """The sample with its angles in one turn; itself where they are, as nearly always."""
+        last = None if restart else self._last
+        measured, desired = sample.measured, sample.desired
+        if last is not None:
+            desired = _near(desired, last)
+        self._last = desired
+        measured = _near(measured, desired)
+        if measured is sample.measured and desired is sample.desired:
+            return sample
+        preview = sample.preview
+        if preview is not None and desired is not sample.desired:
+            before, rows = desired, []
+            for row in preview:
+                before = _near(row, before)
+                rows.append(before)
+            preview = rows
+        return msgspec.structs.replace(sample, measured=measured, desired=desired, preview=preview)
+
+
+def _near(angles: list[float], origin: list[float]) -> list[float]:
+    """Angles in the turn nearest to others; themselves where each is within half a turn."""
+    for angle, at in zip(angles, origin, strict=True):
+        if abs(angle - at) > math.pi:
+            return [
+                angle - 2.0 * math.pi * round((angle - at) / (2.0 * math.pi))
+                for angle, at in zip(angles, origin, strict=True)
+            ]
+    return angles
 
 
 class _Tick(NamedTuple):

@@ -92,13 +92,13 @@ class Team:
             self._finish()
         here: dict[int, tuple[ContactLearner, ServoSample]] = {}
         events: list[ContactEvent | None] = [None] * len(self.learners)
-        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
-            if sample is None:
+        for i, (learner, given) in enumerate(zip(self.learners, samples, strict=True)):
+            if given is None:
                 continue
             try:
-                if learner.frame is not None:
-                    sample = learner.frame.sample(sample)
-                if not learner.admit(sample):
+                frame = learner.frame
+                sample = learner.admit(given if frame is None else frame.sample(given))
+                if sample is None:
                     continue
                 if learner.owes_release:
                     events[i] = learner.released(sample)

@@ -38,6 +38,18 @@ MAX_STEP_RAD_S: Final = 25.0
 # dead does not leave the others alone.
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
+# What a joint can do in a tick is learned from it: a reading off its prediction by more than this
+# many times the largest movement ever predicted, and so many steps, is none.  Ground that stops a
+# joint dead leaves the prediction by one such movement at most.
+REACH: Final = 1.25
+REACH_QUANTA: Final = 4.0
+# Ticks predicted until the largest is known; about ten swings.
+REACH_TICKS: Final = 200
+# A value that was refused twice to the last bit is what a failed read leaves behind: where it is
+# off the prediction by this many steps, it is doubted for one tick.
+KNOWN_QUANTA: Final = 3.0
+# Values remembered, a bound on memory.
+MAX_VALUES: Final = 8
 # So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
 # A reading earlier than this, in periods, is moved by no more: its noise would grow with it.
@@ -69,6 +81,8 @@ class Tracker:
         inflation: of the variance of the last residual.
         lateness: of the reading to come, periods after its tick; 0 where it is on time.
         usable: sound residuals of this swing, newest first.
+        refused: readings of joints that were none, until whoever counts them sets it back.
+        refused_values: the last value of each joint that came back to the last bit, if any.
     """
 
     def __init__(self, model: LegModel, quantum_rad: float) -> None:
@@ -98,6 +112,16 @@ class Tracker:
         self._impossible = 0
         self._refused: Mask = np.zeros(joints, dtype=bool)
         self._unsure = 0
+        self.refused = 0
+        self.refused_values: list[float | None] = [None] * joints
+        self._reach = [0.0] * joints  # rad, largest movement predicted for a tick
+        self._reach_ticks = 0
+        self._allowance = REACH_QUANTA * quantum_rad
+        self._known_step = KNOWN_QUANTA * quantum_rad
+        self._believed: Sequence[float] = ()  # the newest reading of each joint not refused
+        self._doubts = [False] * joints  # whether the last reading of a joint was doubted
+        self._none_doubted = self._doubts
+        self._values: dict[float, int] = {}  # times refused, of any joint
 
     def move(self, home: Block, row: int) -> None:
         """Live with others: the arrays become a row of theirs, with the values they have."""
@@ -132,6 +156,7 @@ class Tracker:
         self.predicted = False
         self.usable = 0
         self._impossible = 0
+        self._doubts = self._none_doubted
         self._unsure = 0
 
     def begin_swing(self) -> None:
@@ -231,6 +256,7 @@ class Tracker:
         substituted, self._sound, self._bad = self._bad, True, False
         last, self._last = self._last, measured
         if self.filled == 0 or last is None:
+            self._believed = measured
             return measured
         steps = [abs(new - old) for new, old in zip(measured, last, strict=True)]
         # A joint moves from where it was taken to be: a reading that was none is no such place.
@@ -242,15 +268,26 @@ class Tracker:
         if valid is not None and not all(valid):
             missing = ~np.array(valid, dtype=bool)
             jumps = [jump if good else 0.0 for jump, good in zip(jumps, valid, strict=True)]
-        bad = None
+        bad = impossible = None
         if max(jumps) > self._max_step:
             self._impossible += 1
             if self._impossible > MAX_IMPOSSIBLE:
                 self.restart()
+                self._believed = measured
                 return measured
             bad = self._refused = np.array(jumps) > self._max_step
+            impossible = bad.tolist()
         elif self._impossible and (missing is None or not (missing & self._refused).any()):
             self._impossible = 0  # whoever was refused has brought a reading to believe
+        doubts = self._beyond_reach(measured, last, valid, impossible)
+        if doubts is None and impossible is not None:
+            self._remember(measured, impossible)
+        if doubts is not None:
+            if not any(doubts):  # two in a row that agree
+                self.restart()
+                self._believed = measured
+                return measured
+            bad = np.array(doubts) if bad is None else bad | np.array(doubts)
         if self.predicted and not all(steps) and self._doubtful(steps):
             stale = self._stale_joints(np.array(measured), np.array(steps), missing)
             if stale.any():
@@ -260,10 +297,106 @@ class Tracker:
         if missing is not None:
             bad = missing if bad is None else bad | missing
         if bad is None:
+            self._believed = measured
             return self._on_time(measured) if self.lateness else measured
         self._bad, self._sound = True, not bad.all()
+        self._believed = [
+            old if refused else new
+            for new, old, refused in zip(measured, self._believed, bad.tolist(), strict=True)
+        ]
         substitute = self.measured[0] + self.increment if self._foreseen() else self.measured[0]
         return np.where(bad, substitute, self._on_time(measured) if self.lateness else measured)
+
+    def _beyond_reach(
+        self,
+        measured: Sequence[float],
+        last: Sequence[float],
+        valid: Sequence[bool] | None,
+        impossible: Sequence[bool] | None,
+    ) -> list[bool] | None:
+        """Which joints read what they cannot have reached in a tick.
+
+        Returns:
+            None where none do; all False where a joint has said so twice: that is where it is.
+        """
+        before, self._doubts = self._doubts, self._none_doubted
+        reach, expected = self._reach, None
+        if self.predicted:
+            expected = self.increment.tolist()
+            for j, step in enumerate(expected):
+                if abs(step) > reach[j]:
+                    reach[j] = min(abs(step), self._max_step)
+            self._reach_ticks += 1
+        limits = [min(REACH * most + self._allowance, self._max_step) for most in reach]
+        learned = self._reach_ticks >= REACH_TICKS
+        known = [self._values.get(new, 0) > 1 for new in measured]
+        # A joint that the ground stops stays where it was last: no doubt of that.
+        jumps = [abs(new - old) for new, old in zip(measured, self._believed, strict=True)]
+        if expected is None:
+            # Between swings a prediction is made only for what needs one.
+            suspect = learned and any(
+                jump > limit for jump, limit in zip(jumps, limits, strict=True)
+            )
+            if not suspect and not any(known):
+                return None
+            if not self._foreseen():
+                # Nothing says which of two places is right; the newer one is where it goes on.
+                return self._none_doubted if suspect else None
+            expected = self.increment.tolist()
+            recent = limits
+        else:
+            rows = [expected, *self.increments.tolist()]
+            recent = [
+                REACH * max(map(abs, column)) + self._allowance
+                for column in zip(*rows, strict=True)
+            ]
+        doubts: list[bool] = []
+        agreed = False
+        offs = [
+            min(abs(new - old - step), jump)
+            for new, old, step, jump in zip(
+                measured, self.measured[0].tolist(), expected, jumps, strict=True
+            )
+        ]
+        for j, off in enumerate(offs):
+            beyond = learned and off > limits[j]
+            once = off > recent[j] or (known[j] and off > self._known_step)
+            doubt = beyond or (once and not before[j])
+            if valid is not None and not valid[j]:
+                doubt = beyond = False
+            if beyond and before[j] and not known[j] and abs(measured[j] - last[j]) <= limits[j]:
+                agreed = True
+            doubts.append(doubt)
+        refused = {new for new, bad in zip(measured, doubts, strict=True) if bad}
+        if impossible is not None:
+            refused.update(new for new, bad in zip(measured, impossible, strict=True) if bad)
+        if not refused:
+            return None
+        if agreed:
+            return self._none_doubted
+        # A read that failed for one joint and left the same in others failed for them, too.
+        for j, off in enumerate(offs):
+            good = valid is None or valid[j]
+            if measured[j] in refused and off > self._known_step and good:
+                doubts[j] = True
+        self._remember(measured, doubts)
+        self._doubts = doubts
+        return doubts
+
+    def _remember(self, measured: Sequence[float], refused: Sequence[bool]) -> None:
+        """Count refused readings, and keep their values: one that returns is no movement."""
+        values = self._values
+        for j, (value, bad) in enumerate(zip(measured, refused, strict=True)):
+            if not bad:
+                continue
+            self.refused += 1
+            if values.get(value, 0) > 0:
+                self.refused_values[j] = value
+        for value in {value for value, bad in zip(measured, refused, strict=True) if bad}:
+            values[value] = values.pop(value, 0) + 1
+            if len(values) > MAX_VALUES:
+                # Once refused goes before twice refused, the oldest first.
+                del values[min(values, key=lambda kept: min(values[kept], 2))]
 
     def _on_time(self, measured: Sequence[float]) -> Array:
         """Where the leg was at its tick, (J,) rad, by the way that it has gone since the last."""

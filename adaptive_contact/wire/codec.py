@@ -54,6 +54,7 @@ class Reject(enum.StrEnum):
     NOT_FINITE = "not_finite"
     WRONG_JOINTS = "wrong_joints"
     OUT_OF_RANGE = "out_of_range"
+    IMPLAUSIBLE = "implausible"
     UNKNOWN_LEG = "unknown_leg"
     TIME_BACKWARDS = "time_backwards"
     DUPLICATE_SEQ = "duplicate_seq"
