@@ -237,8 +237,7 @@ def _faults(
             of_leg.append(_unreported(seconds))
         for fault in of_leg:
             yield leg, fault
-    for leg, fault in _in_common(heard, unexplained, service):
-        yield leg, fault
+    yield from _in_common(heard, unexplained, service)
 
 
 def _traffic(heard: Examination, seconds: float) -> list[KeyTraffic]:
