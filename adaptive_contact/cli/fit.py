@@ -56,13 +56,17 @@ def fit(
             show_default=False,
         ),
     ] = None,
+    equations: Annotated[
+        bool, typer.Option("--equations", help="Print every leg's equations, too.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Learn a contact-free model of every recorded leg, and print its equations."""
+    """Learn a contact-free model of every recorded leg, and say how good it is."""
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.training import learn
+    from adaptive_contact.adapt.verdict import refusals, verdict
     from adaptive_contact.robot import load_robot, shipped_robot
 
     check_output(out, "--out")
@@ -94,8 +98,16 @@ def fit(
             "they are cautious, and soft contacts will be missed; record more swings",
             err=True,
         )
+    refused = refusals(robot, training)
+    if refused:
+        for line in refused:
+            typer.echo(f"adaptive-contact: {line}", err=True)
+        typer.echo("adaptive-contact: no baseline was written", err=True)
+        raise typer.Exit(1)
     save_baseline(training.baseline, out)
-    print_training(training, robot, json=json)
+    print_training(training, robot, json=json, equations=equations)
+    for line in verdict(robot, training):
+        typer.echo(line, err=json)
     typer.echo(f"baseline written to {out}", err=True)
 
 
@@ -140,8 +152,8 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     return legs
 
 
-def print_training(training: Training, robot: Robot, *, json: bool) -> None:
-    """Show how well every leg was learned, and its equations."""
+def print_training(training: Training, robot: Robot, *, json: bool, equations: bool = True) -> None:
+    """Show how well every leg was learned, after its equations where they are wanted."""
     import msgspec
     import numpy as np
 
@@ -163,6 +175,11 @@ def print_training(training: Training, robot: Robot, *, json: bool) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=120)
+    for leg, entry in training.baseline.legs.items() if equations else ():
+        console.print(f"[bold]{leg}[/bold] (rad)")
+        for line in entry.model.equations():
+            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)
+        console.print()
     table = Table(title="Held-out one-step error, degrees (per joint)")
     for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):
         table.add_column(column, justify="left" if column == "leg" else "right")
@@ -183,7 +200,3 @@ def print_training(training: Training, robot: Robot, *, json: bool) -> None:
         f"thresholds for {aim:g} false alarm(s) per robot-hour, windows of 1, 2, 3 ticks: "
         + ", ".join(f"{h:.1f}" for h in thresholds)
     )
-    for leg, entry in training.baseline.legs.items():
-        console.print(f"\n[bold]{leg}[/bold] (rad)")
-        for line in entry.model.equations():
-            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)
