@@ -71,6 +71,12 @@ def fit(
 
     check_output(out, "--out")
     robot = shipped_robot() if config is None else load_robot(config)
+    if config is None:
+        typer.echo(
+            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
+            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
+            err=True,
+        )
     gathered = gather(recordings, robot)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
         training = learn(
@@ -114,16 +120,21 @@ def fit(
 def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     """Every leg's samples and truth of several recordings, one after the other."""
     from adaptive_contact.adapt.gather import LegGatherer
+    from adaptive_contact.service.findings import of_legs
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
     legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
+    strangers: set[str] = set()
     for path in recordings:
         recording = read_recording(path)
         refused = 0
         for record in recording:
-            leg = legs.get(leg_of_key(record.key) or "")
+            leg_id = leg_of_key(record.key)
+            leg = legs.get(leg_id or "")
             if leg is None:
+                if leg_id is not None and record.key.endswith("/servo"):
+                    strangers.add(leg_id)
                 continue
             if record.key.endswith("/servo"):
                 sample = decode(record.payload, ServoSample, record.encoding)
@@ -139,6 +150,15 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
             typer.echo(f"adaptive-contact: {path}: {recording.damage}", err=True)
         if refused:
             typer.echo(f"adaptive-contact: {path}: {refused} samples not used", err=True)
+    if strangers:
+        absent = [name for name, leg in legs.items() if not leg.samples]
+        typer.echo(
+            f"adaptive-contact: not used: {of_legs(sorted(strangers))}, which robot "
+            f"'{robot.name}' lacks"
+            + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
+            + "; give the --config of the robot that was recorded",
+            err=True,
+        )
     for name, leg in legs.items():
         if leg.rejects:
             reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))

@@ -54,3 +54,11 @@ def test_what_is_no_model_is_not_written(
     assert not (tmp_path / "legs.json").exists()
     assert sum(words in line for line in done.stderr.splitlines()) == 1
     assert "no baseline was written" in done.stderr.splitlines()[-1]
+
+
+def test_a_recording_of_other_legs_is_named(walk: Path, tmp_path: Path) -> None:
+    renamed = m.renamed({"lf": "LF"})
+    made = m.write(tmp_path / "made.mcap", list(renamed(m.read(walk), np.random.default_rng(1))))
+    done = run("fit", made, "-o", tmp_path / "legs.json")
+    assert "no --config: taken for the shipped robot 'hexapod-ax12a'" in done.stderr
+    assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.stderr
