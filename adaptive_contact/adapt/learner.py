@@ -239,7 +239,7 @@ class ContactLearner:
         if self._track is not None:
             self._follow_convention(sample, restart=result.restart)
         if self._misread:
-            return True
+            return sample
         if self._knowledge.cold is not None:
             swing = self._swing.ticks > 0
             off = rate.told_by - 1 if rate.off else 0

@@ -20,15 +20,9 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
 
-__all__ = ["fit_samples", "free_file", "keep", "losses", "pose_of", "swings_of", "verdict"]
+__all__ = ["fit_samples", "free_file", "keep", "losses", "pose_of", "swings_of"]
 
-# A model is good where it errs little more than readings do; half a step of noise and the step's
-# own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
-_NOISE_STEPS: Final = 0.82
-_GOOD, _FAIR = 2.5, 4.0
-# Free ticks per term of the library at which held-out error has settled, and below which a fit is
-# refused (adapt.training).
-_ENOUGH_ROWS: Final = 12
+# Free ticks per term of the library below which a fit is refused (adapt.training).
 _LEAST_ROWS: Final = 4
 # Not every free tick can be used: some are too early in a stretch to have a past.
 _MORE: Final = 1.15
@@ -204,30 +198,4 @@ def losses(samples: Mapping[str, list[ServoSample]]) -> list[str]:
                 f"leg {leg}: only {100 * whole:.0f} % of its ticks were read in whole and in time; "
                 "end other work on this computer, give --realtime, or check cable and power"
             )
-    return lines
-
-
-def verdict(robot: Robot, training: Training) -> list[str]:
-    """How good every leg was learned, in words, and what to do about it."""
-    import numpy as np
-
-    lines = []
-    for leg, figures in training.figures.items():
-        noise = _NOISE_STEPS * robot.quantum(leg)
-        worst = float(np.max(figures.held_out_rms)) / noise
-        wanted = _ENOUGH_ROWS * figures.library_size
-        if figures.rows < wanted:
-            more = wanted / max(figures.rows, 1)
-            word = f"too little: {figures.rows} of {wanted} free ticks; swing {more:.1f} x as long"
-        elif worst <= _GOOD:
-            word = "good"
-        elif worst <= _FAIR:
-            word = "usable; longer and more varied swings may help"
-        else:
-            word = "poor; check lengths, signs, servo.slope_rad, and that nothing was touched"
-        lines.append(f"leg {leg}: {word} (errs by {worst:.1f} x the noise of its readings)")
-    for leg in robot.leg_ids:
-        if leg not in training.figures:
-            why = training.skipped.get(leg, "it was not swung")
-            lines.append(f"leg {leg}: not learned: {why}")
     return lines

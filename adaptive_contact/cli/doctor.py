@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from adaptive_contact.service.doctor import Diagnosis
-    from adaptive_contact.service.legcheck import Level
+    from adaptive_contact.service.findings import Level
 
 __all__ = ["doctor"]
 
 _PIPE_WIDTH: Final = 140
-_COLOURS: Final = {"error": "bold red", "warning": "yellow", "note": "dim"}
+_COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def doctor(
@@ -74,20 +74,12 @@ def _print(diagnosis: Diagnosis) -> None:
         console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
     if diagnosis.keys:
         console.print(_traffic(diagnosis))
-    # What is true of several legs is said once.
-    together: dict[tuple[Level, str, str], list[str]] = {}
     for finding in diagnosis.findings:
-        legs = together.setdefault((finding.level, finding.what, finding.remedy), [])
-        if finding.leg is not None:
-            legs.append(finding.leg)
-    ranks = list(_COLOURS)
-    for level, what, remedy in sorted(together, key=lambda item: ranks.index(item[0])):
-        line = Text(f"{level}: ", style=_COLOURS[level])
-        legs = together[level, what, remedy]
-        line.append(f"{' '.join(legs)}: " if legs else "", style="bold")
-        line.append(what, style="not bold not dim default")
+        line = Text(f"{finding.level}: ", style=_COLOURS[finding.level])
+        line.append(f"{' '.join(finding.legs)}: " if finding.legs else "", style="bold")
+        line.append(finding.what, style="not bold not dim default")
         console.print(line)
-        console.print(Text(f"    -> {remedy}", style="dim"))
+        console.print(Text(f"    -> {finding.remedy}", style="dim"))
     if diagnosis.exit_code == 0:
         console.print(Text("all is well", style="green"))
 

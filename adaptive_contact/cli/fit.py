@@ -58,17 +58,27 @@ def fit(
             show_default=False,
         ),
     ] = None,
+    equations: Annotated[
+        bool, typer.Option("--equations", help="Print every leg's equations, too.")
+    ] = False,
     json: JsonOption = False,
 ) -> None:
-    """Learn a contact-free model of every recorded leg, and print its equations."""
+    """Learn a contact-free model of every recorded leg, and say how good it is."""
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.training import learn
+    from adaptive_contact.adapt.verdict import refusals, verdict
     from adaptive_contact.robot import load_robot, shipped_robot
 
     check_output(out, "--out")
     robot = shipped_robot() if config is None else load_robot(config)
+    if config is None:
+        typer.echo(
+            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
+            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
+            err=True,
+        )
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
@@ -97,24 +107,37 @@ def fit(
             "they are cautious, and soft contacts will be missed; record more swings",
             err=True,
         )
+    refused = refusals(robot, training)
+    if refused:
+        for line in refused:
+            typer.echo(f"adaptive-contact: {line}", err=True)
+        typer.echo("adaptive-contact: no baseline was written", err=True)
+        raise typer.Exit(1)
     save_baseline(training.baseline, out)
-    print_training(training, robot, json=json)
+    print_training(training, robot, json=json, equations=equations)
+    for line in verdict(robot, training):
+        typer.echo(line, err=json)
     typer.echo(f"baseline written to {out}", err=True)
 
 
 def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     """Every leg's samples and truth of several recordings, one after the other."""
     from adaptive_contact.adapt.gather import LegGatherer
+    from adaptive_contact.service.findings import of_legs
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
     legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
+    strangers: set[str] = set()
     for path in recordings:
         recording = read_recording(path)
         refused = 0
         for record in recording:
-            leg = legs.get(leg_of_key(record.key) or "")
+            leg_id = leg_of_key(record.key)
+            leg = legs.get(leg_id or "")
             if leg is None:
+                if leg_id is not None and record.key.endswith("/servo"):
+                    strangers.add(leg_id)
                 continue
             if record.key.endswith("/servo"):
                 sample = decode(record.payload, ServoSample, record.encoding)
@@ -130,6 +153,15 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
             typer.echo(f"adaptive-contact: {path}: {recording.damage}", err=True)
         if refused:
             typer.echo(f"adaptive-contact: {path}: {refused} samples not used", err=True)
+    if strangers:
+        absent = [name for name, leg in legs.items() if not leg.samples]
+        typer.echo(
+            f"adaptive-contact: not used: {of_legs(sorted(strangers))}, which robot "
+            f"'{robot.name}' lacks"
+            + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
+            + "; give the --config of the robot that was recorded",
+            err=True,
+        )
     for name, leg in legs.items():
         if leg.rejects:
             reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))
@@ -176,8 +208,8 @@ def check_conventions(
         )
 
 
-def print_training(training: Training, robot: Robot, *, json: bool) -> None:
-    """Show how well every leg was learned, and its equations."""
+def print_training(training: Training, robot: Robot, *, json: bool, equations: bool = True) -> None:
+    """Show how well every leg was learned, after its equations where they are wanted."""
     import msgspec
     import numpy as np
 
@@ -199,6 +231,11 @@ def print_training(training: Training, robot: Robot, *, json: bool) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=120)
+    for leg, entry in training.baseline.legs.items() if equations else ():
+        console.print(f"[bold]{leg}[/bold] (rad)")
+        for line in entry.model.equations():
+            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)
+        console.print()
     table = Table(title="Held-out one-step error, degrees (per joint)")
     for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):
         table.add_column(column, justify="left" if column == "leg" else "right")
@@ -219,7 +256,3 @@ def print_training(training: Training, robot: Robot, *, json: bool) -> None:
         f"thresholds for {aim:g} false alarm(s) per robot-hour, windows of 1, 2, 3 ticks: "
         + ", ".join(f"{h:.1f}" for h in thresholds)
     )
-    for leg, entry in training.baseline.legs.items():
-        console.print(f"\n[bold]{leg}[/bold] (rad)")
-        for line in entry.model.equations():
-            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)

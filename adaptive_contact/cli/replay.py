@@ -127,6 +127,12 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     from adaptive_contact.wire import JSON, encode
 
     robot, learned = _load(config, baseline)
+    if config is None:
+        typer.echo(
+            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
+            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
+            err=True,
+        )
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()
     written = 0

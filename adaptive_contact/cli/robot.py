@@ -294,6 +294,7 @@ def learn_(
         from adaptive_contact.bridge.collect import collect
 
     from adaptive_contact.adapt.baseline import save_baseline
+    from adaptive_contact.adapt.verdict import verdict
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import check_conventions, gather, print_training
 
@@ -342,7 +343,7 @@ def learn_(
         ) from error
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
-    for line in learning.verdict(robot, training):
+    for line in verdict(robot, training):
         typer.echo(line, err=json)
     typer.echo(f"baseline written to {out}, the recording to {kept}", err=True)
 

@@ -7,15 +7,26 @@ knows the network: :func:`examine` does.
 from __future__ import annotations
 
 import difflib
+import re
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
 import msgspec
 
-from adaptive_contact.service.legcheck import Finding, Level, check_leg
+from adaptive_contact.service.findings import (
+    EXPLAINS,
+    REFUSED_FOR,
+    Cause,
+    Fault,
+    Finding,
+    Level,
+    entries,
+)
+from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
@@ -24,8 +35,8 @@ from adaptive_contact.wire import (
     LearnerStatus,
     Rejected,
     ServoSample,
-    Status,
     decode,
+    is_leg_id,
     leg_of_key,
 )
 
@@ -40,6 +51,11 @@ _POLL_S: Final = 0.05
 _LEG_KINDS: Final = ("servo", "contact", "learner", "model", "truth", "command")
 _OTHER_KEYS: Final = (SERVICE_STATUS, "robot/sim/drift")
 _ENCODINGS: Final = ("application/msgpack", "application/json")
+# Keys with more slashes, such as those of a camera, are not taken for misspelt ones of ours.
+_OWN_DEPTH: Final = 3
+# Legs that fail together have one cause; one leg alone has its own.
+_SEVERAL_LEGS: Final = 2
+_FIGURES: Final = re.compile(r"[0-9.]+")
 
 
 class KeyTraffic(msgspec.Struct, frozen=True, kw_only=True):
@@ -160,29 +176,7 @@ def diagnose(
 ) -> Diagnosis:
     """Judge what was heard within ``seconds``; ``alive`` tells whether a service's token is."""
     service = heard.service[1] if alive and heard.service is not None else None
-    findings = [*_about_service(heard, alive), *_about_keys(heard, seconds)]
     described: dict[str, LegFacts] = {} if service is None else service.legs
-    published = heard.samples.keys() | heard.refused.keys()
-    for leg in [*described, *sorted(published - set(described))] if published else []:
-        findings += check_leg(
-            leg,
-            heard.samples.get(leg, []),
-            heard.refused.get(leg, []),
-            seconds=seconds,
-            period_s=None if service is None else service.period_s,
-            facts=described.get(leg),
-        )
-        if leg in heard.learners:
-            findings += _about_learner(*heard.learners[leg])
-    if not published:
-        findings.append(
-            Finding(
-                "error",
-                None,
-                "nobody publishes servo samples",
-                "start the bridge or `adaptive-contact sim`, with the same --namespace",
-            )
-        )
     return Diagnosis(
         router=router,
         router_line=router_line,
@@ -190,8 +184,60 @@ def diagnose(
         service_alive=alive,
         seconds=seconds,
         keys=_traffic(heard, seconds),
-        findings=findings,
+        findings=entries(_faults(heard, seconds, alive, service, described)),
     )
+
+
+_Faults = Iterator[tuple[str | None, Fault]]
+
+
+def _faults(
+    heard: Examination,
+    seconds: float,
+    alive: bool,
+    service: ServiceStatus | None,
+    described: dict[str, LegFacts],
+) -> _Faults:
+    """All that is wrong, causes and consequences, each with its leg."""
+    for fault in _about_service(heard, alive):
+        yield None, fault
+    strays = list(_about_keys(heard, seconds))
+    yield from strays
+    published = heard.samples.keys() | heard.refused.keys()
+    if not published and not any(fault.cause is Cause.KEY for _, fault in strays):
+        nobody = Fault(
+            "error",
+            Cause.NOBODY_PUBLISHES,
+            "nobody publishes servo samples",
+            "start the bridge or `adaptive-contact sim`, with the same --namespace",
+        )
+        yield None, nobody
+        return
+    known = [leg for leg, facts in described.items() if facts.described]
+    if known:
+        for fault in check_ids(sorted(published), known):
+            yield None, fault
+    unexplained: list[str] = []
+    for leg in [*described, *sorted(published - set(described))]:
+        of_leg = check_leg(
+            leg,
+            heard.samples.get(leg, []),
+            heard.refused.get(leg, []),
+            seconds=seconds,
+            period_s=None if service is None else service.period_s,
+            facts=described.get(leg),
+        )
+        causes = {fault.cause for fault in of_leg if fault.level != "note"}
+        causes |= {fault.cause for of, fault in strays if of == leg}
+        if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
+            unexplained.append(leg)
+        if leg in heard.learners:
+            of_leg += _about_learner(*heard.learners[leg], service, causes)
+        elif service is not None:
+            of_leg.append(_unreported(seconds))
+        for fault in of_leg:
+            yield leg, fault
+    yield from _in_common(heard, unexplained, service)
 
 
 def _traffic(heard: Examination, seconds: float) -> list[KeyTraffic]:
@@ -207,46 +253,43 @@ def _traffic(heard: Examination, seconds: float) -> list[KeyTraffic]:
     ]
 
 
-def _about_service(heard: Examination, alive: bool) -> list[Finding]:
+def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
     if not alive:
-        return [
-            Finding(
-                "error",
-                None,
-                "a router is there, but no service",
-                "start `adaptive-contact serve`, or `serve --connect` to join this router",
-            )
-        ]
+        yield Fault(
+            "error",
+            Cause.NO_SERVICE,
+            "a router is there, but no service",
+            "start `adaptive-contact serve`, or `serve --connect` to join this router",
+        )
+        return
     if heard.service is None:
-        return [
-            Finding(
-                "warning",
-                None,
-                "a service is alive, but did not say how it is",
-                "listen longer with --seconds; if it stays so, it is stuck: look at its log",
-            )
-        ]
+        yield Fault(
+            "warning",
+            Cause.SERVICE_QUIET,
+            "a service is alive, but did not say how it is",
+            "listen longer with --seconds; if it stays so, it is stuck: look at its log",
+        )
+        return
     before, service = heard.service
-    found = [
-        Finding(
+    for reason, times in service.rejects.items():
+        yield Fault(
             _still(times, before.rejects.get(reason, 0)),
-            None,
+            Cause.STRANGE_LEG,
             f"the service refused {times} payloads that belong to no leg ({reason})",
             "its log names a key; leg ids are letters, digits, '_', '.' or '-', no wildcards",
+            key=reason,
         )
-        for reason, times in service.rejects.items()
-    ]
     if service.note is not None:
-        found.append(Finding("error", None, f"the service says: {service.note}", "as it says"))
-    found += [
-        Finding(
+        what = f"the service says: {service.note}"
+        yield Fault("error", Cause.SERVICE, what, "as it says", key="note")
+    for line in [] if service.state is None else service.state.refused:
+        yield Fault(
             "note",
-            None,
+            Cause.STATE_REFUSED,
             f"learned state was refused: {line}",
             "the leg started from its baseline; `adaptive-contact state show` lists what there is",
+            key=line,
         )
-        for line in ([] if service.state is None else service.state.refused)
-    ]
     counts: list[tuple[Level, int, str, str]] = [
         (
             "error",
@@ -273,98 +316,175 @@ def _about_service(heard: Examination, alive: bool) -> list[Finding]:
             "look at its log, and at what else the machine was doing",
         ),
     ]
-    found += [
-        Finding(level, None, f"{times} {what}", remedy)
-        for level, times, what, remedy in counts
-        if times
-    ]
-    if service.baseline is None:
-        found.append(
-            Finding(
-                "warning",
-                None,
-                "the service started without a baseline, so no leg had a model",
-                "make one with `adaptive-contact fit`, and start with --baseline",
-            )
-        )
-    return found
+    for level, times, what, remedy in counts:
+        if times:
+            yield Fault(level, Cause.SERVICE, f"{times} {what}", remedy, key=what)
 
 
-def _about_keys(heard: Examination, seconds: float) -> list[Finding]:
-    found = []
+def _about_keys(heard: Examination, seconds: float) -> _Faults:
     for key, meter in sorted(heard.meters.items()):
+        leg = leg_of_key(key)
         odd = [encoding for encoding in meter.encodings if not encoding.startswith(_ENCODINGS)]
-        if odd and leg_of_key(key) is not None:
-            found.append(
-                Finding(
-                    "warning",
-                    leg_of_key(key),
-                    f"{key} has the encoding {odd[0]}; it is taken for msgpack",
+        if odd and leg is not None:
+            yield (
+                leg,
+                Fault(
+                    "warning" if leg in heard.refused else "note",
+                    Cause.ENCODING,
+                    f"the encoding {odd[0]} is taken for msgpack",
                     "declare application/msgpack or application/json when publishing",
-                )
+                    key,
+                    key=odd[0],
+                ),
             )
-        stray = _stray(key)
+        stray = _stray(key, f"{key} ({meter.count / seconds:.1f}/s)")
         if stray is not None:
-            rate = meter.count / seconds
-            found.append(Finding("warning", None, f"{key} ({rate:.1f}/s) {stray[0]}", stray[1]))
+            yield stray
     if heard.uncounted_keys:
-        found.append(
-            Finding(
+        yield (
+            None,
+            Fault(
                 "warning",
-                None,
+                Cause.TOO_MANY_KEYS,
                 f"more than {_KEYS_KEPT} keys; {heard.uncounted_keys} messages were not looked at",
                 "use --namespace to look at one robot",
-            )
+            ),
         )
-    return found
 
 
-def _stray(key: str) -> tuple[str, str] | None:
+def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
     """What is wrong with a key outside the contract, and what to do."""
     if leg_of_key(key) is not None or key in _OTHER_KEYS or key.startswith("robot/bridge/"):
         return None
-    head, robot, tail = key.partition("robot/leg/")
+    head, robot, _ = key.partition("robot/leg/")
     if robot and head:
         namespace = head.rstrip("/")
-        return f"lies under '{namespace}'", f"look there with --namespace {namespace}"
-    if robot:
-        leg, _, kind = tail.partition("/")
-        near = difflib.get_close_matches(kind, _LEG_KINDS, n=1)
-        if kind not in _LEG_KINDS and near:
-            return "is read by nobody", f"did you mean robot/leg/{leg}/{near[0]}?"
-        return "names no usable leg", "a leg id has 1 to 32 letters, digits, '_', '.' or '-'"
-    return None
+        what = f"keys lie under '{namespace}'"
+        remedy = f"look there with --namespace {namespace}"
+        return None, Fault("warning", Cause.NAMESPACE, what, remedy, shown, key=namespace)
+    leg, kind = ["", *key.split("/")][-2:]
+    near = difflib.get_close_matches(kind.lower(), _LEG_KINDS, n=1)
+    # A word of other robots' keys, such as camera/command, is no misspelling of ours.
+    ours = bool(robot) or bool(near and near[0] == "servo" and key.count("/") <= _OWN_DEPTH)
+    if not ours:
+        return None
+    if near and is_leg_id(leg) and (kind not in _LEG_KINDS or not robot):
+        remedy = f"did you mean robot/leg/{leg}/{near[0]}?"
+        cause = Cause.KEY if near[0] == "servo" else Cause.OTHER_KEY
+        return leg, Fault("warning", cause, "a key is read by nobody", remedy, shown, key=kind)
+    remedy = "a leg id has 1 to 32 letters, digits, '_', '.' or '-'"
+    what = "a key names no usable leg"
+    return None, Fault("warning", Cause.OTHER_KEY, what, remedy, shown, key="leg")
 
 
-_NOTES: Final = "docs/operating.md says what each note asks for"
-_REMEDIES: Final[dict[Status, str]] = {
-    "learning": f"let the leg swing freely, in many directions; {_NOTES}",
-    "adapting": _NOTES,
-    "ambiguous": f"look at the foot and its servos, trust its contacts less; {_NOTES}",
-    "valid": _NOTES,
-    "silent": _NOTES,
+# Words of notes that speak of what the samples themselves may show.
+_NOTED: Final = {
+    "ms apart, robot.toml says": Cause.PERIOD,
+    "starts anew every few samples": Cause.RUN,
+    "carry no phase": Cause.PHASE,
+    "answered": Cause.INVALID,
+    "payload refused": Cause.UNREADABLE,
 }
+_NOTES: Final = "docs/operating.md says what each note asks for"
 
 
-def _about_learner(before: LearnerStatus, status: LearnerStatus) -> list[Finding]:
-    found = []
-    refused = {reason: times for reason, times in status.rejects.items() if times}
+def _about_learner(
+    before: LearnerStatus, status: LearnerStatus, service: ServiceStatus | None, causes: set[Cause]
+) -> Iterator[Fault]:
+    """What a leg's own status says, but for what is known of its stream already."""
+    known = {str(reason) for cause in causes for reason in REFUSED_FOR.get(cause, ())}
+    refused = {
+        reason: times for reason, times in status.rejects.items() if times and reason not in known
+    }
     if refused:
         listed = ", ".join(f"{reason} {times}" for reason, times in sorted(refused.items()))
-        found.append(
-            Finding(
-                _still(sum(refused.values()), sum(before.rejects.values())),
-                status.leg,
-                f"the service has refused samples of it since its start: {listed}",
-                "docs/messages.md says what each reason means",
-            )
+        grown = any(times > before.rejects.get(reason, 0) for reason, times in refused.items())
+        yield Fault(
+            "warning" if grown else "note",
+            Cause.REFUSED,
+            "the service has refused samples or readings since its start",
+            "docs/messages.md says what each reason means",
+            listed,
+            sum(refused.values()),
         )
-    if status.status == "silent":
-        return found  # the stream itself has been judged
-    if status.note is not None:
-        what = f"{status.status}: {status.note}"
-        found.append(Finding("note", status.leg, what, _REMEDIES[status.status]))
-    return found
+    if status.status == "learning":
+        yield _learning(status, service)
+    elif status.status == "ambiguous":
+        yield Fault(
+            "error",
+            Cause.AMBIGUOUS,
+            "ambiguous: contacts of the leg are not to be relied on",
+            f"look at the foot and its servos; {_NOTES}",
+            status.note,
+        )
+    elif status.note is not None:
+        cause = next((c for words, c in _NOTED.items() if words in status.note), Cause.LEG_NOTE)
+        if cause not in causes:
+            # Of two legs with the same note, figures differ.
+            key = _FIGURES.sub("", status.note)
+            yield Fault("warning", cause, status.status, _NOTES, status.note, key=key)
+    elif status.status == "silent":
+        what = "silent: the service uses none of the leg's samples"
+        yield Fault("error", Cause.LEG_NOTE, what, "look at the service's log")
+
+
+def _learning(status: LearnerStatus, service: ServiceStatus | None) -> Fault:
+    if service is not None and service.baseline is None:
+        return Fault(
+            "warning",
+            Cause.LEARNING,
+            "learning: no contact is reported before the leg has its first model",
+            f"let the leg swing freely, in many directions, or start with --baseline; {_NOTES}",
+            status.note,
+        )
+    return Fault(
+        "error",
+        Cause.LEARNING,
+        "learning: no contact is reported, although the service has a baseline",
+        "check that the baseline, the legs' ids, signs and offsets belong to this robot; until a "
+        f"first model is learned, let the leg swing freely; {_NOTES}",
+        status.note,
+    )
+
+
+def _unreported(seconds: float) -> Fault:
+    return Fault(
+        "warning",
+        Cause.UNREPORTED,
+        f"the service has not said in {seconds:.1f} s how the leg is",
+        "listen longer with --seconds; if it stays so, look at the service's log",
+    )
+
+
+def _in_common(heard: Examination, legs: list[str], service: ServiceStatus | None) -> _Faults:
+    """What all legs have in common is not of a foot.
+
+    Args:
+        heard: everything.
+        legs: those whose streams show no cause.
+        service: its status.
+    """
+    given = service is not None and service.baseline is not None
+    statuses = [heard.learners[leg][1] for leg in legs if leg in heard.learners]
+    statuses = [status for status in statuses if status.status != "silent"]
+    lost = [
+        status
+        for status in statuses
+        if status.status == "ambiguous" or (status.status == "learning" and given)
+    ]
+    if len(statuses) < _SEVERAL_LEGS or len(lost) < len(statuses):
+        return
+    for status in lost:
+        fault = Fault(
+            "error",
+            Cause.NOT_THIS_ROBOT,
+            "all legs move otherwise than their models",
+            "check, in this order: signs (directions), zeros (offsets_rad), the order of joints "
+            "and of legs, and whether the baseline is of this robot; `adaptive-contact robot "
+            "check` shows each joint",
+            status.note,
+        )
+        yield status.leg, fault
 
 
 def _still(now: int, before: int) -> Level:

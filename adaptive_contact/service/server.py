@@ -330,7 +330,9 @@ class Service:
         if leg in self._robot.leg_ids:
             described = self._robot.leg(leg)
             self._facts[leg] = LegFacts(
-                joints=list(described.joints), lengths=described.lengths_m is not None
+                joints=list(described.joints),
+                lengths=described.lengths_m is not None,
+                quantum_rad=self._robot.quantum(leg),
             )
         return desk
 

@@ -21,11 +21,18 @@ SERVICE_STATUS: Final = "robot/service/status"
 
 
 class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """What the service knows of a leg; ``described`` is False for one that is not in robot.toml."""
+    """What the service knows of a leg.
+
+    Attributes:
+        lengths: whether robot.toml has its ``lengths_m``.
+        described: whether robot.toml has the leg.
+        quantum_rad: position step of its servos by robot.toml, None for a leg that it lacks.
+    """
 
     joints: list[str]
     lengths: bool = False
     described: bool = True
+    quantum_rad: float | None = None
 
 
 class ServiceStatus(Message, frozen=True, kw_only=True):

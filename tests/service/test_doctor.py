@@ -5,13 +5,14 @@ import math
 import socket
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import pytest
 
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
-from adaptive_contact.service.legcheck import Finding, check_leg
+from adaptive_contact.service.findings import Cause, Fault, Finding
+from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.service.traffic import Received
@@ -39,7 +40,7 @@ def stream(n: int = 150, **fields: Any) -> list[ServoSample]:
                 "seq": k,
                 "measured": [0.4 * math.sin(0.2 * k - 0.1 * j) for j in range(3)],
                 "desired": [0.4 * math.sin(0.2 * k - 0.1 * j + 0.08) for j in range(3)],
-                "phase": "swing",
+                "phase": "swing" if k % 50 < 30 else "stance",
                 "run": 1,
                 **fields,
             }
@@ -55,7 +56,7 @@ def change(samples: list[ServoSample], **fields: Callable[[ServoSample], Any]) -
     ]
 
 
-def judge(samples: list[ServoSample], **settings: Any) -> list[Finding]:
+def judge(samples: list[ServoSample], **settings: Any) -> list[Fault]:
     return check_leg(
         "rf",
         samples,
@@ -64,10 +65,17 @@ def judge(samples: list[ServoSample], **settings: Any) -> list[Finding]:
     )
 
 
-def only(findings: list[Finding]) -> Finding:
+Found = TypeVar("Found", Finding, Fault)
+
+
+def only(findings: list[Found]) -> Found:
     assert len(findings) == 1, findings
     assert findings[0].remedy
     return findings[0]
+
+
+def text(fault: Fault) -> str:
+    return fault.what if fault.detail is None else f"{fault.what}: {fault.detail}"
 
 
 def test_a_good_leg_has_no_findings() -> None:
@@ -80,12 +88,14 @@ def test_a_leg_that_hangs_still_has_no_findings() -> None:
 
 
 def test_nothing_at_all() -> None:
-    assert "no usable sample on robot/leg/rf/servo" in only(judge([])).what
+    assert "no usable sample on robot/leg/LEG/servo" in only(judge([])).what
 
 
 def test_only_unreadable_payloads() -> None:
     refused = [Rejected(Reject.MISSING_FIELD, "missing required field `seq`")] * 7
-    assert "7 payloads cannot be read; missing_field" in only(judge([], refused=refused)).what
+    found = only(judge([], refused=refused))
+    assert found.cause is Cause.UNREADABLE
+    assert "7 refused; missing_field 7 times" in text(found)
 
 
 def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample], list[float]]:
@@ -96,46 +106,57 @@ def joint(j: int, value: Callable[[float, int], float]) -> Callable[[ServoSample
     ("samples", "what", "level"),
     [
         (change(stream(), measured=joint(1, lambda x, k: 0.1)), "femur reads 0.100 rad", "error"),
-        (change(stream(), measured=joint(2, lambda x, k: x + 0.9)), "tibia is 0.90 rad", "error"),
-        (change(stream(), measured=joint(0, lambda x, k: -x)), "coxa moves against", "error"),
+        (change(stream(), measured=joint(2, lambda x, k: x + 0.9)), "tibia by 0.90 rad", "error"),
+        (
+            change(stream(), measured=joint(0, lambda x, k: -x)),
+            "moves against its command: coxa",
+            "error",
+        ),
         (
             change(stream(), measured=joint(0, lambda x, k: math.degrees(x))),
-            "coxa reaches 22.9, more than a turn",
+            "look like degrees: coxa reaches 22.9",
             "error",
         ),
         (
             change(stream(), measured=joint(0, lambda x, k: math.nan if k < 20 else x)),
-            "20 of 150 samples hold NaN",
+            "NaN or infinity: 20 of 150",
             "error",
         ),
-        (change(stream(), t_ns=lambda s: s.seq * 25_000_000), "ticks are 25.0 ms apart", "error"),
+        (change(stream(), t_ns=lambda s: s.seq * 25_000_000), "found 25.0 ms (40.0 Hz)", "error"),
         (change(stream(), t_ns=lambda s: s.seq * 20), "seems to be in milliseconds", "error"),
-        (stream()[:70] + stream()[75:], "5 samples are lost (3.3%)", "warning"),
+        (stream()[:70] + stream()[75:], "samples are lost, by gaps in seq: 5 (3.3%)", "warning"),
         (
             change(stream(), run=lambda s: s.seq % 2 + 1, seq=lambda s: s.seq // 2),
             "2 publishers take turns",
             "error",
         ),
-        (change(stream(), run=lambda s: s.seq), "`run` changes 149 times", "error"),
-        (change(stream(), run=lambda s: s.seq // 30), "`run` changes 4 times", "error"),
+        (
+            change(stream(), run=lambda s: s.seq),
+            "changes again and again: 149 times in 150",
+            "error",
+        ),
+        (
+            change(stream(), run=lambda s: s.seq // 30),
+            "changes again and again: 4 times in 150",
+            "error",
+        ),
         (change(stream(), t_ns=lambda s: -s.t_ns), "t_ns does not increase", "error"),
         (
             change(stream(), seq=lambda s: s.seq - (s.seq % 10 == 3)),
-            "15 samples repeat the seq",
+            "repeat the seq before them: 15 of 149",
             "error",
         ),
         (
             change(stream(), valid=lambda s: [True, s.seq % 4 > 0, True]),
-            "25% of the samples have readings marked invalid",
+            "readings marked invalid: 25% of them",
             "warning",
         ),
     ],
 )
 def test_what_is_wrong_with_a_stream(samples: list[ServoSample], what: str, level: str) -> None:
-    found = [finding for finding in judge(samples) if what in finding.what]
+    found = [finding for finding in judge(samples) if what in text(finding)]
     assert len(found) == 1, judge(samples)
     assert found[0].level == level
-    assert found[0].leg == "rf"
     assert found[0].remedy
 
 
@@ -145,7 +166,7 @@ def test_joints_phase_and_unknown_legs_are_held_against_robot_toml() -> None:
     bare = LegFacts(joints=FACTS.joints, lengths=False)
     assert "no phase" in only(judge(stream(phase=None), facts=bare)).what
     unknown = LegFacts(joints=["joint 1"], lengths=True, described=False)
-    assert "not in the service's robot.toml" in only(judge(stream(), facts=unknown)).what
+    assert "the leg is not in robot.toml" in only(judge(stream(), facts=unknown)).what
     assert judge(stream(), facts=None, period_s=None) == []
 
 
@@ -171,6 +192,20 @@ def service(**fields: Any) -> ServiceStatus:
     )
 
 
+def learner(**fields: Any) -> LearnerStatus:
+    return LearnerStatus(
+        **{
+            "leg": "rf",
+            "t_ns": 0,
+            "status": "valid",
+            "model_version": 1,
+            "residual_rms": [],
+            "noise_floor": [],
+            **fields,
+        }
+    )
+
+
 def hear(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
     heard = Examination()
     for key, payload in messages:
@@ -181,6 +216,7 @@ def hear(*messages: tuple[str, bytes], encoding: str = MSGPACK) -> Examination:
 def good() -> list[tuple[str, bytes]]:
     return [
         (SERVICE_STATUS, encode(service())),
+        (learner_key("rf"), encode(learner())),
         *((servo_key("rf"), encode(sample)) for sample in stream()),
     ]
 
@@ -216,26 +252,17 @@ def test_nobody_publishes() -> None:
 
 def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
     def status(n: int) -> tuple[str, bytes]:
-        learner = LearnerStatus(
-            leg="rf",
-            t_ns=0,
-            status="valid",
-            model_version=1,
-            residual_rms=[],
-            noise_floor=[],
-            rejects={"not_finite": n},
-        )
-        return learner_key("rf"), encode(learner)
+        return learner_key("rf"), encode(learner(rejects={"not_finite": n}))
 
     def whole(n: int) -> tuple[str, bytes]:
         return SERVICE_STATUS, encode(service(rejects={"unknown_leg": n}))
 
     old = diagnose(hear(*good(), whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
     assert old.exit_code == 1, "the first status had no refusals"
-    old = diagnose(hear(*good()[1:], whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
+    old = diagnose(hear(*good()[2:], whole(3), whole(3), status(2), status(2)), 3.0, alive=True)
     assert old.exit_code == 0
     assert len(old.findings) == 2
-    new = diagnose(hear(*good()[1:], whole(3), whole(4), status(2), status(9)), 3.0, alive=True)
+    new = diagnose(hear(*good()[2:], whole(3), whole(4), status(2), status(9)), 3.0, alive=True)
     assert [finding.level for finding in new.findings] == ["warning", "warning"]
 
 
@@ -248,18 +275,11 @@ def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
     ],
 )
 def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> None:
-    learner = LearnerStatus(
-        leg="rf",
-        t_ns=0,
-        status=status,
-        model_version=1,
-        residual_rms=[],
-        noise_floor=[],
-        note="the foot came 40 % of its command's way",
-    )
-    heard = hear(*good(), *2 * [(learner_key("rf"), encode(learner))])
+    told = learner(status=status, note="the foot came 40 % of its command's way")
+    heard = hear(*good(), *2 * [(learner_key("rf"), encode(told))])
     finding = only(diagnose(heard, 3.0, alive=True).findings)
-    assert finding.what == f"{status}: the foot came 40 % of its command's way"
+    assert finding.what.startswith(f"{status}: ")
+    assert finding.what.endswith(": the foot came 40 % of its command's way")
     assert remedy in finding.remedy
 
 
@@ -267,7 +287,7 @@ def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> N
     ("key", "what", "remedy"),
     [
         ("robot/leg/rf/servos", "read by nobody", "did you mean robot/leg/rf/servo?"),
-        ("hexa/robot/leg/rf/servo", "lies under 'hexa'", "--namespace hexa"),
+        ("hexa/robot/leg/rf/servo", "lie under 'hexa'", "--namespace hexa"),
         ("robot/leg/*/servo", "names no usable leg", "leg id"),
     ],
 )
@@ -282,11 +302,12 @@ def test_keys_of_others_are_left_alone() -> None:
     assert diagnosis.findings == []
 
 
-def test_an_odd_encoding_is_a_warning() -> None:
+def test_an_odd_encoding_is_a_note_while_its_payloads_are_read() -> None:
     heard = hear(*good())
-    heard.take(Received(servo_key("rf"), encode(stream()[-1]), "zenoh/bytes", 0, None))
-    found = diagnose(heard, 3.0, alive=True).findings
-    assert "has the encoding zenoh/bytes; it is taken for msgpack" in found[0].what
+    heard.take(Received(servo_key("rf"), encode(stream(151)[-1]), "zenoh/bytes", 0, None))
+    finding = only(diagnose(heard, 3.0, alive=True).findings)
+    assert "the encoding zenoh/bytes is taken for msgpack" in finding.what
+    assert finding.level == "note", "what it holds can be read"
 
 
 def test_a_flood_of_keys_is_bounded() -> None:
@@ -327,7 +348,8 @@ def test_the_command(
     assert diagnosis["service_alive"]
     rates = {key["key"]: key["rate_hz"] for key in diagnosis["keys"]}
     assert 25 < rates[servo_key("lf")] < 60
-    found = [(leg, what) for level, leg, what, _ in diagnosis["findings"] if level != "note"]
+    findings = [msgspec.convert(row, Finding) for row in diagnosis["findings"]]
+    found = [(f.leg, f.what) for f in findings if f.level != "note" and f.cause != "learning"]
     assert ("rf", "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)") in found
     assert all(leg != "lf" for leg, _ in found)
 
@@ -338,6 +360,6 @@ def test_what_the_service_says_of_itself_is_found() -> None:
     assert whats(diagnose(hear(*messages), 3.0, alive=True)) == [
         "error: the service says: state: disk full",
         "error: 3 contact events were lost to a subscriber that hung",
-        "note: 2 contact events were held up by a subscriber that hung",
         "warning: 1 times the service stood still for a second or more",
+        "note: 2 contact events were held up by a subscriber that hung",
     ]

@@ -1,0 +1,229 @@
+"""What ``doctor`` and ``fit`` find: one cause, one entry.
+
+A check reports each :class:`Fault` with its :class:`Cause`.  :func:`entries` then leaves out what
+another cause of the same leg explains, and puts all legs of a cause into one :class:`Finding`.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, Literal, NamedTuple
+
+from adaptive_contact.wire import Reject
+
+__all__ = ["EXPLAINS", "REFUSED_FOR", "Cause", "Fault", "Finding", "Level", "entries", "of_legs"]
+
+Level = Literal["error", "warning", "note"]
+_RANKS: Final[dict[Level, int]] = {"error": 0, "warning": 1, "note": 2}
+# Details of one entry that are printed; the others are counted.
+_DETAILS: Final = 2
+
+
+class Cause(enum.StrEnum):
+    """Why a leg, or the whole robot, cannot report reliably; the values are for programs."""
+
+    # The network and the service.
+    NO_SERVICE = "no_service"
+    SERVICE_QUIET = "service_quiet"
+    SERVICE = "service"
+    STATE_REFUSED = "state_refused"
+    STRANGE_LEG = "strange_leg"
+    NOBODY_PUBLISHES = "nobody_publishes"
+    SILENT = "silent"
+    KEY = "key"
+    OTHER_KEY = "other_key"
+    NAMESPACE = "namespace"
+    LEG_IDS = "leg_ids"
+    UNDESCRIBED = "undescribed"
+    TOO_MANY_KEYS = "too_many_keys"
+    ENCODING = "encoding"
+    # Payloads.
+    UNREADABLE = "unreadable"
+    TIME_TYPE = "time_type"
+    JOINTS = "joints"
+    # Order and time.
+    TWO_PUBLISHERS = "two_publishers"
+    RUN = "run"
+    TIME_BACKWARDS = "time_backwards"
+    TIME_UNIT = "time_unit"
+    SEQ = "seq"
+    LOSS = "loss"
+    PERIOD = "period"
+    JITTER = "jitter"
+    # Readings and commands.
+    INVALID = "invalid"
+    NOT_FINITE = "not_finite"
+    UNITS = "units"
+    ECHO = "echo"
+    FROZEN = "frozen"
+    ORDER = "order"
+    BACKWARDS = "backwards"
+    FAR = "far"
+    GLITCHES = "glitches"
+    TURN = "turn"
+    QUANTUM = "quantum"
+    PHASE = "phase"
+    # What the leg's learner says.
+    NOT_THIS_ROBOT = "not_this_robot"
+    REFUSED = "refused"
+    LEARNING = "learning"
+    AMBIGUOUS = "ambiguous"
+    UNREPORTED = "unreported"
+    LEG_NOTE = "leg_note"
+
+
+_LEARNER: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Cause.NOT_THIS_ROBOT})
+_VALUES: Final = frozenset(
+    {Cause.ECHO, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR, Cause.GLITCHES, Cause.TURN}
+    | {Cause.QUANTUM}
+)
+_TIMES: Final = frozenset(
+    {Cause.TIME_BACKWARDS, Cause.TIME_UNIT, Cause.SEQ, Cause.LOSS, Cause.PERIOD, Cause.JITTER}
+)
+_ABSENT: Final = frozenset({Cause.SILENT, Cause.NOBODY_PUBLISHES, Cause.UNREPORTED})
+
+# What a cause explains in the same leg (or, found for no leg, in every leg).
+EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
+    Cause.KEY: _ABSENT | _LEARNER,
+    Cause.NAMESPACE: _ABSENT | _LEARNER,
+    Cause.LEG_IDS: _ABSENT | _LEARNER | {Cause.UNDESCRIBED, Cause.PHASE},
+    Cause.NOBODY_PUBLISHES: frozenset({Cause.SILENT, Cause.UNREPORTED}) | _LEARNER,
+    Cause.SILENT: _LEARNER | {Cause.UNREPORTED},
+    Cause.UNDESCRIBED: _LEARNER | {Cause.PHASE},
+    Cause.ENCODING: frozenset({Cause.UNREADABLE}) | _ABSENT | _LEARNER,
+    Cause.NO_SERVICE: frozenset({Cause.UNREPORTED}),
+    Cause.SERVICE_QUIET: frozenset({Cause.UNREPORTED}),
+    Cause.UNREADABLE: _ABSENT | _LEARNER,
+    Cause.TIME_TYPE: _ABSENT | _LEARNER | {Cause.UNREADABLE},
+    Cause.JOINTS: _VALUES | _LEARNER | {Cause.PHASE},
+    Cause.TWO_PUBLISHERS: _TIMES | _VALUES | _LEARNER,
+    Cause.RUN: _TIMES | _LEARNER,
+    Cause.TIME_BACKWARDS: _LEARNER | {Cause.TIME_UNIT, Cause.PERIOD, Cause.JITTER},
+    Cause.TIME_UNIT: _LEARNER | {Cause.PERIOD, Cause.JITTER},
+    Cause.SEQ: _LEARNER | {Cause.PERIOD, Cause.JITTER, Cause.TIME_UNIT},
+    Cause.PERIOD: _LEARNER | {Cause.JITTER},
+    Cause.NOT_FINITE: _LEARNER,
+    Cause.UNITS: _VALUES | _LEARNER,
+    Cause.ECHO: _VALUES | _LEARNER,
+    Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
+    Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES},
+    Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},
+    Cause.BACKWARDS: _LEARNER | {Cause.FAR},
+    Cause.FAR: _LEARNER,
+    Cause.QUANTUM: _LEARNER,
+    Cause.PHASE: _LEARNER,
+    Cause.NOT_THIS_ROBOT: _LEARNER,
+}
+
+
+_READ: Final = frozenset(
+    {Reject.MALFORMED, Reject.TOO_LARGE, Reject.MISSING_FIELD, Reject.WRONG_TYPE, Reject.VERSION}
+)
+_OTHER: Final = frozenset({Reject.OTHER_PUBLISHER, Reject.DUPLICATE_SEQ, Reject.TIME_BACKWARDS})
+# Reasons for which the service refuses samples of a leg with such a fault.
+REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
+    Cause.UNREADABLE: _READ,
+    Cause.ENCODING: _READ,
+    Cause.TIME_TYPE: _READ,
+    Cause.JOINTS: frozenset({Reject.WRONG_JOINTS}),
+    Cause.TWO_PUBLISHERS: _OTHER,
+    Cause.RUN: _OTHER,
+    Cause.TIME_BACKWARDS: frozenset({Reject.TIME_BACKWARDS}),
+    Cause.TIME_UNIT: frozenset({Reject.TIME_BACKWARDS}),
+    Cause.SEQ: _OTHER,
+    Cause.NOT_FINITE: frozenset({Reject.NOT_FINITE}),
+    Cause.UNITS: frozenset({Reject.OUT_OF_RANGE}),
+}
+
+
+class Fault(NamedTuple):
+    """One thing that is wrong with one leg, as a check found it.
+
+    Attributes:
+        cause: faults of one cause become one entry.
+        what: what was found and expected, the same for every leg of one entry.
+        remedy: what to do.
+        detail: this leg's figures, None where ``what`` has them all.
+        size: how bad it is against others of this cause: the largest are shown.
+        key: parts entries of one cause that need different remedies.
+    """
+
+    level: Level
+    cause: Cause
+    what: str
+    remedy: str
+    detail: str | None = None
+    size: float = 0.0
+    key: str = ""
+
+
+class Finding(NamedTuple):
+    """One entry: what is wrong, and what to do.  A ``note`` is worth knowing and no fault.
+
+    Attributes:
+        leg: the only leg that it is of; None for several, and for the whole robot.
+        cause: a :class:`Cause`.
+        legs: all legs that it is of.
+    """
+
+    level: Level
+    leg: str | None
+    what: str
+    remedy: str
+    cause: str = ""
+    legs: list[str] = []  # noqa: RUF012  # never changed
+
+
+def of_legs(legs: Iterable[str]) -> str:
+    """``leg lf`` or ``legs lf rf``."""
+    names = list(legs)
+    return f"leg{'s' if len(names) > 1 else ''} {' '.join(names)}"
+
+
+def entries(faults: Iterable[tuple[str | None, Fault]]) -> list[Finding]:
+    """One entry for each cause, the worst first.
+
+    Args:
+        faults: each with its leg, None for the whole robot; in the order in which legs are named.
+
+    Returns:
+        What is left when consequences are left out and legs are put together.
+    """
+    found = list(faults)
+    causes: dict[str | None, set[Cause]] = {}
+    for leg, fault in found:
+        if fault.level != "note":
+            causes.setdefault(leg, set()).add(fault.cause)
+    whole = causes.get(None, set())
+
+    def explained(leg: str | None, fault: Fault) -> bool:
+        of_leg = whole if leg is None else whole | causes.get(leg, set())
+        return any(fault.cause in EXPLAINS.get(cause, ()) for cause in of_leg - {fault.cause})
+
+    together: dict[tuple[Cause, str], list[tuple[str | None, Fault]]] = {}
+    for leg, fault in found:
+        if not explained(leg, fault):
+            together.setdefault((fault.cause, fault.key), []).append((leg, fault))
+    made = [_entry(of_cause) for of_cause in together.values()]
+    return sorted(made, key=lambda finding: _RANKS[finding.level])
+
+
+def _entry(faults: Sequence[tuple[str | None, Fault]]) -> Finding:
+    level = min((fault.level for _, fault in faults), key=lambda level: _RANKS[level])
+    ordered = sorted(faults, key=lambda item: (_RANKS[item[1].level], -item[1].size))
+    worst = ordered[0][1]
+    legs = list(dict.fromkeys(leg for leg, _ in faults if leg is not None))
+    alike = len({fault.detail for _, fault in faults}) == 1
+    details = dict.fromkeys(
+        fault.detail if alike or len(legs) < 2 else f"{leg} {fault.detail}"
+        for leg, fault in ordered
+        if fault.detail is not None
+    )
+    shown = list(details)[:_DETAILS]
+    if len(details) > _DETAILS:
+        shown.append(f"and {len(details) - _DETAILS} more")
+    what = f"{worst.what}: {', '.join(shown)}" if shown else worst.what
+    return Finding(
+        level, legs[0] if len(legs) == 1 else None, what, worst.remedy, worst.cause.value, legs
+    )

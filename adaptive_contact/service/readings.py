@@ -1,0 +1,339 @@
+"""What a leg's readings look like against its commands, and what is wrong with them.
+
+Works on the samples of a few seconds, or of a recording; needs no model.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.service.findings import Cause, Fault
+from adaptive_contact.wire import ServoSample
+
+__all__ = ["check_readings", "position_step"]
+
+Array = NDArray[np.float64]
+
+_FEWEST: Final = 10
+# A joint counts as told to move when its command travels this far, rad (3 degrees, 10 steps of
+# an AX-12A), and as frozen when its reading then keeps one value.
+_COMMANDED_RAD: Final = 0.05
+_FROZEN_SAMPLES: Final = 25
+# Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
+# seconds is a wrong zero, a wrong direction or a stalled joint.
+_FAR_RAD: Final = 0.4
+# No joint of a leg goes beyond a turn; radians do not either.  An encoder that counts turns may
+# start a turn off.
+_BEYOND_RAD: Final = 2 * math.pi + 0.1
+_BEYOND_TURNS_RAD: Final = 8 * math.pi
+_BACKWARDS_CORRELATION: Final = -0.7
+# A command that moves this far in a tick, rad: no servo is where it is sent one tick later, to the
+# last bit, tick after tick.
+_FAST_RAD: Final = 0.01
+_ECHO_TICKS: Final = 3  # a copy may be of the command of so many ticks before
+_ECHO_SHARE: Final = 0.9
+# Readings that follow another joint's command: so much nearer than their own, and this near.
+_ORDER_SHARE: Final = 0.35
+_ORDER_RAD: Final = 0.2
+_LAG_TICKS: Final = 6
+_MOST_ORDERED: Final = 4  # joints whose orders are all tried
+# A reading that jumps away and back: so many times as far as one tick in twenty moves, and at
+# least this far, rad.
+_GLITCH_TIMES: Final = 4.0
+_GLITCH_RAD: Final = 0.15
+_TURN_SLACK_RAD: Final = 0.5
+# Steps are told from so many different readings, and lie between these, rad.
+_STEP_READINGS: Final = 24
+_LEAST_STEP_RAD: Final = 4e-4
+_MOST_STEP_RAD: Final = 0.1
+_STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
+_STEP_TOLERANCE: Final = 0.05
+_DEGREE_RAD: Final = math.pi / 180.0
+
+
+def check_readings(
+    samples: Sequence[ServoSample], names: Sequence[str], quantum_rad: float | None
+) -> Iterator[Fault]:
+    """Judge one leg's readings and commands.
+
+    Args:
+        samples: all with as many joints.
+        names: of the joints.
+        quantum_rad: position step that they should have, None where nobody says.
+    """
+    measured = np.array([s.measured for s in samples], dtype=np.float64)
+    desired = np.array([s.desired for s in samples], dtype=np.float64)
+    finite = np.isfinite(np.hstack([measured, desired])).all(axis=1)
+    if not finite.all():
+        yield Fault(
+            "error",
+            Cause.NOT_FINITE,
+            "samples hold NaN or infinity",
+            "publish the last reading with valid = false for a servo that did not answer",
+            f"{int((~finite).sum())} of {finite.size}",
+            float((~finite).sum()),
+        )
+    answered = np.array([s.valid is None or all(s.valid) for s in samples])
+    measured, desired = measured[finite & answered], desired[finite & answered]
+    if len(measured) < _FEWEST:
+        return
+    units = _units(measured, desired, names)
+    if units is not None:
+        yield units
+        return
+    if _is_echo(measured, desired):
+        yield Fault(
+            "error",
+            Cause.ECHO,
+            "measured is desired to the last bit while the joints move: one is a copy of the other",
+            "publish the servos' present positions as measured, and the goals written to them as "
+            "desired",
+        )
+        return
+    measured, jumps = _without_turns(measured)
+    desired, told_jumps = _without_turns(desired)
+    for j, name in enumerate(names):
+        turns = round(float(np.median(measured[:, j] - desired[:, j])) / math.tau)
+        if turns:
+            measured[:, j] -= turns * math.tau
+        if jumps[j] or told_jumps[j] or turns:
+            yield _turned(name, int(jumps[j] + told_jumps[j]), turns)
+    order = _order_of(measured, desired)
+    if order is not None:
+        moved = [i for i, of in enumerate(order) if of != i]
+        yield Fault(
+            "error",
+            Cause.ORDER,
+            "measured has its joints in another order than desired",
+            "publish measured, desired and valid in the order of `joints` in robot.toml",
+            " and ".join(f"{names[i]} follows the command of {names[order[i]]}" for i in moved),
+        )
+        return
+    for j, name in enumerate(names):
+        yield from _joint(measured[:, j], desired[:, j], name, quantum_rad)
+
+
+def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | None:
+    largest = np.maximum(_far_out(measured), _far_out(desired))
+    j = int(np.argmax(largest))
+    whole = bool((measured == np.round(measured)).all()) and float(np.ptp(measured)) > 2.0
+    # An encoder that counts turns may be a few off, both of readings and of commands.
+    turns = largest[j] <= _BEYOND_TURNS_RAD and np.ptp(measured[:, j]) < math.pi and not whole
+    if largest[j] <= _BEYOND_RAD or turns:
+        return None
+    return Fault(
+        "error",
+        Cause.UNITS,
+        "angles are not in radians: more than a turn; these look like "
+        + ("register steps" if whole else "degrees"),
+        "publish radians: math.radians(degrees), or what `[leg.servos]` makes of register steps",
+        f"{names[j]} reaches {largest[j]:.1f}",
+        float(largest[j]),
+    )
+
+
+def _far_out(angles: Array) -> Array:
+    """(J,) how far out angles reach, but for one in a hundred."""
+    return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
+
+
+def _is_echo(measured: Array, desired: Array) -> bool:
+    """Whether readings are commands of a few ticks before, or commands are readings."""
+    moving = np.abs(np.diff(desired, axis=0)) > _FAST_RAD
+    for back in range(_ECHO_TICKS + 1):
+        same = measured[back:] == desired[: len(desired) - back]
+        told = same[1:][moving[: len(same) - 1]]
+        if len(told) >= _FEWEST and told.mean() > _ECHO_SHARE:
+            return True
+    return False
+
+
+def _without_turns(angles: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Angles with jumps of a full turn taken out, and how many there were of each joint."""
+    steps = np.diff(angles, axis=0)
+    turns = np.where(
+        np.abs(np.abs(steps) - math.tau) < _TURN_SLACK_RAD, np.round(steps / math.tau), 0
+    )
+    whole = angles.copy()
+    whole[1:] -= math.tau * np.cumsum(turns, axis=0)
+    return whole, np.count_nonzero(turns, axis=0)
+
+
+def _turned(name: str, jumps: int, turns: int) -> Fault:
+    detail = f"{name} jumps {jumps} times" if jumps else f"{name} reads {turns:+d} turns"
+    return Fault(
+        "warning",
+        Cause.TURN,
+        "readings are off by a full turn: the encoder's seam lies in a joint's travel, or the "
+        "servo counts turns",
+        "turn the servo's horn, or set its homing offset, so that the seam lies outside the "
+        "joint's travel; do not wrap angles at the source",
+        detail,
+        float(jumps + abs(turns)),
+    )
+
+
+def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
+    """Whose command every joint follows, where that is another joint's; else None."""
+    joints = measured.shape[1]
+    if not 2 <= joints <= _MOST_ORDERED or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
+        return None
+    apart = np.full((joints, joints), np.inf)
+    for back in range(min(_LAG_TICKS, len(measured) - 1) + 1):
+        off = measured[back:, :, None] - desired[: len(desired) - back, None, :]
+        apart = np.minimum(apart, np.median(np.abs(off), axis=0))
+
+    def far(order: tuple[int, ...]) -> float:
+        return max(float(apart[i, of]) for i, of in enumerate(order))
+
+    own = tuple(range(joints))
+    best = min(itertools.permutations(own), key=far)
+    if best == own or far(best) > min(_ORDER_RAD, _ORDER_SHARE * far(own)):
+        return None
+    return best
+
+
+def _joint(
+    measured: Array, desired: Array, name: str, quantum_rad: float | None
+) -> Iterator[Fault]:
+    told = float(np.ptp(desired))
+    if told > _COMMANDED_RAD and np.ptp(measured) == 0.0 and len(measured) >= _FROZEN_SAMPLES:
+        yield Fault(
+            "error",
+            Cause.FROZEN,
+            "a reading never changes while its command moves",
+            "the servo does not answer or has no torque; check cable, power and id",
+            f"{name} reads {measured[0]:.3f} rad all the time, its command moves by {told:.2f} rad",
+            told,
+        )
+        return
+    off = float(np.median(np.abs(measured - desired)))
+    if _runs_backwards(measured, desired):
+        yield Fault(
+            "error",
+            Cause.BACKWARDS,
+            "a joint moves against its command",
+            "turn the sign of one of the two: servos.directions in robot.toml for the bridge",
+            name,
+            float(np.ptp(measured)),
+        )
+    elif off > _FAR_RAD:
+        yield Fault(
+            "error",
+            Cause.FAR,
+            "a joint is far from its command all the time",
+            "check zero and direction of the servo (servos.offsets_rad, servos.directions)",
+            f"{name} by {off:.2f} rad in the median",
+            off,
+        )
+    glitches, to = _glitches(measured)
+    if glitches:
+        yield Fault(
+            "warning",
+            Cause.GLITCHES,
+            "readings jump away and back within a tick: they are no positions",
+            "do not publish what a failed read leaves behind: give the last reading with "
+            "valid = false; look for a cable, a baud rate or a timeout",
+            f"{name} {glitches} of {len(measured)}" + ("" if to is None else f", to {to:.3f} rad"),
+            float(glitches),
+        )
+    if quantum_rad is not None:
+        yield from _steps(measured, name, quantum_rad)
+
+
+def _glitches(measured: Array) -> tuple[int, float | None]:
+    """Readings that leave the joint's path for one tick; what most of them read, if one thing."""
+    steps = np.diff(measured)
+    if len(steps) < _FEWEST:
+        return 0, None
+    far = max(_GLITCH_TIMES * float(np.quantile(np.abs(steps), 0.95)), _GLITCH_RAD)
+    away, back = steps[:-1], steps[1:]
+    jumped = (np.minimum(np.abs(away), np.abs(back)) > far) & (away * back < 0.0)
+    returned = np.abs(away + back) < 0.5 * np.minimum(np.abs(away), np.abs(back))
+    values = measured[1:-1][jumped & returned]
+    if not len(values):
+        return 0, None
+    value, times = Counter(values.tolist()).most_common(1)[0]
+    return len(values), value if 2 * times > len(values) else None
+
+
+def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
+    found = position_step(measured, quantum_rad)
+    if found is None or abs(found / quantum_rad - 1.0) <= _STEP_TOLERANCE:
+        return
+    if abs(found / quantum_rad * _DEGREE_RAD - 1.0) <= _STEP_TOLERANCE:
+        yield Fault(
+            "error",
+            Cause.UNITS,
+            "angles are not in radians: they look like degrees, by the steps of the readings",
+            "publish radians: math.radians(degrees)",
+            f"{name} steps by {found:.3g}, robot.toml says {quantum_rad:g}",
+        )
+        return
+    yield Fault(
+        "error",
+        Cause.QUANTUM,
+        f"readings do not step by the quantum_rad = {quantum_rad:g} of robot.toml",
+        "correct quantum_rad: the servo's position step in rad (AX-12A 0.005118, 4096 steps a "
+        "turn 0.001534)",
+        f"{name} steps by {found:.4g} rad",
+        found,
+    )
+
+
+def position_step(angles: Array, expected_rad: float | None = None) -> float | None:
+    """Find the grid that a joint's readings lie on.
+
+    For each step q the readings' phases 2π x / q are averaged as unit vectors: on a grid of q, or
+    of a multiple, the mean has length 1, elsewhere near 0.  The largest q of length near 1 is the
+    step; an offset and rounding to fewer decimals do not matter.
+
+    Args:
+        angles: (n,) rad.
+        expected_rad: looked at first; what is coarser is searched, and what is finer only where
+            readings do not lie on this one.
+
+    Returns:
+        The step in rad; None where there are too few different readings, or none is found.
+    """
+    values = np.unique(angles)
+    span = float(values[-1] - values[0])
+    if len(values) < _STEP_READINGS or span <= 0.0:
+        return None
+    coarse, fine = 1.0 / _MOST_STEP_RAD, 1.0 / _LEAST_STEP_RAD
+    until = fine if expected_rad is None else min(fine, (1.0 + _STEP_TOLERANCE) / expected_rad)
+    found = _on_grid(values, coarse, until, span)
+    if found is None and until < fine:
+        found = _on_grid(values, until, fine, span)
+    return found
+
+
+def _on_grid(values: Array, least: float, most: float, span: float) -> float | None:
+    """The first grid, of ``least`` to ``most`` steps per rad, that values lie on."""
+    centred = values - values.mean()
+    density = np.arange(least, most, 1.0 / (8.0 * span))
+    block = 1024
+    for begin in range(0, len(density), block):
+        part = density[begin : begin + block]
+        phases = np.exp(2j * math.pi * np.outer(part, centred))
+        length = np.abs(phases.mean(axis=1))
+        above = np.flatnonzero(length > _STEP_SHARE)
+        if len(above):
+            first = int(above[0])
+            peak = first + int(np.argmax(length[first : first + 16]))
+            return float(1.0 / part[peak])
+    return None
+
+
+def _runs_backwards(measured: Array, desired: Array) -> bool:
+    """Whether positions go down where commands go up; only for a joint that moves a good deal."""
+    if min(np.ptp(measured), np.ptp(desired)) < 2 * _COMMANDED_RAD:
+        return False
+    return float(np.corrcoef(measured, desired)[0, 1]) < _BACKWARDS_CORRELATION

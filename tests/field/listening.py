@@ -1,0 +1,102 @@
+"""A service without a network: learners follow messages, `doctor` listens to the last seconds."""
+
+from __future__ import annotations
+
+import msgpack
+
+from adaptive_contact.adapt import Baseline, LearnerBank
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
+from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    MSGPACK,
+    Rejected,
+    ServoSample,
+    decode,
+    encode,
+    learner_key,
+    leg_of_key,
+)
+
+from .mistakes import Messages
+
+STATUS_TICKS = 50
+
+
+def status_of(robot: Robot, baseline: Baseline | None) -> ServiceStatus:
+    facts = {
+        leg.id: LegFacts(
+            joints=list(leg.joints),
+            lengths=leg.lengths_m is not None,
+            quantum_rad=robot.quantum(leg.id),
+        )
+        for leg in robot.legs
+    }
+    return ServiceStatus(
+        version="1",
+        robot=robot.name,
+        period_s=robot.period_s,
+        baseline=None if baseline is None else "baseline.json",
+        legs=facts,
+        uptime_s=60.0,
+    )
+
+
+def listen(
+    messages: Messages, robot: Robot, baseline: Baseline | None, *, seconds: float = 3.0
+) -> Diagnosis:
+    """What `doctor` finds in the last seconds of these messages.
+
+    Learners take in all of them, each leg's in the order in which they come.
+    """
+    bank = LearnerBank(robot, baseline)
+    heard = Examination()
+    begins_ns = messages[-1].at_ns - round(seconds * 1e9)
+    silent = dict.fromkeys(robot.leg_ids, 0)
+
+    def take(key: str, payload: bytes) -> None:
+        heard.take(Received(key, payload, MSGPACK, 0, None))
+
+    def tell(leg: str) -> None:
+        learner = bank.learner(leg)
+        assert learner is not None
+        take(learner_key(leg), encode(learner.status))
+
+    take(SERVICE_STATUS, encode(status_of(robot, baseline)))
+    listening = False
+    tick: dict[str, ServoSample] = {}
+    for sent in messages:
+        if not listening and sent.at_ns >= begins_ns:
+            listening = True
+            bank.update(tick)
+            tick = {}
+            for leg in robot.leg_ids:
+                tell(leg)
+        payload = msgpack.packb(sent.body)
+        if listening:
+            take(sent.key, payload)
+        leg = leg_of_key(sent.key)
+        if leg is None or not sent.is_sample:
+            continue
+        sample = decode(payload, ServoSample, MSGPACK)
+        learner = bank.learner(leg, len(sent.body["measured"]))
+        assert learner is not None
+        if isinstance(sample, Rejected):
+            learner.count(sample.reason)
+            continue
+        silent.pop(leg, None)
+        if leg in tick:
+            bank.update(tick)
+            tick = {}
+        tick[leg] = sample
+    bank.update(tick)
+    for leg in bank.legs:
+        tell(leg)
+    take(SERVICE_STATUS, encode(status_of(robot, baseline)))
+    return diagnose(heard, seconds, alive=True)
+
+
+def causes(diagnosis: Diagnosis, *, notes: bool = False) -> list[str]:
+    """Of all findings that are more than a note."""
+    return [f.cause for f in diagnosis.findings if notes or f.level != "note"]

@@ -1,0 +1,256 @@
+"""Mistakes of real sources, made in recordings of legs that are right.
+
+Each takes the messages of a recording and returns those that a source with one mistake sends.
+Randomness is passed in.  Touches (``truth``) stay as they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgpack
+import numpy as np
+
+from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.wire import MSGPACK
+
+PERIOD_NS: Final = 20_000_000
+AX12_STEP: Final = math.radians(300.0) / 1023
+
+
+@dataclasses.dataclass(frozen=True)
+class Sent:
+    """One message: its key, when it was sent, and its fields."""
+
+    key: str
+    at_ns: int
+    body: dict[str, Any]
+
+    @property
+    def leg(self) -> str:
+        return self.key.split("/")[2]
+
+    @property
+    def is_sample(self) -> bool:
+        return self.key.endswith("/servo")
+
+    def but(self, **fields: Any) -> Sent:
+        return dataclasses.replace(self, body={**self.body, **fields})
+
+
+Messages = Sequence[Sent]
+Mistake = Callable[[Messages, np.random.Generator], Iterator[Sent]]
+Angles = list[float]
+
+
+def read(path: Path) -> list[Sent]:
+    """The messages of a recording, in its order."""
+    return [
+        Sent(record.key, record.log_time_ns, msgpack.unpackb(record.payload))
+        for record in read_recording(path)
+    ]
+
+
+def write(path: Path, messages: Messages, about: dict[str, str] | None = None) -> Path:
+    """A recording of messages; ``about`` is what the writer says of it."""
+    with RecordingWriter(path, about or {}) as file:
+        for sent in messages:
+            file.write(sent.key, msgpack.packb(sent.body), MSGPACK, sent.at_ns)
+    return path
+
+
+def each_sample(change: Callable[[Sent, np.random.Generator], Sent]) -> Mistake:
+    """A mistake that is made in every sample by itself."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        for sent in messages:
+            yield change(sent, rng) if sent.is_sample else sent
+
+    return made
+
+
+def angles(change: Callable[[Angles], Angles], *names: str) -> Mistake:
+    """The same change to the readings and to the commands, or to the fields named."""
+    fields = names or ("measured", "desired")
+
+    def changed(sent: Sent, _: np.random.Generator) -> Sent:
+        return sent.but(**{name: change(sent.body[name]) for name in fields})
+
+    return each_sample(changed)
+
+
+# -- times -----------------------------------------------------------------------------------------
+
+
+def _stamped(late_periods: Callable[[Sent, np.random.Generator], float]) -> Mistake:
+    """Stamps off by so many periods; readings and numbers are right."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        newest: dict[str, int] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            t_ns = sent.body["t_ns"] + round(late_periods(sent, rng) * PERIOD_NS)
+            newest[sent.key] = t_ns = max(newest.get(sent.key, 0) + 1, t_ns)
+            yield sent.but(t_ns=t_ns)
+
+    return made
+
+
+# A loop that takes turns: three short cycles and a long one.
+_TURNS: Final = (0.0, -0.45, 0.25, 0.5, -0.3)
+
+white_jitter = _stamped(lambda sent, rng: float(rng.normal(0.0, 0.25)))
+turns_jitter = _stamped(lambda sent, rng: _TURNS[sent.body["seq"] % len(_TURNS)])
+float_seconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] / 1e9))
+milliseconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] // 1_000_000))
+
+
+def slower(factor: float) -> Mistake:
+    """A control loop of another period than the description's."""
+    return each_sample(lambda sent, _: sent.but(t_ns=round(sent.body["t_ns"] * factor)))
+
+
+def lossy(share: float) -> Mistake:
+    """Samples that never arrive."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        for sent in messages:
+            if not (sent.is_sample and rng.random() < share):
+                yield sent
+
+    return made
+
+
+def restarting(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """A source that gives every sample a `run` of its own."""
+    for number, sent in enumerate(messages):
+        yield sent.but(run=number) if sent.is_sample else sent
+
+
+def doubled(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """A second publisher of every leg, started later."""
+    for sent in messages:
+        yield sent
+        if sent.is_sample:
+            yield sent.but(run=7, measured=[0.0] * len(sent.body["measured"]))
+
+
+# -- readings --------------------------------------------------------------------------------------
+
+
+def raw_zeros(share: float = 0.005, value: float = math.radians(-150.0)) -> Mistake:
+    """Failed reads that leave raw step 0 behind."""
+
+    def changed(sent: Sent, rng: np.random.Generator) -> Sent:
+        return sent.but(
+            measured=[value if rng.random() < share else x for x in sent.body["measured"]]
+        )
+
+    return each_sample(changed)
+
+
+def encoder_seam(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """The encoder wraps in the middle of the first joint's travel."""
+    travel: dict[str, Angles] = {}
+    for sent in messages:
+        if sent.is_sample:
+            travel.setdefault(sent.key, []).append(sent.body["measured"][0])
+    middle = {key: float(np.median(values)) for key, values in travel.items()}
+    for sent in messages:
+        if not sent.is_sample:
+            yield sent
+            continue
+        wrap = lambda x, at=middle[sent.key]: (x - at) % math.tau  # noqa: E731
+        first = {
+            name: [wrap(sent.body[name][0]), *sent.body[name][1:]]
+            for name in ("measured", "desired")
+        }
+        yield sent.but(**first)
+
+
+def echoed(delay: int = 0) -> Mistake:
+    """The goal, as written so many ticks ago, is published as the reading."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        written: dict[str, list[Angles]] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            goals = written.setdefault(sent.key, [])
+            goals.append(sent.body["desired"])
+            yield sent.but(measured=goals[max(len(goals) - 1 - delay, 0)])
+
+    return made
+
+
+def rounded(step: float) -> Mistake:
+    """Readings of a servo with coarser steps."""
+    return angles(lambda row: [round(x / step) * step for x in row], "measured")
+
+
+def frozen(joint: int) -> Mistake:
+    """A servo that answers with its first reading for ever."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        first: dict[str, float] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            row = list(sent.body["measured"])
+            row[joint] = first.setdefault(sent.key, row[joint])
+            yield sent.but(measured=row)
+
+    return made
+
+
+degrees = angles(lambda row: [math.degrees(x) for x in row])
+registers = angles(lambda row: [round(512 + x / AX12_STEP) for x in row])
+pitch_down = angles(lambda row: [row[0], *(-x for x in row[1:])])
+goals_mirrored = angles(lambda row: [row[0], -row[1], row[2]], "desired")
+zero_moved = angles(lambda row: [row[0], row[1] + 0.8, row[2]], "measured")
+swapped = angles(lambda row: [row[0], row[2], row[1]])
+swapped_readings = angles(lambda row: [row[0], row[2], row[1]], "measured")
+turned_readings = angles(lambda row: [row[1], row[2], row[0]], "measured")
+one_turn_off = angles(lambda row: [row[0] + math.tau, *row[1:]], "measured")
+without_phase = each_sample(
+    lambda sent, _: dataclasses.replace(
+        sent, body={name: value for name, value in sent.body.items() if name != "phase"}
+    )
+)
+never_stance = each_sample(lambda sent, _: sent.but(phase="swing"))
+
+
+def renamed(names: dict[str, str]) -> Mistake:
+    """Legs published under other ids."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        for sent in messages:
+            leg = names.get(sent.leg, sent.leg)
+            yield dataclasses.replace(sent, key=sent.key.replace(f"/{sent.leg}/", f"/{leg}/"))
+
+    return made
+
+
+def misspelt(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """A key that nobody reads."""
+    for sent in messages:
+        yield dataclasses.replace(sent, key=sent.key.replace("/servo", "/servos"))
+
+
+def compose(*mistakes: Mistake) -> Mistake:
+    """Several mistakes, one after the other."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        for mistake in mistakes:
+            messages = list(mistake(messages, rng))
+        yield from messages
+
+    return made

@@ -1,0 +1,120 @@
+"""`doctor` against a table: each mistake by its name, and good robots with exit 0."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact.adapt.baseline import shipped_baseline
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact.service.findings import Cause
+from adaptive_contact.wire import servo_key
+from adaptive_contact_sim.virtual.quadruped_trials import Scenario, record
+
+from . import mistakes as m
+from .listening import causes, listen
+
+QUADRUPED = "quadruped"
+# Seconds that a source is followed: with a baseline, and until first models are learned.
+SHORT_S, WHOLE_S = 8.0, 40.0
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> list[m.Sent]:
+    path: Path = tmp_path_factory.mktemp("walk") / "walk.mcap"
+    run = ["sim", "walk", "--seconds", f"{WHOLE_S:.0f}", "--seed", "4", "--offline", "--record"]
+    # A process of its own: the command takes signals over.
+    full = [sys.executable, "-m", "adaptive_contact", *run, str(path)]
+    subprocess.run(full, check=True, capture_output=True, timeout=120)
+    return m.read(path)
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[m.Sent]:
+    samples = record(Scenario("free", "", 31, WHOLE_S)).samples
+    return [m.Sent(servo_key(leg), s.t_ns, msgspec.to_builtins(s)) for leg, s in samples]
+
+
+def last(messages: m.Messages, seconds: float) -> list[m.Sent]:
+    begins_ns = messages[-1].at_ns - round(seconds * 1e9)
+    return [sent for sent in messages if sent.at_ns >= begins_ns]
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["baseline", "cold start"])
+@pytest.mark.parametrize("source", ["walk", "trials"])
+def test_a_good_robot_has_no_findings(
+    source: str, given: bool, request: pytest.FixtureRequest
+) -> None:
+    robot = shipped_robot(QUADRUPED) if source == "trials" else shipped_robot()
+    baseline = shipped_baseline(robot.name) if given else None
+    messages = last(request.getfixturevalue(source), SHORT_S if given else WHOLE_S)
+    diagnosis = listen(messages, robot, baseline)
+    assert diagnosis.exit_code == 0, diagnosis.findings
+
+
+def test_a_robot_that_is_still_learning_is_no_good_one(walk: list[m.Sent]) -> None:
+    diagnosis = listen(last(walk, SHORT_S), shipped_robot(), None)
+    assert causes(diagnosis) == [Cause.LEARNING]
+    assert diagnosis.exit_code == 1
+
+
+# Each mistake, and the one cause that is named.
+TABLE: dict[str, tuple[m.Mistake, Cause]] = {
+    "stamps with white jitter": (m.white_jitter, Cause.JITTER),
+    "stamps of a loop that takes turns": (m.turns_jitter, Cause.JITTER),
+    "stamps in float seconds": (m.float_seconds, Cause.TIME_TYPE),
+    "stamps in milliseconds": (m.milliseconds, Cause.TIME_UNIT),
+    "a slower loop": (m.slower(1.25), Cause.PERIOD),
+    "lost samples": (m.lossy(0.03), Cause.LOSS),
+    "a run for every sample": (m.restarting, Cause.RUN),
+    "two publishers": (m.doubled, Cause.TWO_PUBLISHERS),
+    "raw zeros": (m.raw_zeros(0.02), Cause.GLITCHES),
+    "zeros": (m.raw_zeros(0.02, 0.0), Cause.GLITCHES),
+    "the encoder's seam": (m.encoder_seam, Cause.TURN),
+    "a turn off": (m.one_turn_off, Cause.TURN),
+    "goals as readings": (m.echoed(), Cause.ECHO),
+    "goals of the last tick as readings": (m.echoed(1), Cause.ECHO),
+    "degrees": (m.degrees, Cause.UNITS),
+    "registers": (m.registers, Cause.UNITS),
+    "coarser steps": (m.rounded(0.02), Cause.QUANTUM),
+    "a frozen joint": (m.frozen(1), Cause.FROZEN),
+    "another order of readings": (m.swapped_readings, Cause.ORDER),
+    "readings turned round": (m.turned_readings, Cause.ORDER),
+    "goals of the other sign": (m.goals_mirrored, Cause.BACKWARDS),
+    "a wrong zero of readings": (m.zero_moved, Cause.FAR),
+    "swing without end": (m.never_stance, Cause.PHASE),
+    "an id in capitals": (m.renamed({"lf": "LF"}), Cause.LEG_IDS),
+    "a misspelt key": (m.misspelt, Cause.KEY),
+}
+
+
+@pytest.mark.parametrize(("mistake", "cause"), TABLE.values(), ids=TABLE.keys())
+def test_a_mistake_has_one_entry_with_its_name(
+    walk: list[m.Sent], mistake: m.Mistake, cause: Cause
+) -> None:
+    made = list(mistake(last(walk, SHORT_S), np.random.default_rng(1)))
+    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
+    assert causes(diagnosis) == [cause], diagnosis.findings
+    assert diagnosis.exit_code == 1
+    assert all(finding.remedy for finding in diagnosis.findings)
+
+
+@pytest.mark.parametrize("mistake", [m.swapped, m.pitch_down], ids=["order", "signs"])
+def test_what_the_samples_do_not_show_the_learners_do(
+    walk: list[m.Sent], mistake: m.Mistake
+) -> None:
+    made = list(mistake(walk, np.random.default_rng(1)))
+    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
+    assert diagnosis.exit_code == 1
+
+
+def test_a_joint_too_few(walk: list[m.Sent]) -> None:
+    two = m.angles(lambda row: row[:2])
+    made = list(two(last(walk, SHORT_S), np.random.default_rng(1)))
+    diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
+    assert causes(diagnosis) == [Cause.JOINTS], diagnosis.findings
