@@ -20,6 +20,7 @@ from adaptive_contact.cli._options import (
     client,
 )
 from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.files import holds_content
 
 if TYPE_CHECKING:
     from adaptive_contact.service.probe import Finding
@@ -61,7 +62,7 @@ def record(
     from adaptive_contact.service.recording.recorder import Recorder, check_key_expression
 
     check_key_expression(key)
-    if file.exists() and not force:
+    if holds_content(file) and not force:
         raise ConfigurationError(
             f"{file} exists already; choose another name, or give --force to replace it"
         )

@@ -15,6 +15,7 @@ import typer
 
 from adaptive_contact.cli._options import JsonOption, StateOption
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
 from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
@@ -94,13 +95,9 @@ def export(
     legs = [
         _plain(msgspec.to_builtins(record, builtin_types=(bytes,))) for record in newest.values()
     ]
-    try:
-        out.write_bytes(msgspec.json.encode({"format": 1, "legs": legs}))
-    except OSError as error:
-        raise ConfigurationError(
-            f"{out}: cannot be written ({error.strerror}); give a file in a folder that is there"
-        ) from error
-    typer.echo(f"wrote {len(legs)} legs to {shown_path(out)} ({out.stat().st_size / 1e6:.1f} MB)")
+    data = msgspec.json.encode({"format": 1, "legs": legs})
+    write_file(out, data)
+    typer.echo(f"wrote {len(legs)} legs to {shown_path(out)} ({len(data) / 1e6:.1f} MB)")
 
 
 @app.command()
