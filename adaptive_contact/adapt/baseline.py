@@ -246,7 +246,7 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
             )
         file = msgspec.convert(table, _File)
         return _baseline(file)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:  # covers ValidationError
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BaselineError(
             f"{source}: not a baseline file ({error}); expected what `adaptive-contact fit` writes"
         ) from error
