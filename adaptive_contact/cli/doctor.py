@@ -14,6 +14,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     client,
 )
+from adaptive_contact.printable import printable, printable_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,7 +51,7 @@ def doctor(
     if json:
         import msgspec
 
-        print(msgspec.json.encode(diagnosis).decode())
+        print(printable_json(msgspec.json.encode(diagnosis)))
     else:
         _print(diagnosis)
     raise typer.Exit(diagnosis.exit_code)
@@ -68,8 +69,9 @@ def _print(diagnosis: Diagnosis) -> None:
     console.print(f"router   {diagnosis.router_line}")
     service = diagnosis.service
     if service is not None:
-        names = " ".join(service.legs)
-        console.print(f"service  up {service.uptime_s:.0f} s, robot {service.robot}, legs {names}")
+        names = printable(" ".join(service.legs))
+        robot = printable(service.robot)
+        console.print(Text(f"service  up {service.uptime_s:.0f} s, robot {robot}, legs {names}"))
     else:
         console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
     if diagnosis.keys:
@@ -84,10 +86,10 @@ def _print(diagnosis: Diagnosis) -> None:
     for level, what, remedy in sorted(together, key=lambda item: ranks.index(item[0])):
         line = Text(f"{level}: ", style=_COLOURS[level])
         legs = together[level, what, remedy]
-        line.append(f"{' '.join(legs)}: " if legs else "", style="bold")
-        line.append(what, style="not bold not dim default")
+        line.append(f"{printable(' '.join(legs))}: " if legs else "", style="bold")
+        line.append(printable(what), style="not bold not dim default")
         console.print(line)
-        console.print(Text(f"    -> {remedy}", style="dim"))
+        console.print(Text(f"    -> {printable(remedy)}", style="dim"))
     if diagnosis.exit_code == 0:
         console.print(Text("all is well", style="green"))
 
@@ -95,6 +97,7 @@ def _print(diagnosis: Diagnosis) -> None:
 def _traffic(diagnosis: Diagnosis) -> Table:
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     shown = Table(box=box.SIMPLE_HEAD)
     shown.add_column("key")
@@ -103,10 +106,10 @@ def _traffic(diagnosis: Diagnosis) -> Table:
     shown.add_column("encoding")
     for key in diagnosis.keys:
         shown.add_row(
-            key.key,
+            Text(printable(key.key)),
             f"{key.rate_hz:.1f}",
             f"{key.bytes_per_s:.0f}",
             f"{key.mean_bytes:.0f} B",
-            ", ".join(key.encodings),
+            Text(printable(", ".join(key.encodings))),
         )
     return shown

@@ -10,11 +10,12 @@ import errno
 import importlib
 import os
 import sys
-from typing import Any, Final, NoReturn
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.printable import printable
 
 __all__ = ["app", "main"]
 
@@ -54,9 +55,24 @@ _COMMANDS: Final = (
 _GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios", "experiment")
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"adaptive-contact {version('adaptive-contact')}")
+        raise typer.Exit
+
+
+# Without a callback a command that is loaded alone would be taken for the whole program.
 @app.callback()
-def _one_of_several() -> None:
-    # Without it a command that is loaded alone would be taken for the whole program.
+def _one_of_several(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and end."
+        ),
+    ] = False,
+) -> None:
     pass
 
 
@@ -97,7 +113,7 @@ def main() -> None:
     except _Misunderstood as error:
         _refuse(error)
     except AdaptiveContactError as error:
-        print(f"adaptive-contact: {error}", file=sys.stderr)
+        print(f"adaptive-contact: {printable(error)}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:
         _drop_stdout()

@@ -26,6 +26,7 @@ from adaptive_contact.cli._options import (
 )
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
 from adaptive_contact.files import write_file
+from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.bank import LearnerBank
@@ -181,7 +182,7 @@ def _tell_legs(bank: LearnerBank) -> None:
         if status.note:
             words.append(status.note)
         if words:
-            typer.echo(f"adaptive-contact: leg '{leg}': {', '.join(words)}", err=True)
+            typer.echo(printable(f"adaptive-contact: leg '{leg}': {', '.join(words)}"), err=True)
 
 
 def _to_wire(

