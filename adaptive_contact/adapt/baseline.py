@@ -21,6 +21,7 @@ from adaptive_contact.detect import NoiseModel, Tail
 from adaptive_contact.detect.noise import CONTEXTS, WINDOWS
 from adaptive_contact.detect.tail import SHAPE_RANGE
 from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
+from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact.identify import Domain, LegModel, Library, LibraryName, Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 
@@ -193,13 +194,12 @@ def save_baseline(baseline: Baseline, path: str | Path) -> None:
     """
     path = Path(path)
     text = dump_baseline(baseline)
-    part = path.with_name(path.name + ".part")
+    advice = "give another file to write the baseline to"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
     except OSError as error:
-        raise BaselineError(f"{path}: cannot be written ({error.strerror})") from error
+        raise BaselineError(cannot_write(path, error, advice)) from error
+    write_file(path, text, advice=advice, error=BaselineError)
 
 
 def load_baseline(path: str | Path) -> Baseline:
@@ -246,7 +246,7 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
             )
         file = msgspec.convert(table, _File)
         return _baseline(file)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:  # covers ValidationError
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BaselineError(
             f"{source}: not a baseline file ({error}); expected what `adaptive-contact fit` writes"
         ) from error

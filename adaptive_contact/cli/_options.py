@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import why_not_writable
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
 __all__ = [
@@ -167,12 +167,6 @@ def check_output(path: Path, option: str) -> None:
     Raises:
         ConfigurationError: its folder is not there or not writable, or it is a folder itself.
     """
-    if path.is_dir():
-        why = "it is a folder"
-    elif not path.absolute().parent.is_dir():
-        why = f"there is no folder {path.absolute().parent}"
-    elif not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
-        why = "no permission"
-    else:
-        return
-    raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")
+    why = why_not_writable(path)
+    if why is not None:
+        raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")

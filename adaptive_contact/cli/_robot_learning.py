@@ -93,6 +93,8 @@ def swings_of(
 
 def free_file(out: Path) -> Path:
     """Where the recording of a run goes whose baseline is ``out``: beside it, nothing replaced."""
+    if out.exists() and not out.is_file():  # a device has no room beside it
+        out = Path("learned.json")
     path, number = out.with_suffix(".mcap"), 1
     while path.exists() or path == out:
         number += 1

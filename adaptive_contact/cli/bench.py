@@ -9,6 +9,7 @@ import typer
 
 from adaptive_contact.cli._options import BaselineOption, JsonOption
 from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
     from adaptive_contact.score import Summary
@@ -85,7 +86,7 @@ def bench(
         "baseline": known.origin,
     }
     text = msgspec.json.format(msgspec.json.encode(result), indent=2)
-    (out / "bench.json").write_bytes(text + b"\n")
+    write_file(out / "bench.json", text + b"\n", advice="give another --out")
     if json:
         typer.echo(text.decode())
         return

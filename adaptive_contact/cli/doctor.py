@@ -14,6 +14,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     client,
 )
+from adaptive_contact.printable import printable, printable_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -50,7 +51,7 @@ def doctor(
     if json:
         import msgspec
 
-        print(msgspec.json.encode(diagnosis).decode())
+        print(printable_json(msgspec.json.encode(diagnosis)))
     else:
         _print(diagnosis)
     raise typer.Exit(diagnosis.exit_code)
@@ -68,18 +69,20 @@ def _print(diagnosis: Diagnosis) -> None:
     console.print(f"router   {diagnosis.router_line}")
     service = diagnosis.service
     if service is not None:
-        names = " ".join(service.legs)
-        console.print(f"service  up {service.uptime_s:.0f} s, robot {service.robot}, legs {names}")
+        names = printable(" ".join(service.legs))
+        robot = printable(service.robot)
+        console.print(Text(f"service  up {service.uptime_s:.0f} s, robot {robot}, legs {names}"))
     else:
         console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
     if diagnosis.keys:
         console.print(_traffic(diagnosis))
     for finding in diagnosis.findings:
         line = Text(f"{finding.level}: ", style=_COLOURS[finding.level])
-        line.append(f"{' '.join(finding.legs)}: " if finding.legs else "", style="bold")
-        line.append(finding.what, style="not bold not dim default")
+        legs = printable(" ".join(finding.legs))
+        line.append(f"{legs}: " if legs else "", style="bold")
+        line.append(printable(finding.what), style="not bold not dim default")
         console.print(line)
-        console.print(Text(f"    -> {finding.remedy}", style="dim"))
+        console.print(Text(f"    -> {printable(finding.remedy)}", style="dim"))
     if diagnosis.exit_code == 0:
         console.print(Text("all is well", style="green"))
 
@@ -87,6 +90,7 @@ def _print(diagnosis: Diagnosis) -> None:
 def _traffic(diagnosis: Diagnosis) -> Table:
     from rich import box
     from rich.table import Table
+    from rich.text import Text
 
     shown = Table(box=box.SIMPLE_HEAD)
     shown.add_column("key")
@@ -95,10 +99,10 @@ def _traffic(diagnosis: Diagnosis) -> Table:
     shown.add_column("encoding")
     for key in diagnosis.keys:
         shown.add_row(
-            key.key,
+            Text(printable(key.key)),
             f"{key.rate_hz:.1f}",
             f"{key.bytes_per_s:.0f}",
             f"{key.mean_bytes:.0f} B",
-            ", ".join(key.encodings),
+            Text(printable(", ".join(key.encodings))),
         )
     return shown

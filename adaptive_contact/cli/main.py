@@ -9,12 +9,13 @@ from __future__ import annotations
 import errno
 import importlib
 import sys
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import typer
 
 from adaptive_contact.cli._output import OutputLost, make_stdout_optional, protect_output
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.printable import printable
 
 __all__ = ["app", "main"]
 
@@ -55,9 +56,24 @@ _COMMANDS: Final = (
 _GROUPS: Final = ("sim", "bridge", "robot", "state", "scenarios", "experiment")
 
 
+def _print_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"adaptive-contact {version('adaptive-contact')}")
+        raise typer.Exit
+
+
+# Without a callback a command that is loaded alone would be taken for the whole program.
 @app.callback()
-def _one_of_several() -> None:
-    # Without it a command that is loaded alone would be taken for the whole program.
+def _one_of_several(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and end."
+        ),
+    ] = False,
+) -> None:
     pass
 
 
@@ -110,7 +126,7 @@ def _run() -> int:
     except _Misunderstood as error:
         return _refuse(error)
     except AdaptiveContactError as error:
-        print(f"adaptive-contact: {error}", file=sys.stderr)
+        print(f"adaptive-contact: {printable(error)}", file=sys.stderr)
         return 2
     except OSError as error:
         if error.errno not in _FULL:

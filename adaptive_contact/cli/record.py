@@ -21,6 +21,8 @@ from adaptive_contact.cli._options import (
 )
 from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.files import holds_content
+from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
     from adaptive_contact.service.probe import Finding
@@ -63,7 +65,7 @@ def record(
     from adaptive_contact.service.recording.recorder import Recorder, check_key_expression
 
     check_key_expression(key)
-    if file.exists() and not force:
+    if holds_content(file) and not force:
         raise ConfigurationError(
             f"{file} exists already; choose another name, or give --force to replace it"
         )
@@ -115,7 +117,7 @@ def _kinds(counts: collections.Counter[str]) -> str:
 def _progress(counts: collections.Counter[str], started_s: float) -> None:
     elapsed = time.monotonic() - started_s
     line = f"{elapsed:7.1f} s  {counts.total()} messages  {_kinds(counts)}"
-    typer.echo(f"\r\x1b[K{line[:118]}", nl=False, err=True)
+    typer.echo(f"\r\x1b[K{printable(line)[:118]}", nl=False, err=True)
 
 
 def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: float) -> None:
@@ -124,10 +126,10 @@ def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: f
         f"{counts.total()} messages of {len(counts)} keys in {elapsed_s:.1f} s, "
         f"{size_kb:.0f} kB in {file}"
     )
-    width = max((len(name) for name in counts), default=0)
+    width = max((len(printable(name)) for name in counts), default=0)
     for name in sorted(counts):
         rate = counts[name] / elapsed_s
-        typer.echo(f"  {name:{width}}  {counts[name]:8d}  {rate:7.1f} /s")
+        typer.echo(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
     if not counts:
         typer.echo(
             f"adaptive-contact: nothing was heard on '{key}'; "

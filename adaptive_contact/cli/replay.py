@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -20,9 +21,12 @@ from adaptive_contact.cli._options import (
     ConnectOption,
     NamespaceOption,
     ZenohConfigOption,
+    check_output,
     client,
 )
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
+from adaptive_contact.files import write_file
+from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.bank import LearnerBank
@@ -133,15 +137,25 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
             f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
             err=True,
         )
+    if str(out) != "-":
+        check_output(out, "--events")
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()
     written = 0
     started_s = time.perf_counter()
-    with closing(WaitingRefitter()) as refitter, _output(out) as file:
+    # An event is 300 bytes: those of a day fit into memory, and the file is whole or not there.
+    kept = io.BytesIO()
+    to_stdout = str(out) == "-"
+    file = sys.stdout.buffer if to_stdout else kept
+    with closing(WaitingRefitter()) as refitter:
         bank = LearnerBank(robot, learned, refitter=refitter)
         for event in replay_events(recording, bank, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1
+    if to_stdout:
+        file.flush()
+    else:
+        write_file(out, kept.getvalue(), error=RecordingError)
     elapsed_s = time.perf_counter() - started_s
     typer.echo(
         f"{written} events from {counts.samples} samples in {counts.ticks} ticks "
@@ -174,7 +188,7 @@ def _tell_legs(bank: LearnerBank) -> None:
         if status.note:
             words.append(status.note)
         if words:
-            typer.echo(f"adaptive-contact: leg '{leg}': {', '.join(words)}", err=True)
+            typer.echo(printable(f"adaptive-contact: leg '{leg}': {', '.join(words)}"), err=True)
 
 
 def _to_wire(
@@ -240,29 +254,6 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
     if baseline is not None:
         return robot, load_baseline(baseline)
     return robot, shipped_baseline(robot.name) if config is None else None
-
-
-@contextmanager
-def _output(path: Path) -> Iterator[IO[bytes]]:
-    """A file that appears under its name once it is whole; ``-`` is standard output."""
-    if str(path) == "-":
-        yield sys.stdout.buffer
-        sys.stdout.buffer.flush()
-        return
-    part = path.with_name(f"{path.name}.part")
-    try:
-        with part.open("wb") as file:
-            yield file
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise RecordingError(
-            f"{path}: cannot be written ({error.strerror}); give a path in a folder that exists, "
-            "is writable and has room"
-        ) from error
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _warn(recording: Recording, counts: Counts) -> None:

@@ -20,6 +20,7 @@ from adaptive_contact.cli.bridge import (
     robot_of,
 )
 from adaptive_contact.errors import ConfigurationError, TooLittleDataError
+from adaptive_contact.files import holds_content, write_file
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -91,7 +92,7 @@ def init(
         raise ConfigurationError(
             "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...)"
         )
-    if out.exists() and not force:
+    if holds_content(out) and not force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
     check_output(out, "--out")
     ids = _names(legs, name, devices)
@@ -117,7 +118,7 @@ def init(
         typer.echo(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
     text = write_robot(robot)
     parse_robot(text, source=f"{out} would not be read back, so it is not written")
-    out.write_text(text, encoding="utf-8")
+    write_file(out, text, advice="give another --out")
     todo = "" if lengths is not None else "fill in lengths_m, then "
     typer.echo(
         f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
@@ -226,7 +227,7 @@ def check(
                 "no leg has lengths_m, so there is nothing to draw; measure one"
             )
         last = {leg: rows[-1].measured for leg, rows in samples.items()}
-        picture.write_text(draw(robot, last), encoding="utf-8")
+        write_file(picture, draw(robot, last), advice="give another --picture")
         typer.echo(f"drew {picture}")
     blank = [leg.id for leg in robot.legs if leg.lengths_m is None]
     if blank:
@@ -301,7 +302,7 @@ def learn_(
     check_output(out, "--out")
     kept = learning.free_file(out) if recording is None else recording
     check_output(kept, "--recording")
-    if kept.exists():
+    if holds_content(kept):
         raise ConfigurationError(f"{kept} is there already; give another --recording")
     robot, plans = _planned(config, device)
     for leg in robot.legs:

@@ -15,6 +15,8 @@ import typer
 
 from adaptive_contact.cli._options import JsonOption, StateOption
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
+from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ def show(
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD)
     for name in ("robot", "leg", "library", "settings", "model", "age", "size", "file"):
@@ -65,9 +68,11 @@ def show(
         row = _row(stored)
         age = "-" if row["age_s"] is None else _duration(row["age_s"])
         cells = (row["robot"], row["leg"], row["library"], row["settings"], row["model_version"])
-        words = ["-" if cell is None else str(cell) for cell in cells]
+        words = [Text("-" if cell is None else printable(cell)) for cell in cells]
         size = f"{row['bytes'] / 1000:.0f} kB"
-        table.add_row(*words, age, size, _kind(stored.path), row["refused"] or "sound")
+        table.add_row(
+            *words, age, size, _kind(stored.path), Text(printable(row["refused"] or "sound"))
+        )
     Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
 
 
@@ -94,13 +99,9 @@ def export(
     legs = [
         _plain(msgspec.to_builtins(record, builtin_types=(bytes,))) for record in newest.values()
     ]
-    try:
-        out.write_bytes(msgspec.json.encode({"format": 1, "legs": legs}))
-    except OSError as error:
-        raise ConfigurationError(
-            f"{out}: cannot be written ({error.strerror}); give a file in a folder that is there"
-        ) from error
-    typer.echo(f"wrote {len(legs)} legs to {shown_path(out)} ({out.stat().st_size / 1e6:.1f} MB)")
+    data = msgspec.json.encode({"format": 1, "legs": legs})
+    write_file(out, data)
+    typer.echo(f"wrote {len(legs)} legs to {shown_path(out)} ({len(data) / 1e6:.1f} MB)")
 
 
 @app.command()

@@ -18,6 +18,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     client,
 )
+from adaptive_contact.printable import printable_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -118,7 +119,7 @@ def _print(view: View, json: bool) -> None:
     if json:
         import msgspec
 
-        print(msgspec.json.encode(view).decode(), flush=True)
+        print(printable_json(msgspec.json.encode(view)), flush=True)
         return
     from rich.console import Console
 

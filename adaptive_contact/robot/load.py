@@ -103,8 +103,16 @@ def parse_robot(text: str, *, source: str) -> Robot:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{source}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise ConfigurationError(
+            f"{source}: nested too deeply; expected the tables of a robot.toml"
+        ) from error
     try:
         file = msgspec.convert(table, _File, strict=True)
+    except RecursionError as error:
+        raise ConfigurationError(
+            f"{source}: nested too deeply; expected the tables of a robot.toml"
+        ) from error
     except msgspec.ValidationError as error:
         raise ConfigurationError(f"{source}: {_explain(str(error))}") from error
     robot = Robot(

@@ -6,9 +6,12 @@ import contextlib
 import logging
 import sys
 import threading
+from collections.abc import MutableMapping
 from typing import Any, TextIO
 
 import structlog
+
+from adaptive_contact.printable import printable
 
 __all__ = ["configure_logs"]
 
@@ -31,6 +34,14 @@ class _Lines:
             self._stream.flush()
 
     debug = info = warning = error = critical = exception = msg
+
+
+def _shown(_: object, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """Show control characters of values from the wire, which a terminal would obey."""
+    for name, value in event.items():
+        if isinstance(value, str) and name != "exception":
+            event[name] = printable(value)
+    return event
 
 
 def configure_logs(
@@ -56,13 +67,14 @@ def configure_logs(
             structlog.processors.JSONRenderer(),
         ]
     else:
+        processors.append(_shown)
         # A plain stack: a fancy one takes a fifth of a second of a tick, and shows local variables.
         console = structlog.dev.ConsoleRenderer(
             colors=stream.isatty(),
             pad_event_to=0,
             exception_formatter=structlog.dev.plain_traceback,
         )
-        processors.append(console)
+        processors += [console]
     lines = _Lines(stream)
     structlog.configure(
         processors=processors,

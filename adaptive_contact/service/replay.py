@@ -20,12 +20,12 @@ import msgspec
 from adaptive_contact.service.link import Link, Publisher
 from adaptive_contact.service.recording import Record
 from adaptive_contact.wire import (
-    JSON,
     ContactEvent,
     Reject,
     Rejected,
     ServoSample,
     decode,
+    is_json,
     is_leg_id,
     leg_of_key,
 )
@@ -35,6 +35,8 @@ __all__ = ["Counts", "LegBank", "WirePlayer", "control_ticks", "replay_events"]
 # What a source sends.  Events and status are the service's own to send, and a command would move
 # whatever robot listens.
 SOURCE_KINDS: Final = frozenset({"servo", "truth"})
+# Zenoh panics on an encoding whose text is longer than 255 bytes.
+MAX_ENCODING_BYTES: Final = 255
 _NS_PER_S: Final = 1_000_000_000
 
 
@@ -192,6 +194,9 @@ class WirePlayer:
             self.counts.messages += 1
             if not self._wanted(record.key):
                 continue
+            if len(record.encoding.encode()) > MAX_ENCODING_BYTES:
+                self.counts.rejects[Reject.MALFORMED] += 1
+                continue
             publisher = self._publisher(record.key)
             if started_s is None:
                 started_s = time.monotonic()
@@ -229,7 +234,7 @@ class WirePlayer:
 
     def _with_new_run(self, payload: bytes, encoding: str) -> bytes:
         """The same sample with another ``run``; bytes that are no sample stay as they are."""
-        json = encoding.startswith(JSON)
+        json = is_json(payload, encoding)
         try:
             fields = msgspec.json.decode(payload) if json else msgpack.unpackb(payload)
         except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError):

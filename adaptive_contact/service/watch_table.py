@@ -9,6 +9,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from adaptive_contact.printable import printable
 from adaptive_contact.service.watch import LegView, View
 from adaptive_contact.wire import Status
 
@@ -38,7 +39,9 @@ def headline(view: View) -> Text:
             "`adaptive-contact serve`, or check --connect and --namespace",
             style="yellow",
         )
-    line = Text(f"{service.robot}  up {_duration(service.uptime_s)}  {service.events} events")
+    line = Text(
+        f"{printable(service.robot)}  up {_duration(service.uptime_s)}  {service.events} events"
+    )
     if service.event_latency is not None:
         delay = service.event_latency
         line.append(f"  in to out {delay.p50:.2f} ms (p99 {delay.p99:.2f})")
@@ -61,9 +64,11 @@ def headline(view: View) -> Text:
     if service.callback_faults:
         line.append(f"  {service.callback_faults} callback faults", style="bold red")
     if service.note is not None:
-        line.append(f"\n{service.note}", style="bold red")
+        line.append(f"\n{printable(service.note)}", style="bold red")
     for refused in [] if service.state is None else service.state.refused:
-        line.append(f"\nstate refused: {refused}", style="yellow")
+        line.append(f"\nstate refused: {printable(refused)}", style="yellow")
+    if service.state is not None and service.state.exposed is not None:
+        line.append(f"\n{printable(service.state.exposed)}", style="bold red")
     return line
 
 
@@ -91,7 +96,7 @@ def table(view: View) -> Table:
     shown.add_column("note", overflow="fold")
     for leg in view.legs:
         cells = [
-            Text(leg.leg, style="bold"),
+            Text(printable(leg.leg), style="bold"),
             _state(leg.contact),
             _status(leg),
             *([_change(leg)] if with_changes else []),
@@ -104,7 +109,7 @@ def table(view: View) -> Table:
             Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}"),
             _lost(leg),
             Text(_counts(leg.rejects) or "-", style="yellow" if leg.rejects else "dim"),
-            Text(leg.note or "", style="yellow"),
+            Text(printable(leg.note or ""), style="yellow"),
         ]
         shown.add_row(*cells, style="dim" if leg.stale else "")
     return shown
@@ -136,7 +141,7 @@ def _change(leg: LegView) -> Text:
     """What the leg has changed in, as far as can be told, and when."""
     when = None if leg.changed_s is None else f"{_duration(leg.changed_s)} ago"
     words = ", ".join(filter(None, (leg.kind, when)))
-    return Text(words) if words else Text("-", style="dim")
+    return Text(printable(words)) if words else Text("-", style="dim")
 
 
 def _age(age_s: float | None) -> Text:
@@ -180,7 +185,7 @@ def _model(leg: LegView) -> list[Text]:
 def _counts(counts: dict[str, int]) -> str:
     """All reasons by number, the largest first: no loss is out of sight behind others."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
-    return ", ".join(f"{reason} {number}" for reason, number in ordered if number)
+    return ", ".join(f"{printable(reason)} {number}" for reason, number in ordered if number)
 
 
 def _duration(seconds: float) -> str:

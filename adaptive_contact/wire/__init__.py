@@ -11,6 +11,7 @@ from adaptive_contact.wire.codec import (
     Rejected,
     decode,
     encode,
+    is_json,
 )
 from adaptive_contact.wire.keys import (
     ALL_CONTACT,
@@ -86,6 +87,7 @@ __all__ = [
     "contact_key",
     "decode",
     "encode",
+    "is_json",
     "is_leg_id",
     "learner_key",
     "leg_of_key",

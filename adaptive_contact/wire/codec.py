@@ -27,6 +27,7 @@ __all__ = [
     "Rejected",
     "decode",
     "encode",
+    "is_json",
 ]
 
 MSGPACK: Final = "application/msgpack"
@@ -90,7 +91,7 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
     Args:
         payload: the bytes received.
         kind: the message expected on that key.
-        encoding: the Zenoh encoding; anything that is not JSON is taken for msgpack.
+        encoding: the Zenoh encoding; a payload that begins with ``{`` is JSON whatever it says.
 
     Returns:
         The message, or why it was refused.
@@ -113,9 +114,18 @@ def decode(payload: bytes, kind: type[M], encoding: str = MSGPACK) -> M | Reject
         return Rejected(Reject.MALFORMED, type(error).__name__)
 
 
+def is_json(payload: bytes, encoding: str) -> bool:
+    """Tell whether a payload is JSON: by its encoding, or as it begins with ``{``.
+
+    A message is a map, and no map of msgpack begins with the byte ``{``.  So a client that declares
+    ``text/json``, or nothing, is understood.
+    """
+    return encoding.startswith((JSON, "text/json")) or payload.lstrip(b" \t\r\n")[:1] == b"{"
+
+
 def _parse(payload: bytes, encoding: str) -> object:
     try:
-        if encoding.startswith(JSON):
+        if is_json(payload, encoding):
             nested = payload.count(b"[") + payload.count(b"{")
             if nested > _MAX_ITEMS:
                 why = f"{nested} lists and maps, at most {_MAX_ITEMS}"

@@ -7,6 +7,8 @@ control tick, and a run in real time must not wait for it.
 from __future__ import annotations
 
 import importlib
+import io
+import tempfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -14,6 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.files import write_file
 from adaptive_contact_sim.picture import Painter, painter
 from adaptive_contact_sim.simulation import Simulation
 from adaptive_contact_sim.stage import Moment, Stage
@@ -84,19 +87,17 @@ class Film:
         """Paint what was kept, and write the file."""
         moments = self._moments or [Moment.of(self._sim)]
         if self._kind == ".mp4":
-            writer = _video(self.path, 1.0 / self._frame_s)
-            for moment in moments:
-                writer.append_data(np.asarray(self._paint(moment)))
-            writer.close()
+            data = self._video(moments)
         elif self._kind == ".png":
-            self._paint(moments[-1]).save(self.path)
+            data = _encoded(self._paint(moments[-1]), "PNG")
         else:
             # One palette per frame, no dithering: flat colours stay flat, and compress.
             first, *rest = (
                 self._paint(moment).quantize(_GIF_COLOURS, method=2, dither=0) for moment in moments
             )
-            first.save(
-                self.path,
+            data = _encoded(
+                first,
+                "GIF",
                 save_all=True,
                 append_images=rest,
                 duration=round(self._frame_s * 1e3),
@@ -104,6 +105,17 @@ class Film:
                 optimize=False,
             )
         self._painter.close()
+        write_file(self.path, data, advice="give another --render")
+
+    def _video(self, moments: list[Moment]) -> bytes:
+        """The film as MP4, which ffmpeg writes into a file of its own."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "film.mp4")
+            writer = _video(path, 1.0 / self._frame_s)
+            for moment in moments:
+                writer.append_data(np.asarray(self._paint(moment)))
+            writer.close()
+            return path.read_bytes()
 
     def _paint(self, moment: Moment) -> Any:
         """A pillow image of a moment, with its caption."""
@@ -118,6 +130,12 @@ class Film:
             place = (size * 0.7, size * (0.5 + 1.3 * i))
             draw.text(place, line, fill=(40, 44, 52), font_size=size)
         return picture
+
+
+def _encoded(picture: Any, kind: str, **options: Any) -> bytes:
+    data = io.BytesIO()
+    picture.save(data, kind, **options)
+    return data.getvalue()
 
 
 def _need_pillow() -> None:

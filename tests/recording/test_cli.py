@@ -209,7 +209,7 @@ class TestReplayToEvents:
     def test_an_output_that_cannot_be_written(self, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         write_walk(path)
-        with pytest.raises(RecordingError, match="cannot be written"):
+        with pytest.raises(ConfigurationError, match="cannot be written"):
             run(replay, path, "--events", tmp_path / "no" / "out.jsonl")
 
 

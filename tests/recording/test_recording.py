@@ -163,6 +163,12 @@ def test_what_is_written_can_be_read_before_the_file_is_closed(tmp_path: Path) -
         assert open_file.truncated
 
 
+def is_part(got: list[Record], written: list[Record]) -> bool:
+    """Whether all of ``got`` is among ``written``, in the same order."""
+    rest = iter(written)
+    return all(any(record == one for one in rest) for record in got)
+
+
 def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
     path, bad = tmp_path / "a.mcap", tmp_path / "bad.mcap"
     with RecordingWriter(path) as writer:
@@ -170,13 +176,15 @@ def test_flipped_bytes_never_raise_and_never_invent(tmp_path: Path) -> None:
             writer.write_message(servo_key("rf"), sample(k), k * 500_000_000)
     whole = path.read_bytes()
     written = list(read_recording(path))
+    flips = (0x01, 0x02, 0x09, 0x80, 0xFF)
     for at in range(8, len(whole)):
-        for flip in (0x01, 0x09, 0x80, 0xFF):
-            bad.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
-            recording = read_recording(bad)
-            got = list(recording)
-            assert got == written[: len(got)], (at, flip)
-            assert recording.truncated or len(got) == len(written), (at, flip)
+        flip = flips[at % len(flips)]
+        bad.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
+        recording = read_recording(bad)
+        got = list(recording)
+        assert is_part(got, written), (at, flip)
+        assert recording.truncated or len(got) == len(written), (at, flip)
+        assert len(got) >= len(written) - 3, (at, flip)  # a chunk holds at most three
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])

@@ -180,8 +180,12 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_read(
     folder.close()
     folder.keeper = None
 
-    def refuses(*_: Any, **__: Any) -> int:
-        raise OSError(why, os.strerror(why))
+    opens = os.open
+
+    def refuses(path: Any, flags: int, *rest: Any, **at: Any) -> int:
+        if flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            raise OSError(why, os.strerror(why))
+        return opens(path, flags, *rest, **at)
 
     monkeypatch.setattr("os.open", refuses)
     number, refused, lines = folder.restored()

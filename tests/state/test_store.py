@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ def test_a_failure_at_any_step_leaves_a_whole_state(
     opened.save(record(1))
     opened.save(record(2))
     full = OSError(errno.ENOSPC, "No space left on device")
-    replace = Path.replace
+    replace = os.replace
 
     def fails(*_: Any) -> Any:
         raise full
@@ -109,9 +110,9 @@ def test_a_failure_at_any_step_leaves_a_whole_state(
     else:
         suffix = f".{step.removeprefix('replace_')}"
         monkeypatch.setattr(
-            Path,
+            os,
             "replace",
-            lambda self, to: fails() if self.suffix == suffix else replace(self, to),
+            lambda name, to, **at: fails() if name.endswith(suffix) else replace(name, to, **at),
         )
     with pytest.raises(OSError, match="No space left"):
         opened.save(record(3))
@@ -256,3 +257,110 @@ def test_a_damaged_file_is_known_by_its_name(leg: str) -> None:
         assert is_of_leg(path.with_suffix(suffix), leg)
     assert not is_of_leg(path, leg.partition("-")[0] + "y")
     assert not is_of_leg(path, "front")
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.lstat().st_mode)
+
+
+def test_folders_and_files_are_the_user_s_own(tmp_path: Path) -> None:
+    old = os.umask(0)
+    try:
+        made = StateStore.open(tmp_path / "parent" / "root", "mini")
+        made.save(record(1))
+        made.save(record(2))
+    finally:
+        os.umask(old)
+    assert made.exposed is None
+    assert mode(made.folder) == mode(made.folder.parent) == 0o700
+    assert {mode(path) for path in made.folder.iterdir()} == {0o600}
+    made.close()
+
+
+@pytest.mark.parametrize("suffix", [".new", ".state", ".before", ".old"])
+@pytest.mark.parametrize("kind", ["symbolic", "hard"])
+def test_a_save_writes_through_no_link(opened: StateStore, suffix: str, kind: str) -> None:
+    victim = opened.folder.parent / "victim"
+    victim.write_bytes(b"precious")
+    planted = opened.path(WHO).with_suffix(suffix)
+    if kind == "symbolic":
+        planted.symlink_to(victim)
+    else:
+        planted.hardlink_to(victim)
+    for version in (1, 2, 3):
+        opened.save(record(version))
+    assert victim.read_bytes() == b"precious"
+    assert versions(opened) == [3, 2]
+    assert not any(path.is_symlink() for path in opened.folder.iterdir())
+
+
+def test_a_planted_lock_or_folder_is_not_followed(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (tmp_path / "root").mkdir()
+    folder = tmp_path / "root" / "mini"
+    folder.symlink_to(victim)
+    made = StateStore.open(tmp_path / "root", "mini")
+    assert made.trouble is not None
+    assert "it is a link" in made.trouble
+    assert list(victim.iterdir()) == []
+    folder.unlink()
+    folder.mkdir()
+    (folder / "lock").symlink_to(victim / "file")
+    assert not made.reopen()
+    assert made.trouble is not None
+    assert list(victim.iterdir()) == []
+
+
+def test_what_is_no_file_is_refused_at_once(opened: StateStore) -> None:
+    newest = opened.path(WHO)
+    os.mkfifo(newest)  # to open it would wait for a writer
+    newest.with_suffix(".before").symlink_to("/dev/zero")
+    assert versions(opened) == ["not a file", "a link, which no state is"]
+
+
+def test_a_folder_swapped_for_a_link_while_it_is_open_gets_nothing(
+    opened: StateStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    victim = opened.folder.parent / "victim"
+    victim.mkdir()
+    real = os.fsync
+
+    def swap(handle: int) -> None:  # in the middle of a save
+        monkeypatch.setattr(os, "fsync", real)
+        opened.folder.rename(opened.folder.with_name("moved"))
+        opened.folder.symlink_to(victim)
+
+    monkeypatch.setattr(os, "fsync", swap)
+    opened.save(record(1))
+    assert list(victim.iterdir()) == []
+
+
+@pytest.mark.parametrize("what", ["root", "folder", "state"])
+def test_what_others_may_write_to_is_reported(tmp_path: Path, what: str) -> None:
+    root = tmp_path / "root"
+    made = StateStore.open(root, "mini")
+    made.save(record(1))
+    made.close()
+    path = {"root": root, "folder": made.folder, "state": made.path(WHO)}[what]
+    path.chmod(0o770)
+    again = StateStore.open(root, "mini")
+    assert again.trouble is None
+    assert again.exposed is not None
+    assert path.name in again.exposed
+    assert "chmod" in again.exposed
+    assert "\n" not in again.exposed
+    again.close()
+    path.chmod(0o700)
+    again = StateStore.open(root, "mini")
+    assert again.exposed is None
+    again.close()
+
+
+def test_a_sticky_folder_such_as_tmp_is_not_reported(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    root.chmod(0o1777)
+    made = StateStore.open(root, "mini")
+    assert made.exposed is None
+    made.close()

@@ -178,3 +178,11 @@ def test_messages_are_frozen() -> None:
     with pytest.raises(AttributeError):
         sample.seq = 2  # type: ignore[misc]
     assert msgspec.structs.replace(sample, seq=2).seq == 2
+
+
+@pytest.mark.parametrize("encoding", ["", "zenoh/bytes", "text/json", "text/plain", MSGPACK, JSON])
+def test_a_payload_that_begins_with_a_brace_is_json_whatever_is_declared(encoding: str) -> None:
+    sample = decode(
+        b' {"v":1,"t_ns":1,"seq":1,"measured":[0.1],"desired":[0]}', ServoSample, encoding
+    )
+    assert isinstance(sample, ServoSample)

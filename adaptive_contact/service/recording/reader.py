@@ -1,9 +1,14 @@
-"""Reading a recording from the front, up to its end or its first damage.
+"""Reading a recording from the front: damage is stepped over and counted, memory is bounded.
 
 An MCAP file is a row of records ``opcode u8, length u64, content``, little endian; a message is
 ``channel u16, sequence u32, log_time u64, publish_time u64, data``.  The walk is done here rather
 than by mcap's readers, which want the index at the end of a file or raise in the middle of a cut
-one, and take several times as long.
+one, take several times as long, and unpack a chunk to whatever size its data say.
+
+- A chunk whose checksum or content is wrong costs its own messages; the walk goes on behind it.
+- A record whose opcode or length is wrong costs everything up to the next chunk, which is found by
+  the two lengths in its head that must agree.
+- Channels that a lost chunk defined are taken from the summary at the end of the file.
 
 Reference: https://mcap.dev/spec
 """
@@ -12,44 +17,66 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Final
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel, Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_ZENOH, Record
 
-__all__ = ["Recording", "read_recording"]
+__all__ = ["MAX_CHUNK_BYTES", "MAX_RATIO", "Recording", "read_recording"]
 
-# No honest record is larger; a length beyond it is damage, not a reason to allocate.
-MAX_RECORD_BYTES: Final = 1 << 30
+# Of a chunk, packed and unpacked.  Writers make chunks of 32 kB (ours) to a few MB.
+MAX_CHUNK_BYTES: Final = 64 << 20
+# All chunks together may unpack to this many times the file, or to one chunk of the largest size.
+# Recordings of robots are packed 2 to 20 times; 262 kB of repeated bytes would unpack to gigabytes.
+MAX_RATIO: Final = 200
+# Of the summary at the end of a file, of metadata.
+_MAX_SUMMARY_BYTES: Final = 64 << 20
+_MAX_METADATA_BYTES: Final = 1 << 20
+_MAX_COMPRESSION_NAME: Final = 16
+_SCAN_BYTES: Final = 1 << 20
 
 _FRAME: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 _INDEX: Final = struct.Struct("<HI")
+_INDEX_ENTRY_BYTES: Final = 16
+_CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of compression
+_LENGTH: Final = struct.Struct("<Q")
+_CHUNK_HEAD_BYTES: Final = _CHUNK.size + _MAX_COMPRESSION_NAME + _LENGTH.size  # at most
+_FOOTER: Final = struct.Struct("<BQQQI")
 
 # What a data section may hold; any other opcode below 0x80 (private records) is damage.
 _DATA_SECTION: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
     | {Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 )
+_PRIVATE: Final = 0x80
+# Records that say their length twice; in a file without chunks, messages are gone through in order.
+_PROVEN: Final = frozenset({Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.MESSAGE})
+# Where a chunk of less than 4 GB may begin, overlapping places too.
+_CHUNK_BEGINS: Final = re.compile(rb"(?=\x06[\s\S]{4}\x00{4})")
 
 # What the parsers of mcap, zstandard and lz4 (RuntimeError) raise on damaged bytes; ValueError is
-# also the base of Unicode and checksum errors.
+# also the base of Unicode errors.
 _PARSE_ERRORS: Final = (
     *(McapError, ValueError, struct.error, zstandard.ZstdError),
     *(RuntimeError, EOFError, MemoryError, OverflowError),
 )
+
+_Channels = dict[int, tuple[str, str]]
 
 
 class Recording:
@@ -57,7 +84,9 @@ class Recording:
 
     Attributes:
         path: the file.
-        damage: None, or one line saying where and why the last pass over it stopped early.
+        damage: None, or one line on what the last pass stepped over and where it stopped.
+        skipped: damaged places that the last pass stepped over.
+        lost: messages that are known to have been in them.
 
     Raises:
         RecordingError: the file cannot be read, or is no recording.  Damage inside never raises.
@@ -66,40 +95,45 @@ class Recording:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.damage: str | None = None
+        self.skipped = 0
+        self.lost = 0
         with self._open():
             pass
 
     @property
     def truncated(self) -> bool:
-        """Whether the last pass met a cut or damage; what came before it was given out."""
+        """Whether the last pass met a cut or damage; all intact messages were given out."""
         return self.damage is not None
 
     @property
     def about(self) -> dict[str, str]:
         """What the writer said of it (scenario, seed); empty for files of other tools."""
-        # Damage this early also ends every pass over the messages, and is told there.
-        with self._open() as file, contextlib.suppress(_DamagedError, *_PARSE_ERRORS):
-            for opcode, content in _frames(file):
-                if opcode == Opcode.METADATA:
-                    found = Metadata.read(ReadDataStream(BytesIO(content)))
-                    if found.name == ABOUT:
-                        return {k: text for k, text in found.metadata.items() if k != "v"}
-                elif opcode != Opcode.HEADER:
+        with self._open() as file:
+            head = file.read(_FRAME.size)
+            while len(head) == _FRAME.size:
+                opcode, length = _FRAME.unpack(head)
+                if opcode not in (Opcode.HEADER, Opcode.METADATA) or length > _MAX_METADATA_BYTES:
                     break
+                content = file.read(length)
+                try:
+                    found = Metadata.read(ReadDataStream(BytesIO(content)))
+                except _PARSE_ERRORS:  # a header is none; damage is told when messages are read
+                    found = None
+                if opcode == Opcode.METADATA and found is not None and found.name == ABOUT:
+                    return {k: text for k, text in found.metadata.items() if k != "v"}
+                head = file.read(_FRAME.size)
         return {}
 
     def __iter__(self) -> Iterator[Record]:
-        self.damage = None
-        channels: dict[int, tuple[str, str]] = {}
+        self.damage, self.skipped, self.lost = None, 0, 0
         given = 0
         with self._open() as file:
-            try:
-                for opcode, content in _frames(file):
-                    for record in _records(opcode, content, channels):
-                        given += 1
-                        yield record
-            except _DamagedError as damage:
-                self.damage = f"{damage}; the {given} messages before it are intact"
+            walk = _Walk(file)
+            for record in walk.records():
+                given += 1
+                yield record
+        self.damage = walk.report(given)
+        self.skipped, self.lost = walk.skipped, walk.lost
 
     def _open(self) -> IO[bytes]:
         """Open the file and step over its magic."""
@@ -110,9 +144,11 @@ class Recording:
                 f"{self.path}: cannot be read ({error.strerror}); give the path of a recording"
             ) from error
         start = file.read(len(MCAP0_MAGIC))
-        if start != MCAP0_MAGIC:
+        if start != MCAP0_MAGIC or not file.seekable():
             file.close()
             found = "is empty" if not start else "is not a recording"
+            if start == MCAP0_MAGIC:
+                found = "cannot be read twice"
             raise RecordingError(
                 f"{self.path}: {found}; expected an MCAP file, as 'adaptive-contact record' writes"
             )
@@ -135,99 +171,273 @@ def read_recording(path: str | Path) -> Recording:
 
 
 class _DamagedError(Exception):
-    """The walk over a file cannot go on; the text says where and why."""
+    """A chunk cannot be used; the text says why."""
 
 
-def _frames(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each record of the data section; the file is past its magic.
+class _Walk:
+    """One pass over a file that is past its magic.
 
-    A flipped opcode would make the walk step over a chunk without a word, so the order of records
-    is checked too: an index of messages stands behind its chunk, and the section's end is 4 bytes.
+    Attributes:
+        skipped, lost: as of :class:`Recording`.
     """
-    size = os.fstat(file.fileno()).st_size
-    at = file.tell()
-    indexed = False  # whether an index of messages may come now
-    while True:
-        head = file.read(_FRAME.size)
-        if len(head) < _FRAME.size:
-            raise _DamagedError(f"cut at byte {size}")
-        opcode, length = _FRAME.unpack(head)
-        if (opcode < 0x80 and opcode not in _DATA_SECTION) or length > MAX_RECORD_BYTES:
-            raise _DamagedError(f"damaged at byte {at}: no record begins there")
-        content = file.read(length)
-        at += _FRAME.size + len(content)
-        if len(content) < length:
-            if opcode == Opcode.CHUNK and _is_plain(content):
-                yield opcode, content  # its messages can be read up to the cut
-            raise _DamagedError(f"cut at byte {size}, inside a chunk")
-        if opcode == Opcode.DATA_END:
-            if length != 4:
-                raise _DamagedError(f"damaged at byte {at}: no record ends there")
-            file.seek(max(size - len(MCAP0_MAGIC), at))
-            if file.read() != MCAP0_MAGIC:
-                raise _DamagedError(f"cut at byte {size}, inside the index")
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self.skipped = 0
+        self.lost = 0
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+        self._at = file.tell()
+        self._sure = self._at  # end of the last record whose length was proven
+        self._channels: _Channels = {}
+        self._chunked = False
+        self._first = ""  # what is wrong at the first damaged place
+        self._cut: str | None = None
+        self._may_unpack = max(MAX_CHUNK_BYTES, MAX_RATIO * self._size)
+        # Before an index of messages comes its chunk: None where it did not, else whether it could
+        # be used.  So a chunk whose opcode was flipped is missed.
+        self._chunk_used: bool | None = None
+
+    def report(self, given: int) -> str | None:
+        """One line on what was met; None for a file that is whole."""
+        if not self.skipped:
+            cut = self._cut
+            return None if cut is None else f"{cut}; the {given} messages before it are intact"
+        places = "1 damaged place" if self.skipped == 1 else f"{self.skipped} damaged places"
+        lost = f" with {self.lost} messages" if self.lost else ""
+        line = f"{places}{lost} stepped over, {self._first}; {given} messages are intact"
+        return line if self._cut is None else f"{line}; {self._cut}"
+
+    def records(self) -> Iterator[Record]:
+        """Messages up to the end of the file."""
+        while True:
+            self._file.seek(self._at)
+            head = self._file.read(_FRAME.size)
+            if len(head) < _FRAME.size:
+                self._cut = f"cut at byte {self._size}"
+                return
+            opcode, length = _FRAME.unpack(head)
+            end = self._at + _FRAME.size + length
+            if end > self._size:
+                yield from self._beyond(opcode, length)
+                if not self._find_chunk():
+                    inside = ", inside a chunk" if opcode == Opcode.CHUNK else ""
+                    self._cut = f"cut at byte {self._size}{inside}"
+                    return
+                self._skip(self._at, "a length is wrong")
+                continue
+            if opcode == Opcode.DATA_END and length == 4:
+                self._file.seek(max(self._size - len(MCAP0_MAGIC), end))
+                if self._file.read() != MCAP0_MAGIC:
+                    self._cut = f"cut at byte {self._size}, inside the index"
+                return
+            wrong = self._framing(opcode, length)
+            if wrong is not None:
+                self._skip(self._at, wrong)
+                if not self._find_chunk():
+                    return
+                continue
+            yield from self._record(opcode, length)
+            self._at = end
+            if opcode in _PROVEN:
+                self._sure = end
+
+    def _record(self, opcode: int, length: int) -> Iterator[Record]:
+        """Messages of one record whose frame is sound; the file is at its content."""
+        if opcode == Opcode.CHUNK:
+            self._chunked = True
+            self._chunk_used = False
+            try:
+                yield from self._unpacked(self._unpack(length))
+                self._chunk_used = True
+            except _DamagedError as damage:
+                self._skip(self._at, str(damage))
+                self._learn_channels()
+        elif opcode == Opcode.MESSAGE_INDEX:
+            self._count_index(length)
+        else:
+            self._chunk_used = None
+            # In a file without chunks; in another, an index whose opcode was flipped.
+            if opcode in (Opcode.MESSAGE, Opcode.CHANNEL) and not self._chunked:
+                try:
+                    head = _FRAME.pack(opcode, length)
+                    yield from self._unpacked(head + self._file.read(length))
+                except _DamagedError as damage:
+                    self._skip(self._at, str(damage))
+
+    def _framing(self, opcode: int, length: int) -> str | None:
+        """What contradicts a record's opcode and length, None where nothing does."""
+        if (opcode < _PRIVATE and opcode not in _DATA_SECTION) or opcode == Opcode.DATA_END:
+            return "no record begins there"
+        if opcode == Opcode.MESSAGE and (self._chunked or length > MAX_CHUNK_BYTES):
+            return "no message can be there"
+        if opcode == Opcode.CHUNK and not _is_chunk(self._peek(_CHUNK_HEAD_BYTES), length):
+            return "the lengths of a chunk disagree"
+        if opcode == Opcode.MESSAGE_INDEX:
+            head = self._peek(_INDEX.size)
+            if len(head) < _INDEX.size or length != _INDEX.size + _INDEX.unpack(head)[1]:
+                return "the lengths of an index disagree"
+        return None
+
+    def _count_index(self, length: int) -> None:
+        """An index of messages tells how many a damaged or missing chunk had."""
+        if self._chunk_used is None:
+            self._skip(self._at, "a chunk is missing before it")
+            self._chunk_used = False
+            self._learn_channels()
+        if not self._chunk_used:
+            self.lost += (length - _INDEX.size) // _INDEX_ENTRY_BYTES
+
+    def _beyond(self, opcode: int, length: int) -> Iterator[Record]:
+        """Messages of a record that ends beyond the file: those of a plain chunk, up to the cut."""
+        if opcode != Opcode.CHUNK or not _is_chunk(self._peek(_CHUNK_HEAD_BYTES), length):
             return
-        if opcode == Opcode.MESSAGE_INDEX and not (indexed and _is_index(content)):
-            raise _DamagedError(f"damaged at byte {at}: a chunk is missing before it")
-        yield opcode, content
-        indexed = opcode in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+        content = self._file.read(MAX_CHUNK_BYTES)
+        if _CHUNK.unpack_from(content)[4] == 0:  # not compressed
+            self._chunked = True
+            with contextlib.suppress(_DamagedError):  # the cut itself
+                yield from self._unpacked(content[_CHUNK.size + _LENGTH.size :])
 
+    def _skip(self, at: int, why: str) -> None:
+        self.skipped += 1
+        if not self._first:
+            self._first = f"the first at byte {at} ({why})"
 
-def _is_index(content: bytes) -> bool:
-    """Whether the length of an index of messages is what its own count says."""
-    return len(content) >= _INDEX.size and (
-        len(content) == _INDEX.size + _INDEX.unpack_from(content)[1]
-    )
+    def _peek(self, count: int) -> bytes:
+        """Bytes of the content that comes; the file stays where it is."""
+        here = self._file.tell()
+        head = self._file.read(count)
+        self._file.seek(here)
+        return head
 
+    def _find_chunk(self) -> bool:
+        """Move to the next place where a chunk begins; False where there is none.
 
-def _records(opcode: int, content: bytes, channels: dict[int, tuple[str, str]]) -> Iterator[Record]:
-    """Messages of one record of the data section; fills ``channels`` on the way."""
-    if opcode == Opcode.CHUNK:
-        data = _inflate(content)
-    elif opcode in (Opcode.MESSAGE, Opcode.CHANNEL):  # a file without chunks
-        data = _FRAME.pack(opcode, len(content)) + content
-    else:
-        return
-    at = 0
-    while at < len(data):
+        The length that led here may be the wrong one, so the search begins where all is proven.
+        """
+        self._chunk_used = None
+        here = self._at
+        base, kept = (self._sure if self._sure < self._at else self._at + 1), b""
+        self._file.seek(base)
+        while block := self._file.read(_SCAN_BYTES):
+            data = kept + block
+            for match in _CHUNK_BEGINS.finditer(data):
+                at = base - len(kept) + match.start()
+                head = os.pread(self._file.fileno(), _FRAME.size + _CHUNK_HEAD_BYTES, at)
+                if at != here and _is_chunk(head[_FRAME.size :], _FRAME.unpack_from(head)[1]):
+                    self._at = self._sure = at  # the next search begins behind it
+                    self._learn_channels()
+                    return True
+            kept = data[-(_FRAME.size - 1) :]
+            base += len(block)
+        return False
+
+    def _unpack(self, length: int) -> bytes:
+        """The records inside a chunk, the file being at its content."""
+        if length > MAX_CHUNK_BYTES + _CHUNK_HEAD_BYTES:
+            raise _DamagedError(f"a chunk of {length >> 20} MB, at most {MAX_CHUNK_BYTES >> 20}")
+        content = self._file.read(length)
+        _, _, size, checksum, name_bytes = _CHUNK.unpack_from(content)
+        name = content[_CHUNK.size : _CHUNK.size + name_bytes]
+        packed = memoryview(content)[_CHUNK.size + name_bytes + _LENGTH.size :]
+        if size > MAX_CHUNK_BYTES:
+            raise _DamagedError(
+                f"a chunk that unpacks to {size >> 20} MB, at most {MAX_CHUNK_BYTES >> 20}"
+            )
+        if size > self._may_unpack:
+            raise _DamagedError(f"chunks that unpack to more than {MAX_RATIO} times the file")
         try:
-            kind, length = _FRAME.unpack_from(data, at)
-            at += _FRAME.size
-            if length > len(data) - at:
-                raise _DamagedError("cut inside a message")
-            if kind == Opcode.MESSAGE:
-                channel, _, log_ns, sent_ns = _MESSAGE.unpack_from(data, at)
-                payload = data[at + _MESSAGE.size : at + length]
-                key, encoding = channels[channel]
-                record = Record(key, payload, encoding, log_ns, sent_ns)
-            elif kind == Opcode.CHANNEL:
-                found = Channel.read(ReadDataStream(BytesIO(data[at : at + length])))
-                named = TO_ZENOH.get(found.message_encoding, found.message_encoding)
-                channels[found.id] = (found.topic, found.metadata.get(ENCODING, named))
-        except KeyError as error:
-            raise _DamagedError(f"damaged: a message of an unknown channel {error}") from error
+            if name == b"zstd":
+                unpacker = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+                data = unpacker.stream_reader(packed).read(size + 1)
+            elif name == b"lz4":
+                data = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
+            elif not name:
+                data = bytes(packed)
+            else:
+                raise _DamagedError("a compression that is unknown")
         except _PARSE_ERRORS as error:
-            raise _DamagedError(f"damaged: {type(error).__name__} in a chunk") from error
-        at += length
-        if kind == Opcode.MESSAGE:
-            yield record
+            raise _DamagedError("a chunk cannot be unpacked") from error
+        self._may_unpack -= len(data)
+        if len(data) != size:
+            more = "more" if len(data) > size else "less"
+            raise _DamagedError(f"a chunk unpacks to {more} than it says")
+        if checksum not in (0, zlib.crc32(data)):
+            raise _DamagedError("the checksum of a chunk is wrong")
+        return data
+
+    def _unpacked(self, data: bytes) -> Iterator[Record]:
+        """Messages among unpacked records; channels are learned on the way."""
+        at, unknown = 0, 0
+        while at < len(data):
+            record = None
+            try:
+                kind, length = _FRAME.unpack_from(data, at)
+                at += _FRAME.size
+                if length > len(data) - at:
+                    raise _DamagedError("a chunk is cut inside a message")
+                if kind == Opcode.MESSAGE:
+                    if length < _MESSAGE.size:
+                        raise _DamagedError("a message is too short")
+                    channel, _, log_ns, sent_ns = _MESSAGE.unpack_from(data, at)
+                    payload = data[at + _MESSAGE.size : at + length]
+                    if channel in self._channels:
+                        key, encoding = self._channels[channel]
+                        record = Record(key, payload, encoding, log_ns, sent_ns)
+                    else:
+                        unknown += 1
+                elif kind == Opcode.CHANNEL:
+                    number, named = _channel(data[at : at + length])
+                    self._channels[number] = named
+                elif kind != Opcode.SCHEMA and kind < _PRIVATE:
+                    raise _DamagedError("no record begins inside a chunk")
+            except _PARSE_ERRORS as error:
+                raise _DamagedError(f"{type(error).__name__} in a chunk") from error
+            at += length
+            if record is not None:
+                yield record
+        if unknown:
+            self.lost += unknown
+            raise _DamagedError("messages of a channel that is not defined")
+
+    def _learn_channels(self) -> None:
+        """Take from the summary the channels that damage may have cost, if it is whole."""
+        footer_bytes = _FOOTER.size + len(MCAP0_MAGIC)
+        tail = os.pread(self._file.fileno(), footer_bytes, max(self._size - footer_bytes, 0))
+        if len(tail) < footer_bytes or tail[_FOOTER.size :] != MCAP0_MAGIC:
+            return
+        opcode, _, start, _, checksum = _FOOTER.unpack_from(tail)
+        length = self._size - footer_bytes - start
+        if opcode != Opcode.FOOTER or not 0 < length <= _MAX_SUMMARY_BYTES:
+            return
+        summary = os.pread(self._file.fileno(), length, start)
+        if checksum not in (0, zlib.crc32(summary + tail[: _FOOTER.size - 4])):
+            return
+        at = 0
+        while at + _FRAME.size <= len(summary):
+            kind, size = _FRAME.unpack_from(summary, at)
+            at += _FRAME.size
+            if kind == Opcode.CHANNEL:
+                try:
+                    number, named = _channel(summary[at : at + size])
+                except _PARSE_ERRORS:
+                    return
+                self._channels.setdefault(number, named)
+            at += size
 
 
-def _is_plain(content: bytes) -> bool:
-    """Whether a chunk is not compressed: its compression is the empty string, at byte 28."""
-    return content[28:32] == bytes(4)
+def _channel(content: bytes) -> tuple[int, tuple[str, str]]:
+    """Id of a channel, its key, and its Zenoh encoding."""
+    found = Channel.read(ReadDataStream(BytesIO(content)))
+    named = TO_ZENOH.get(found.message_encoding, found.message_encoding)
+    return found.id, (found.topic, found.metadata.get(ENCODING, named))
 
 
-def _inflate(content: bytes) -> bytes:
-    """The records inside a chunk; of a cut one that is not compressed, what there is of them."""
-    try:
-        chunk: Chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-        if chunk.uncompressed_size > MAX_RECORD_BYTES:
-            raise _DamagedError("damaged: the size of a chunk is impossible")
-        if not chunk.compression and len(chunk.data) < chunk.uncompressed_size:
-            return chunk.data  # no checksum can be made of a part
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        records: bytes = stream.read(size)
-        return records
-    except _PARSE_ERRORS as error:
-        raise _DamagedError(f"damaged: {type(error).__name__} in a chunk") from error
+def _is_chunk(head: bytes, length: int) -> bool:
+    """Whether the lengths at the head of a chunk agree with the length of its record."""
+    if len(head) < _CHUNK.size:
+        return False
+    name = _CHUNK.unpack_from(head)[4]
+    if name > _MAX_COMPRESSION_NAME or len(head) < _CHUNK.size + name + _LENGTH.size:
+        return False
+    inner = _LENGTH.unpack_from(head, _CHUNK.size + name)[0]
+    return bool(length == _CHUNK.size + name + _LENGTH.size + inner)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Final
+from typing import IO, Any, Final, cast
 
 import msgspec
 from mcap.writer import CompressionType, Writer
 
 from adaptive_contact.errors import RecordingError
+from adaptive_contact.files import open_stream
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_MCAP, TO_ZENOH
 from adaptive_contact.wire import (
     MSGPACK,
@@ -47,6 +49,27 @@ _KINDS: Final[dict[str, type[Message]]] = {
 }
 
 
+class _Counted:
+    """What mcap writes to; it asks for positions, which a FIFO does not know."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._at = 0
+
+    def write(self, data: bytes) -> int:
+        """Pass bytes on and count them."""
+        self._at += len(data)
+        return self._file.write(data)
+
+    def tell(self) -> int:
+        """Bytes so far."""
+        return self._at
+
+    def flush(self) -> None:
+        """Pass on."""
+        self._file.flush()
+
+
 class RecordingWriter:
     """Write a recording.  A context manager; not for several threads at once.
 
@@ -65,10 +88,14 @@ class RecordingWriter:
         self._schemas: dict[type[Message], int] = {}
         self._flush_at: int | None = None
         try:
-            self._file: IO[bytes] | None = self.path.open("wb")
+            self._file: IO[bytes] | None = open_stream(self.path)
         except OSError as error:
             raise self._failed(error) from error
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer = Writer(
+            cast(Any, _Counted(self._file)),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+        )
         try:
             self._writer.start(profile="", library="adaptive-contact")
             self._writer.add_metadata(ABOUT, {"v": "1", **(about or {})})
@@ -133,7 +160,8 @@ class RecordingWriter:
         try:
             self._writer.finish()
             self._file.flush()
-            os.fsync(self._file.fileno())
+            if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):  # no device or FIFO can sync
+                os.fsync(self._file.fileno())
         except OSError as error:
             raise self._failed(error) from error
         finally:

@@ -58,6 +58,7 @@ class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
         failed: states that could not be written.
         error: why the last one could not, or what the one under way waits for; None when all is
             well.
+        exposed: what other users may write to, None when there is no such thing.
     """
 
     folder: str
@@ -66,6 +67,7 @@ class StateFacts(msgspec.Struct, frozen=True, kw_only=True):
     saved: int
     failed: int
     error: str | None
+    exposed: str | None = None
 
 
 class Position(NamedTuple):
@@ -146,6 +148,7 @@ class StateKeeper:
         if store.trouble is not None:
             _log.warning("state is not saved", why=store.trouble)
             self._start()
+        self._warn_exposed()
 
     @property
     def facts(self) -> StateFacts:
@@ -159,6 +162,7 @@ class StateKeeper:
             saved=self._saved,
             failed=self._failed,
             error=None if error is None else error[:_ERROR_LINE],
+            exposed=None if self._store.exposed is None else self._store.exposed[:_ERROR_LINE],
         )
 
     def restore(self, leg: str, learner: object, library: str, now_ns: int) -> Position | None:
@@ -323,6 +327,12 @@ class StateKeeper:
             self._error = self._store.trouble
             if self._store.trouble != before:
                 _log.warning("state is not saved", why=self._store.trouble)
+        else:
+            self._warn_exposed()
+
+    def _warn_exposed(self) -> None:
+        if self._store.exposed is not None:
+            _log.warning("state is open to others", what=self._store.exposed)
 
     def _write(self, leg: str, record: Record) -> None:
         try:

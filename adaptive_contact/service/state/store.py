@@ -3,6 +3,11 @@
 A save writes a new file, syncs it, and renames: at every instant there is a whole state, the
 newest or the one before it.  A state that was refused is set aside, ``.refused`` put after its
 name, so that the next save does not push the sound one before it out.
+
+A folder that others may write to must not turn a save against the service's user.  So every file
+is opened relative to the folder that is locked, without following a link; a new one is created and
+never taken over.  Folders are made with mode 0700, files with 0600, and what others may write to
+is reported in :attr:`StateStore.exposed`.
 """
 
 from __future__ import annotations
@@ -13,6 +18,7 @@ import fcntl
 import hashlib
 import os
 import re
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -35,6 +41,8 @@ REFUSED: Final = ".refused"
 _NEW: Final = ".new"
 _OLD: Final = ".old"
 _LOCK: Final = "lock"
+_SAFE: Final = os.O_NOFOLLOW | os.O_CLOEXEC
+_OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z")
 
 
@@ -53,13 +61,16 @@ class StateStore:
         folder: of this robot.
         shown: the same, for people.
         trouble: one line on why nothing can be saved here, None when all is well.
+        exposed: one line on what others may write to, None when there is no such thing.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.shown = shown_path(folder)
         self.trouble: str | None = f"{self.shown} is not open"
+        self.exposed: str | None = None
         self._lock: int | None = None
+        self._handle = -1  # of the folder, as long as there is a lock
 
     @classmethod
     def open(cls, root: Path, robot: str) -> StateStore:
@@ -82,29 +93,41 @@ class StateStore:
             self.close()
         folder = self.folder
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if folder.is_symlink():
+                raise OSError(errno.ELOOP, "it is a link")
+            folder.mkdir(mode=0o700, exist_ok=True)
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _SAFE)
         except OSError as error:
+            self.trouble = _reason(error, self.shown)
+            return False
+        try:
+            lock = os.open(_LOCK, os.O_RDWR | os.O_CREAT | _SAFE, 0o600, dir_fd=handle)
+        except OSError as error:
+            os.close(handle)
             self.trouble = _reason(error, self.shown)
             return False
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(lock)
+            os.close(handle)
             self.trouble = (
                 f"{self.shown} is in use by another service; stop that one, or give another --state"
             )
             return False
         except OSError as error:  # a file system without locks
             os.close(lock)
+            os.close(handle)
             self.trouble = _reason(error, self.shown, "locked")
             return False
-        self._lock, self.trouble = lock, None
+        self._lock, self._handle, self.trouble = lock, handle, None
+        self.exposed = _exposed(folder)
         return True
 
     def _in_place(self, lock: int) -> bool:
         try:
-            return os.path.samestat(os.fstat(lock), (self.folder / _LOCK).stat())
+            return os.path.samestat(os.fstat(lock), (self.folder / _LOCK).lstat())
         except OSError:
             return False
 
@@ -112,6 +135,7 @@ class StateStore:
         """Let others save here."""
         if self._lock is not None:
             os.close(self._lock)
+            os.close(self._handle)
             self._lock = None
 
     def path(self, identity: Identity) -> Path:
@@ -142,7 +166,7 @@ class StateStore:
         """Take a refused state out of the way, keeping it for whoever wants to look."""
         with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
             if self.trouble is None:  # the newest and the one before may both be refused
-                path.replace(path.with_name(f"{path.name}{REFUSED}"))
+                self._rename(path.name, f"{path.name}{REFUSED}")
 
     def save(self, record: Record) -> None:
         """Write a record so that a crash at any instant leaves a whole one.
@@ -153,20 +177,52 @@ class StateStore:
         """
         if self._lock is None or not self.reopen():
             raise OSError(errno.EBUSY, self.trouble or f"{self.shown} is not open")
-        newest = self.path(record.identity)
-        new = newest.with_suffix(_NEW)
+        data = pack(record)
+        path = self.path(record.identity)
+        newest, new = path.name, path.with_suffix(_NEW).name
+        self._remove(new)  # of a save that was killed
         try:
-            with new.open("wb") as file:
-                file.write(pack(record))
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _SAFE
+            with os.fdopen(os.open(new, flags, 0o600, dir_fd=self._handle), "wb") as file:
+                file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            _keep_before(newest)
-            new.replace(newest)
-            _sync_folder(self.folder)
+            self._keep_before(path)
+            self._rename(new, newest)
+            with contextlib.suppress(OSError):  # a file system that cannot keeps its own order
+                os.fsync(self._handle)
         except OSError:
             with contextlib.suppress(OSError):
-                new.unlink(missing_ok=True)
+                self._remove(new)
             raise
+
+    def _keep_before(self, path: Path) -> None:
+        """Make the newest state the one before; it stays where it is until it is replaced."""
+        newest, before, old = path.name, path.with_suffix(BEFORE).name, path.with_suffix(_OLD).name
+        try:
+            os.stat(newest, dir_fd=self._handle, follow_symlinks=False)
+        except FileNotFoundError:
+            return
+        self._remove(old)
+        try:
+            os.link(
+                newest,
+                old,
+                src_dir_fd=self._handle,
+                dst_dir_fd=self._handle,
+                follow_symlinks=False,
+            )
+        except OSError:  # a file system without links: for an instant there is only the one before
+            self._rename(newest, before)
+            return
+        self._rename(old, before)
+
+    def _rename(self, name: str, to: str) -> None:
+        os.replace(name, to, src_dir_fd=self._handle, dst_dir_fd=self._handle)
+
+    def _remove(self, name: str) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(name, dir_fd=self._handle)
 
 
 def is_of_leg(path: Path, leg: str) -> bool:
@@ -200,27 +256,18 @@ def list_states(root: Path) -> list[Stored]:
     return found
 
 
-def _keep_before(newest: Path) -> None:
-    """Make the newest state the one before; it stays where it is until it is replaced."""
-    before, old = newest.with_suffix(BEFORE), newest.with_suffix(_OLD)
-    if not newest.exists():
-        return
-    old.unlink(missing_ok=True)
-    try:
-        old.hardlink_to(newest)
-    except OSError:  # a file system without links: for an instant there is only the one before
-        newest.replace(before)
-        return
-    old.replace(before)
-
-
 def _read(path: Path, identity: Identity | None) -> Record | Refused | None:
     try:
-        with path.open("rb") as file:
+        # Without waiting: a FIFO of that name would hold the service up for ever.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | _SAFE), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                return Refused("not a file")
             data = file.read(MAX_BYTES + 1)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
+        if error.errno == errno.ELOOP:
+            return Refused("a link, which no state is")
         return Refused(f"cannot be read ({(error.strerror or str(error)).lower()})")
     if len(data) > MAX_BYTES:
         return Refused(f"larger than {MAX_BYTES // 2**20} MB, which no state is")
@@ -239,11 +286,29 @@ def _plain(text: str) -> str:
     return f"{re.sub(r'[^A-Za-z0-9_]', '_', text)[:40]}.{tail}"
 
 
-def _sync_folder(folder: Path) -> None:
-    """Make the renames last; a file system that cannot is left to its own order."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+def _exposed(folder: Path) -> str | None:
+    """One line on what other users may write to, of a folder of states and all in it."""
+    found = [path for path in (folder.parent, folder, *sorted(folder.iterdir())) if _is_open(path)]
+    if not found:
+        return None
+    more = f" and {len(found) - 1} more in it" if len(found) > 1 else ""
+    first = shown_path(found[0])
+    return (
+        f"other users may write to {first}{more}: they decide what is restored; take the right "
+        f"from them: chmod -R go-w {first}"
+    )
+
+
+def _is_open(path: Path) -> bool:
+    """Whether another user than this one and root may change a file or folder."""
     try:
-        with contextlib.suppress(OSError):
-            os.fsync(handle)
-    finally:
-        os.close(handle)
+        found = path.lstat()
+    except OSError:
+        return False
+    if stat.S_ISLNK(found.st_mode):  # it is not followed
+        return False
+    if found.st_uid not in (0, os.geteuid()):
+        return True
+    if stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX:
+        return False  # as /tmp: nobody may replace another's folder
+    return bool(found.st_mode & _OTHERS_WRITE)

@@ -6,6 +6,7 @@ and what was false before and after the drift; how long it took.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.files import write_file
 from adaptive_contact.score import LegOutcome, Summary
 from adaptive_contact_sim.demo.settings import DemoSettings, drift_words
 from adaptive_contact_sim.demo.verdict import Verdict, others
@@ -83,13 +84,10 @@ def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
         _recall(figure.add_subplot(grid[1, 1]), verdict)
         _alarms(figure.add_subplot(grid[1, 2]), verdict)
         _latency(figure.add_subplot(grid[1, 3]), verdict)
-        try:
-            figure.savefig(path)
-        except OSError as error:
-            raise AdaptiveContactError(
-                f"{path}: cannot be written ({error.strerror}); give a folder with --out that is "
-                "writable and has room"
-            ) from error
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png")
+        advice = "give a folder with --out that is writable and has room"
+        write_file(path, picture.getvalue(), advice=advice)
 
 
 def _title(figure: Figure, settings: DemoSettings, verdict: Verdict) -> None:

@@ -12,7 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.files import write_file
 from adaptive_contact.score import Summary
 from adaptive_contact.score.tables import as_json
 from adaptive_contact_sim.demo.conduct import Take
@@ -60,13 +60,8 @@ def write_summary(path: Path, tree: dict[str, Any]) -> None:
     Raises:
         AdaptiveContactError: the file cannot be written.
     """
-    try:
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(tree), indent=2) + b"\n")
-    except OSError as error:
-        raise AdaptiveContactError(
-            f"{path}: cannot be written ({error.strerror}); give a folder with --out that is "
-            "writable and has room"
-        ) from error
+    data = msgspec.json.format(msgspec.json.encode(tree), indent=2) + b"\n"
+    write_file(path, data, advice="give a folder with --out that is writable and has room")
 
 
 def as_table(settings: DemoSettings, verdict: Verdict) -> RenderableType:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from adaptive_contact.errors import MissingExtraError
+from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.experiments.figures_detection import (
     limits_figure,
@@ -88,7 +90,9 @@ def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
                 continue
             figure = draw(data)
             files[name] = folder / f"{name}.png"
-            figure.savefig(files[name], dpi=_DPI, metadata={"Software": None})
+            picture = io.BytesIO()
+            figure.savefig(picture, format="png", dpi=_DPI, metadata={"Software": None})
+            write_file(files[name], picture.getvalue())
     return files
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact_sim.experiments.figures import draw_all
 from adaptive_contact_sim.experiments.tables import Headline, headline, sections
 from adaptive_contact_sim.experiments.tables_format import Section, Table
@@ -55,6 +56,9 @@ img { max-width: 100%; } code { background: #f1f3f5; padding: 0 .2rem; }
 """
 
 
+_ADVICE: Final = "give another folder with --out"
+
+
 def write_report(results: Mapping[str, Any], out: Path) -> None:
     """Write results, figures and page.
 
@@ -68,13 +72,11 @@ def write_report(results: Mapping[str, Any], out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
-        (out / "results.json").write_text(text + "\n", encoding="utf-8")
+        write_file(out / "results.json", text + "\n", advice=_ADVICE)
         pictures = draw_all(results, out / "figures")
-        (out / "report.html").write_text(_page(results, pictures), encoding="utf-8")
+        write_file(out / "report.html", _page(results, pictures), advice=_ADVICE)
     except OSError as error:
-        raise ConfigurationError(
-            f"{out}: cannot be written ({error.strerror}); give another folder with --out"
-        ) from error
+        raise ConfigurationError(cannot_write(out, error, _ADVICE)) from error
 
 
 def write_document(results: Mapping[str, Any], document: Path, pictures: Path) -> None:
@@ -97,7 +99,7 @@ def write_document(results: Mapping[str, Any], document: Path, pictures: Path) -
                 lines += [f"![{_CAPTIONS[name]}]({where})", "", f"*{_CAPTIONS[name]}*", ""]
         for table in section.tables:
             lines += _markdown(table)
-    document.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    write_file(document, "\n".join(lines).rstrip() + "\n")
 
 
 def _origin(results: Mapping[str, Any]) -> str:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 import adaptive_contact
 import adaptive_contact_sim
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
 
 __all__ = [
     "Store",
@@ -36,6 +37,7 @@ __all__ = [
 Arrays = dict[str, NDArray[Any]]
 
 FORMAT: Final = 1
+_ADVICE: Final = "free some space, or give another folder with --out"
 # Packages whose source decides what an evaluation gives.
 _EVALUATING: Final = ("identify", "detect", "adapt", "score", "robot")
 # Of the experiments, what only counts and shows what was evaluated: a new table is no reason to
@@ -106,7 +108,7 @@ class Store:
             return json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             text = json.dumps(plain(make()), allow_nan=False)
-            _write(path, text.encode())
+            write_file(path, text, advice=_ADVICE)
             return json.loads(text)
 
 
@@ -123,7 +125,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write arrays to a file, whole or not at all."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **dict(arrays))  # type: ignore[arg-type]  # of allow_pickle
-    _write(path, buffer.getvalue())
+    write_file(path, buffer.getvalue(), advice=_ADVICE)
 
 
 def plain(value: Any) -> Any:
@@ -208,15 +210,3 @@ def _source_now() -> str:
     for file in files:
         digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def _write(path: Path, data: bytes) -> None:
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror}); free some space, or give another "
-            "folder with --out"
-        ) from error

@@ -14,6 +14,7 @@ import msgspec
 import typer
 
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.files import write_file
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.soak import SoakPlan, Verdict, conduct, judge
 from adaptive_contact_sim.soak.kept import keep_heard
@@ -37,7 +38,7 @@ def soak(
     keep_heard(take, out / "heard.jsonl")  # first: a verdict may fail
     verdict = judge(take, plan, shipped_robot())
     text = msgspec.json.format(msgspec.json.encode(dataclasses.asdict(verdict)), indent=2)
-    (out / "soak.json").write_bytes(text + b"\n")
+    write_file(out / "soak.json", text + b"\n")
     _print(verdict)
     if verdict.failures:
         raise typer.Exit(1)

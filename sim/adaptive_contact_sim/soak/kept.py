@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from adaptive_contact.files import write_file
 from adaptive_contact_sim.soak.conduct import Take
 
 __all__ = ["keep_heard"]
@@ -29,4 +30,4 @@ def keep_heard(take: Take, path: Path) -> None:
         for heard_ns, event in take.heard.events
     ]
     rows.sort(key=lambda row: row[0])
-    path.write_bytes(b"".join(msgspec.json.encode(row) + b"\n" for _, row in rows))
+    write_file(path, b"".join(msgspec.json.encode(row) + b"\n" for _, row in rows))

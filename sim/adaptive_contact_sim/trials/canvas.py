@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import io
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import MissingExtraError
+from adaptive_contact.files import write_file
 from adaptive_contact_sim.trials.spec import Variant
 
 __all__ = ["COLOURS", "INK", "OUTCOMES", "figure", "save"]
@@ -74,11 +76,6 @@ def save(figure: Any, path: Path) -> None:
     canvas = agg.FigureCanvasAgg(figure)
     canvas.draw()
     picture = image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    part = path.with_name(path.name + ".part")
-    try:
-        picture.quantize(_PALETTE, dither=image.Dither.NONE).save(part, "PNG", optimize=True)
-        part.replace(path)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror}); give another folder with --out"
-        ) from error
+    encoded = io.BytesIO()
+    picture.quantize(_PALETTE, dither=image.Dither.NONE).save(encoded, "PNG", optimize=True)
+    write_file(path, encoded.getvalue(), advice="give another folder with --out")

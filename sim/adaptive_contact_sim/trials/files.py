@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
 
 __all__ = ["Arrays", "name_of", "read_arrays", "write_arrays"]
 
@@ -47,15 +47,8 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **dict(arrays))  # type: ignore[arg-type]
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(buffer.getvalue())
-        part.replace(path)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror}); free some space, or give another "
-            "folder with --out"
-        ) from error
+    advice = "free some space, or give another folder with --out"
+    write_file(path, buffer.getvalue(), advice=advice)
 
 
 def _plain(value: object) -> Any:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any, Final
 
 from adaptive_contact.adapt.kinds import KINDS
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact_sim.trials.figures import NOTHING
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.runner import Folders
@@ -26,6 +26,8 @@ from adaptive_contact_sim.trials.words import (
 __all__ = ["PICTURE", "SUMMARY", "report_text", "write_report"]
 
 Tree = dict[str, Any]
+
+_ADVICE: Final = "give another folder with --docs"
 
 SUMMARY: Final = "summary"
 # How a page is called among the pictures of the documentation.
@@ -131,13 +133,11 @@ def write_report(results: Tree, folders: Folders, docs: Path) -> Path:
         for name in (SUMMARY, *results["scenarios"]):
             page = folders.pages / f"{name}.png"
             if page.is_file():
-                shutil.copyfile(page, pictures / PICTURE.format(name=name))
+                write_file(pictures / PICTURE.format(name=name), page.read_bytes(), advice=_ADVICE)
                 shown.add(name)
-        path.write_text(report_text(results, shown), encoding="utf-8")
+        write_file(path, report_text(results, shown), advice=_ADVICE)
     except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror}); give another folder with --docs"
-        ) from error
+        raise ConfigurationError(cannot_write(path, error, _ADVICE)) from error
     return path
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
 from adaptive_contact_sim.trials.figures import Judgement, figures
 from adaptive_contact_sim.trials.goals import goals, pooled
 from adaptive_contact_sim.trials.learners import reference_baseline
@@ -164,14 +165,8 @@ def write_results(tree: Tree, path: Path) -> None:
     Raises:
         ConfigurationError: it cannot be written there.
     """
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(json.dumps(tree, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be written ({error.strerror}); give another folder with --out"
-        ) from error
+    text = json.dumps(tree, indent=1, allow_nan=False) + "\n"
+    write_file(path, text, advice="give another folder with --out")
 
 
 def read_results(path: Path) -> Tree:

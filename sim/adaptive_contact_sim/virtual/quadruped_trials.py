@@ -24,6 +24,7 @@ from adaptive_contact.adapt import Baseline, LearnerBank
 from adaptive_contact.adapt.baseline import save_baseline
 from adaptive_contact.adapt.gather import LegGatherer
 from adaptive_contact.adapt.training import Training, learn
+from adaptive_contact.files import write_file
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Row, Score, score_messages
 from adaptive_contact.wire import (
@@ -344,7 +345,7 @@ def main(directory: Path) -> None:
     for scenario in SCENARIOS:
         scores[scenario.name] = play(record(scenario), robot, training.baseline)
         print(_table({scenario.name: scores[scenario.name]}), flush=True)
-    (directory / "scores.md").write_text(_HEAD + _table(scores), encoding="utf-8")
+    write_file(directory / "scores.md", _HEAD + _table(scores))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.survey import write_robot
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactTruth, truth_key
 from adaptive_contact_sim.scenario import load_scenario
@@ -111,7 +113,8 @@ def run(
 def _alone(directory: Path) -> Iterator[None]:
     """Two buses would take each other's links away; the lock of one that was killed is gone."""
     try:
-        lock = (directory / _LOCK).open("w")
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.fdopen(os.open(directory / _LOCK, flags, 0o600), "r+")
     except OSError as error:
         raise ConfigurationError(
             f"{directory}: cannot be written ({error.strerror}); give another --dir"
@@ -131,13 +134,7 @@ def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], N
     plans = plan_ports(robot)
     check_faults(plans, plan.bus.faults)
     if plan.write_config is not None:
-        try:
-            plan.write_config.write_text(write_robot(robot), encoding="utf-8")
-        except OSError as error:
-            raise ConfigurationError(
-                f"{plan.write_config}: cannot be written ({error.strerror}); give another "
-                "--write-config"
-            ) from error
+        write_file(plan.write_config, write_robot(robot), advice="give another --write-config")
     with ExitStack() as stack:
         publish = _truth(plan, stack, stop)
         backend, pairs = _backend(plan, plans, publish, stack)

@@ -1,0 +1,152 @@
+"""Writes the files that a person names: whole or not at all.
+
+A regular file is written beside its place, synced and renamed, so that a crash or a full disk
+leaves the old one.  Links are followed, and the file they lead to is replaced.  A device, a FIFO or
+a standard stream is written to and stays what it is: `-o /dev/null` as root must not put a file
+there.  The folder of learned state has stricter rules, see
+:mod:`adaptive_contact.service.state.store`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import stat
+import sys
+from pathlib import Path
+from typing import IO, Final
+
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+
+__all__ = ["cannot_write", "holds_content", "open_stream", "why_not_writable", "write_file"]
+
+# Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
+_NAME_CHARACTERS: Final = 40
+_STANDARD_STREAMS: Final = (1, 2)
+
+
+def write_file(
+    path: str | Path,
+    data: bytes | str,
+    *,
+    advice: str = "give a path in a folder that exists, is writable and has room",
+    error: type[AdaptiveContactError] = ConfigurationError,
+) -> None:
+    """Write a file, whole or not at all.
+
+    Args:
+        path: where to; a link is followed, a device or FIFO written to.
+        data: content; text becomes UTF-8.
+        advice: what the person can do when it fails, the end of the error's line.
+        error: kind of error to raise.
+
+    Raises:
+        AdaptiveContactError: of the given kind, when it cannot be written.
+    """
+    path = Path(path)
+    try:
+        _write(path, data.encode() if isinstance(data, str) else data)
+    except OSError as why:
+        raise error(cannot_write(path, why, advice)) from why
+
+
+def open_stream(path: str | Path) -> IO[bytes]:
+    """Open a file that grows while others read it, such as a recording.
+
+    It is under its name from the first byte on: a recorder that is killed leaves what it has.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    return Path(path).open("wb")
+
+
+def holds_content(path: Path) -> bool:
+    """Tell whether writing to ``path`` would lose content; a device or a FIFO holds none."""
+    return path.is_file() or path.is_dir()
+
+
+def why_not_writable(path: Path) -> str | None:
+    """Tell why a file could not be written later, before any work is done for it; None if it could.
+
+    A regular file needs a folder that is writable, for it is written beside its place.
+    """
+    if path.is_dir():
+        return "it is a folder"
+    target = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():
+        return None if os.access(path, os.W_OK) else "no permission"
+    if not target.parent.is_dir():
+        return f"there is no folder {target.parent}"
+    if path.exists() and not os.access(path, os.W_OK):
+        return "it is read-only"
+    return None if os.access(target.parent, os.W_OK) else "no permission in its folder"
+
+
+def cannot_write(path: Path, why: OSError, advice: str) -> str:
+    """Return the line for a file that cannot be written."""
+    return f"{path}: cannot be written ({why.strerror or why}); {advice}"
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        found = None
+    target = Path(os.path.realpath(path))
+    if found is None:
+        _replace(target, data, None)
+        return
+    for stream in _STANDARD_STREAMS:
+        with contextlib.suppress(OSError):  # it may be closed
+            if os.path.samestat(os.fstat(stream), found):
+                _flush_streams()
+                _pour(os.dup(stream), data)  # shares the position with what is printed
+                return
+    if stat.S_ISREG(found.st_mode) and _is_same(target, found):
+        if not os.access(target, os.W_OK):
+            raise PermissionError(13, "it is read-only", str(target))
+        _replace(target, data, found)
+        return
+    _pour(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY), data)
+
+
+def _replace(target: Path, data: bytes, old: os.stat_result | None) -> None:
+    """Write a new file beside ``target`` and rename it; mode and owner of the old one stay."""
+    part = target.with_name(f".{target.name[:_NAME_CHARACTERS]}.{secrets.token_hex(4)}.part")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    handle = os.open(part, flags, 0o666)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            if old is not None:
+                with contextlib.suppress(OSError):  # only root may give files away
+                    os.fchown(handle, old.st_uid, old.st_gid)
+                os.fchmod(handle, stat.S_IMODE(old.st_mode) & 0o777)
+            os.fsync(handle)
+        part.replace(target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
+
+
+def _pour(handle: int, data: bytes) -> None:
+    with os.fdopen(handle, "wb") as file:
+        file.write(data)
+
+
+def _is_same(target: Path, found: os.stat_result) -> bool:
+    """Whether a path without links is the file found: not so for `/proc/…/fd` of a removed one."""
+    try:
+        return os.path.samestat(target.stat(), found)
+    except OSError:
+        return False
+
+
+def _flush_streams() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()

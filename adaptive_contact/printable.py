@@ -1,0 +1,44 @@
+r"""Text for people: what came over the wire or out of a file is shown, never obeyed.
+
+A key, a note or an encoding may hold any character.  Terminals obey C0 and C1 control characters,
+and readers are misled by marks that change the direction of writing.  All of them are shown as
+``\uXXXX``, which is also their form inside JSON.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+__all__ = ["printable", "printable_json", "printable_lines"]
+
+# C0, DEL and C1; the soft hyphen and characters of no width, which hide text; marks of direction
+# (Unicode TR36); line and paragraph separators; halves of surrogate pairs.
+_OTHER: Final = (
+    "\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e"
+    "\u2060-\u2069\ufeff\ufff9-\ufffb\ud800-\udfff"
+)
+_UNSAFE: Final = re.compile(f"[\x00-\x1f{_OTHER}]")
+_UNSAFE_BUT_LINES: Final = re.compile(f"[\x00-\x09\x0b-\x1f{_OTHER}]")
+
+
+def printable(value: object) -> str:
+    r"""Return a value's text on one line, each control character as ``\uXXXX``."""
+    return _UNSAFE.sub(_escaped, str(value))
+
+
+def printable_lines(text: str) -> str:
+    r"""Return text with its line feeds kept, each other control character as ``\uXXXX``.
+
+    For text whose lines this program made; a value of the wire goes through :func:`printable`.
+    """
+    return _UNSAFE_BUT_LINES.sub(_escaped, text)
+
+
+def printable_json(text: bytes | str) -> str:
+    """Return JSON of the same value that a terminal can show: it has no raw control character."""
+    return printable_lines(text if isinstance(text, str) else text.decode())
+
+
+def _escaped(match: re.Match[str]) -> str:
+    return f"\\u{ord(match.group()):04x}"

@@ -1,0 +1,202 @@
+"""Files that commands write: whole or not at all; links followed; devices and FIFOs kept."""
+
+from __future__ import annotations
+
+import ast
+import errno
+import os
+import pty
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import adaptive_contact
+import adaptive_contact_sim
+from adaptive_contact.errors import BaselineError, ConfigurationError
+from adaptive_contact.files import holds_content, why_not_writable, write_file
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_new_file_has_the_mode_of_any_other_file(tmp_path: Path) -> None:
+    write_file(tmp_path / "a", "text ü")
+    (tmp_path / "b").write_text("text ü", encoding="utf-8")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+    assert names(tmp_path) == ["a", "b"]
+
+
+def test_an_old_file_keeps_its_mode_and_owner(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    path.chmod(0o640)
+    if os.geteuid() == 0:
+        os.chown(path, 65534, 65534)
+    before = path.stat()
+    write_file(path, b"new")
+    after = path.stat()
+    assert path.read_bytes() == b"new"
+    assert after.st_ino != before.st_ino
+    assert (after.st_mode, after.st_uid, after.st_gid) == (
+        (before.st_mode, before.st_uid, before.st_gid)
+    )
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_link_stays_a_link_and_its_target_is_written(tmp_path: Path, exists: bool) -> None:
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    target = folder / "target"
+    if exists:
+        target.write_bytes(b"old")
+    (tmp_path / "middle").symlink_to("elsewhere/target")
+    link = tmp_path / "link"
+    link.symlink_to("middle")
+    write_file(link, b"new")
+    assert link.is_symlink()
+    assert (tmp_path / "middle").is_symlink()
+    assert target.read_bytes() == b"new"
+    assert names(folder) == ["target"]
+    assert names(tmp_path) == ["elsewhere", "link", "middle"]
+
+
+def test_a_loop_of_links_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with pytest.raises(ConfigurationError, match="cannot be written") as caught:
+        write_file(tmp_path / "a", b"")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_fifo_is_written_to_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "fifo"
+    os.mkfifo(path)
+    got: list[bytes] = []
+    reader = threading.Thread(target=lambda: got.append(path.read_bytes()))
+    reader.start()
+    write_file(path, b"x" * 200_000)
+    reader.join(10)
+    assert got == [b"x" * 200_000]
+    assert stat.S_ISFIFO(path.lstat().st_mode)
+    assert names(tmp_path) == ["fifo"]
+
+
+def test_a_device_is_written_to_and_stays() -> None:
+    master, slave = pty.openpty()
+    try:
+        path = Path(os.ttyname(slave))
+        before = path.stat()
+        write_file(path, b"words\n")
+        assert os.read(master, 100) == b"words\r\n"
+        assert os.path.samestat(path.stat(), before)
+        assert not holds_content(path)
+        assert why_not_writable(path) is None
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_device_is_one_line_of_the_kind_that_is_asked_for() -> None:
+    with pytest.raises(BaselineError, match=r"/dev/full: cannot be written \(No space .*\); do so"):
+        write_file("/dev/full", b"x", advice="do so", error=BaselineError)
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+def test_a_failure_leaves_the_old_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+
+    def fails(*_: Any, **__: Any) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, step, fails)
+    with pytest.raises(ConfigurationError, match="No space left"):
+        write_file(path, b"new")
+    monkeypatch.undo()
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == ["a"]
+
+
+def test_the_name_beside_it_may_be_as_long_as_any(tmp_path: Path) -> None:
+    path = tmp_path / ("n" * 255)
+    write_file(path, b"x")
+    assert names(tmp_path) == [path.name]
+
+
+def test_standard_output_that_is_a_file_keeps_what_was_printed(tmp_path: Path) -> None:
+    code = (
+        "from adaptive_contact.files import write_file\n"
+        "print('before')\n"
+        "write_file('/dev/stdout', b'content\\n')\n"
+        "print('after')\n"
+    )
+    out = tmp_path / "out"
+    with out.open("wb") as file:
+        subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
+    assert out.read_text() == "before\ncontent\nafter\n"
+
+
+def test_what_could_not_be_written_is_known_before(tmp_path: Path) -> None:
+    assert why_not_writable(tmp_path) == "it is a folder"
+    assert "no folder" in str(why_not_writable(tmp_path / "no" / "file"))
+    (tmp_path / "link").symlink_to("no/file")
+    assert "no folder" in str(why_not_writable(tmp_path / "link"))
+    assert why_not_writable(tmp_path / "file") is None
+
+
+# Calls that write a file by name, and the few places that may: the helper and the state's folder.
+_WRITERS = {"write_text", "write_bytes", "savefig", "copyfile", "copy", "copy2", "mkstemp"}
+_MAY_WRITE = {
+    "adaptive_contact/files.py",
+    "adaptive_contact/service/state/store.py",
+}
+
+
+def _writes(call: ast.Call) -> str | None:
+    """The name of a call that opens or writes a named file, None for another."""
+    function = call.func
+    name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
+    of = function.value if isinstance(function, ast.Attribute) else None
+    if name in ("copy", "copyfile", "copy2") and getattr(of, "id", "") != "shutil":
+        return None
+    if name == "savefig":  # into memory, as the helper takes bytes
+        return None if getattr(call.args[0], "id", "") == "picture" else name
+    if name in _WRITERS:
+        return name
+    if name == "open":
+        modes = [*call.args, *(word.value for word in call.keywords if word.arg == "mode")]
+        texts = [m.value for m in modes if isinstance(m, ast.Constant)]
+        flags = [ast.unparse(m) for m in modes]
+        if any(
+            isinstance(t, str) and set(t) <= set("rwaxbt+") and set(t) & set("wax+") for t in texts
+        ):
+            return name
+        if any(flag in text for text in flags for flag in ("O_CREAT", "O_WRONLY", "O_TRUNC")):
+            return name
+    return None
+
+
+def test_every_file_is_written_by_the_one_helper() -> None:
+    found = []
+    for package in (adaptive_contact, adaptive_contact_sim):
+        root = Path(package.__file__).parent
+        for path in sorted(root.rglob("*.py")):
+            where = path.relative_to(root.parent).as_posix()
+            if where in _MAY_WRITE:
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call) and _writes(node) is not None:
+                    found.append((where, ast.unparse(node)))
+    # os.devnull is no file of anybody's.
+    others = [one for one in found if "devnull" not in one[1]]
+    assert others == []
