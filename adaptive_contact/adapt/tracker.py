@@ -39,8 +39,8 @@ MAX_STEP_RAD_S: Final = 25.0
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 # What a joint can do in a tick is learned from it: a reading off its prediction by more than this
-# many times the largest movement ever predicted, and so many steps, is none.  Ground that stops a
-# joint dead leaves the prediction by one such movement at most.
+# many times the largest movement ever seen or predicted, and so many steps, is none.  Ground
+# that stops a joint dead leaves the prediction by one such movement at most.
 REACH: Final = 1.25
 REACH_QUANTA: Final = 4.0
 # Ticks predicted until the largest is known; about ten swings.
@@ -321,11 +321,14 @@ class Tracker:
         """
         before, self._doubts = self._doubts, self._none_doubted
         reach, expected = self._reach, None
+        # A model that is another leg's may predict no movement at all; the leg moves all the same.
+        moved = np.abs(np.diff(self.measured, axis=0)).max(axis=0).tolist()
         if self.predicted:
             expected = self.increment.tolist()
             for j, step in enumerate(expected):
-                if abs(step) > reach[j]:
-                    reach[j] = min(abs(step), self._max_step)
+                largest = max(abs(step), moved[j])
+                if largest > reach[j]:
+                    reach[j] = min(largest, self._max_step)
             self._reach_ticks += 1
         limits = [min(REACH * most + self._allowance, self._max_step) for most in reach]
         learned = self._reach_ticks >= REACH_TICKS
@@ -345,7 +348,7 @@ class Tracker:
             expected = self.increment.tolist()
             recent = limits
         else:
-            rows = [expected, *self.increments.tolist()]
+            rows = [expected, moved, *self.increments.tolist()]
             recent = [
                 REACH * max(map(abs, column)) + self._allowance
                 for column in zip(*rows, strict=True)
