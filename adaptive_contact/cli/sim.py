@@ -119,7 +119,9 @@ def walk(
     ] = None,
     terrain: Annotated[
         str | None,
-        typer.Option("--terrain", metavar="flat|steps|rough|soft", help="The ground. [rough]"),
+        typer.Option(
+            "--terrain", metavar="flat|steps|rough|soft|holes", help="The ground. [rough]"
+        ),
     ] = None,
     relief: Annotated[
         float | None, typer.Option("--relief", metavar="M", help="Lowest to highest. [0.035]")
@@ -131,6 +133,14 @@ def walk(
         ),
     ] = None,
     react_ms: ReactOption = None,
+    phase: Annotated[
+        str | None,
+        typer.Option(
+            "--phase",
+            metavar="touch|planned",
+            help="When it says stance: stopped by a touch, or as planned. [touch]",
+        ),
+    ] = None,
     scenario: ScenarioOption = None,
     seconds: SecondsOption = None,
     speed: SpeedOption = None,
@@ -150,14 +160,14 @@ def walk(
     zenoh_config: ZenohConfigOption = None,
     json: JsonPayloadOption = False,
 ) -> None:
-    """Walk over flat, stepped, rough or soft ground."""
+    """Walk over flat, stepped, rough or soft ground, or one with holes."""
     make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
         from adaptive_contact_sim import RunPlan, WalkSettings
 
     base, motion = base_of(scenario, WalkSettings)
-    changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms)
+    changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms, phase=phase)
     settings = dataclasses.replace(
         base.settings,
         motion=dataclasses.replace(motion, **changes),

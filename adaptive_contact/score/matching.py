@@ -1,8 +1,9 @@
 """Events of one leg against its contacts: touches found and missed, false alarms.
 
-The rules of ``docs/scoring.md``.  In short: only swings are judged, only events decided on a swing
-sample count; a detection is the first unmatched ``contact: true`` within the window of a touch;
-events while the foot is still loaded after a stance are neither; every other one is a false alarm.
+The rules of ``docs/scoring.md``.  In short: swings are judged, and up to 16 ticks after their turn
+to stance while the foot has not touched; a detection is the first unmatched ``contact: true``
+within the window of a touch; events while the foot is still loaded after a stance are neither;
+every other one is a false alarm.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.score.contacts import Contacts, contacts_of
+from adaptive_contact.score.contacts import FOREVER_NS, Contacts, contacts_of
 from adaptive_contact.score.outcome import (
     ROWS,
     Events,
@@ -33,8 +34,9 @@ Flags = NDArray[np.bool_]
 # After a touch on hard ground at speed, and after a slow approach or on soft ground.
 WINDOW_NS: Final = 120_000_000
 LONG_WINDOW_NS: Final = 500_000_000
-# A touch with fewer swing samples left than this cannot be judged.
+# A touch with fewer swing samples left than this is late; so is one soon after the turn to stance.
 LATE_SAMPLES: Final = 3
+LATE_TICKS: Final = 10
 # Speed at touch, m/s.
 HEADLINE_M_S: Final = 0.2
 SLOW_M_S: Final = 0.1
@@ -58,21 +60,37 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
     # The swing a contact began in, -1 where it was loaded already, or began in stance.
     tick = _tick_of(contacts.onset_ns, t_ns)
     contact_swing = np.where(contacts.touch, _at(swings.of_tick, tick), -1)
-    touches = _touches(contacts, contact_swing, tick, swings, lift)
+    first = _first_after(t_ns, swings, contacts)
+    # The swing after which it began, where its foot had not touched before.
+    late = _at(swings.after_tick, tick)
+    soon = tick - _at(swings.stop, late) < LATE_TICKS
+    late[~(contacts.touch & soon & (_at(first, late) == np.arange(len(tick))))] = -1
+    touches = _touches(contacts, np.maximum(contact_swing, late), tick, swings, lift)
 
-    event_ns, first = np.unique(events.t_ns[events.contact], return_index=True)
-    estimate_ns = events.onset_ns[events.contact][first]
-    event_swing = _at(swings.of_tick, _tick_of(event_ns, t_ns))
-    loaded = _loaded(event_ns, event_swing, contacts, contact_swing)
-    free = np.flatnonzero((event_swing >= 0) & ~loaded)
-    touches, taken = _assign(touches, event_ns[free], event_swing[free], estimate_ns[free])
+    event_ns, chosen = np.unique(events.t_ns[events.contact], return_index=True)
+    estimate_ns = events.onset_ns[events.contact][chosen]
+    event_tick = _tick_of(event_ns, t_ns)
+    event_swing, event_after = _at(swings.of_tick, event_tick), _at(swings.after_tick, event_tick)
+    loaded = (event_swing >= 0) & _loaded(event_ns, event_swing, contacts, contact_swing)
+    told_of = np.maximum(event_swing, event_after)
+    free = np.flatnonzero((told_of >= 0) & ~loaded)
+    touches, taken = _assign(touches, event_ns[free], told_of[free], estimate_ns[free])
+    left = np.zeros(len(event_ns), dtype=bool)
+    left[free[~taken]] = True
+    alarms = np.flatnonzero(left & (event_swing >= 0))
+    # Once the foot has touched, nothing is judged until the next swing.
+    closed_ns = np.append(contacts.onset_ns, FOREVER_NS)[first]
+    open_still = event_ns < _at(closed_ns, event_after)
+    after = np.flatnonzero(left & open_still)
+    outside = (told_of < 0) | (left & (event_after >= 0) & ~open_still)
 
     count = len(swings.start)
     in_swing = swings.of_tick >= 0
     tick_swing = swings.of_tick[in_swing]
     tick_loaded = _loaded(t_ns[in_swing], tick_swing, contacts, contact_swing)
+    follows = np.flatnonzero(swings.after_tick >= 0)
+    follows = follows[t_ns[follows] < closed_ns[swings.after_tick[follows]]]
     counted = touches.counted
-    alarms = free[~taken]
     return LegOutcome(
         leg=stream.leg,
         swings=SwingTable(
@@ -84,13 +102,17 @@ def match(stream: LegStream, events: Events) -> LegOutcome:
             hits=np.bincount(touches.swing[touches.found], minlength=count),
             misses=np.bincount(touches.swing[counted & ~touches.found], minlength=count),
             false_alarms=np.bincount(event_swing[alarms], minlength=count),
-            neutral=np.bincount(event_swing[(event_swing >= 0) & loaded], minlength=count),
+            neutral=np.bincount(event_swing[loaded], minlength=count),
+            judged_after=np.bincount(swings.after_tick[follows], minlength=count),
+            alarms_after=np.bincount(event_after[after], minlength=count),
         ),
         touches=touches,
         alarms_ns=event_ns[alarms],
         alarm_swing=event_swing[alarms],
-        outside_ns=event_ns[event_swing < 0],
-        unjudged_ns=contacts.onset_ns[contacts.touch & (contact_swing < 0)],
+        after_ns=event_ns[after],
+        after_swing=event_after[after],
+        outside_ns=event_ns[outside],
+        unjudged_ns=contacts.onset_ns[contacts.touch & (contact_swing < 0) & (late < 0)],
         span_ns=(int(t_ns[0]), int(t_ns[-1])) if len(t_ns) else (0, 0),
     )
 
@@ -120,17 +142,28 @@ def _loaded(when_ns: Times, swing: Index, contacts: Contacts, contact_swing: Ind
     return loaded
 
 
+def _first_after(t_ns: Times, swings: Swings, contacts: Contacts) -> Index:
+    """(s,) the first contact that holds at the turn of each swing, or begins after it."""
+    if len(t_ns) == 0:
+        return np.zeros(0, np.int64)
+    turn_ns = t_ns[np.minimum(swings.stop, len(t_ns) - 1)]
+    return np.searchsorted(contacts.release_ns, turn_ns, side="right")
+
+
 def _touches(
-    contacts: Contacts, contact_swing: Index, tick: Index, swings: Swings, lift: Flags
+    contacts: Contacts, touched: Index, tick: Index, swings: Swings, lift: Flags
 ) -> TouchTable:
-    """The touches to be found, in their rows; none found yet."""
-    inside = np.flatnonzero(contact_swing >= 0)
-    at, swing = tick[inside], contact_swing[inside]
+    """The touches to be found, in their rows; none found yet.
+
+    ``touched`` (c,) is the swing in which or soon after which each contact began, -1 for none.
+    """
+    inside = np.flatnonzero(touched >= 0)
+    at, swing = tick[inside], touched[inside]
     speed, soft = contacts.speed_m_s[inside], contacts.soft[inside]
     # Samples at or before the onset cannot know of it; ``at`` is the last of those.
     left = swings.stop[swing] - 1 - at
     rows: list[tuple[Flags, Row]] = [
-        (left < LATE_SAMPLES, Row.LATE),
+        (left < LATE_SAMPLES, Row.LATE),  # after the turn it is negative
         (lift[at], Row.LIFT),
         (contacts.grazing[inside], Row.GRAZING),
         (soft, Row.SOFT),
@@ -155,6 +188,7 @@ def _touches(
         onset_error_ns=np.zeros(len(inside), dtype=np.int64),
         speed_m_s=speed,
         force_n=contacts.force_n[inside],
+        after_turn=left < 0,
     )
 
 

@@ -48,8 +48,8 @@ class Row(enum.StrEnum):
 # Codes in the tables are positions in this tuple.
 ROWS: Final = tuple(Row)
 # Rows whose misses are errors of a swing.  The others are told apart because they may be beyond
-# any detector: too slow to be felt, along the surface, in the lift, too late.
-COUNTED: Final = frozenset({Row.HEADLINE, Row.MID, Row.SLOW, Row.SOFT, Row.UNKNOWN})
+# any detector: too slow to be felt, along the surface, in the lift.
+COUNTED: Final = frozenset({Row.HEADLINE, Row.MID, Row.SLOW, Row.SOFT, Row.UNKNOWN, Row.LATE})
 _COUNTED_CODES: Final = np.array([row in COUNTED for row in ROWS])
 
 
@@ -106,17 +106,18 @@ class LegStream:
 
 
 class TouchTable(NamedTuple):
-    """Touches inside swings, in order of time, (c,) each.
+    """Touches in swings and soon after them, in order of time, (c,) each.
 
     Attributes:
         onset_ns: true onset.
-        swing: which swing it lies in.
+        swing: which swing it lies in, or follows.
         row: position in :data:`ROWS`.
         window_ns: how long a detection may take.
         found: whether it was detected.
         latency_ns: deciding sample minus onset, -1 where it was not detected.
         onset_error_ns: estimated minus true onset, 0 where it was not detected.
         speed_m_s, force_n: as the truth told.
+        after_turn: whether the swing had turned to stance before.
     """
 
     onset_ns: Times
@@ -128,6 +129,7 @@ class TouchTable(NamedTuple):
     onset_error_ns: Times
     speed_m_s: Floats
     force_n: Floats
+    after_turn: Flags
 
     @property
     def counted(self) -> Flags:
@@ -143,11 +145,13 @@ class SwingTable(NamedTuple):
         start_ns, end_ns: first and last swing sample.
         ticks: swing samples.
         judged: those of them on which the foot was not still loaded from before.
-        touches: touches of counted rows.
+        touches: touches of counted rows, those soon after the turn to stance included.
         hits: touches of any row that were detected.
         misses: touches of counted rows that were not.
-        false_alarms: ``contact: true`` that belong to no touch.
+        false_alarms: ``contact: true`` in the swing that belong to no touch.
         neutral: ``contact: true`` while the foot was still loaded from before.
+        judged_after: ticks after the turn to stance, up to 16, on which the foot had not touched.
+        alarms_after: ``contact: true`` on those that belong to no touch.
     """
 
     start_ns: Times
@@ -159,16 +163,18 @@ class SwingTable(NamedTuple):
     misses: Index
     false_alarms: Index
     neutral: Index
+    judged_after: Index
+    alarms_after: Index
 
     @property
     def errors(self) -> Index:
-        """(s,) misses and false alarms."""
-        return self.misses + self.false_alarms
+        """(s,) misses and false alarms, in the swing and after it."""
+        return self.misses + self.false_alarms + self.alarms_after
 
     @property
     def outcome(self) -> NDArray[np.str_]:
         """(s,) values of :class:`Outcome`."""
-        kinds = [self.false_alarms > 0, self.misses > 0, self.hits > 0]
+        kinds = [self.false_alarms + self.alarms_after > 0, self.misses > 0, self.hits > 0]
         names: NDArray[np.str_] = np.array([outcome.value for outcome in Outcome])
         told: NDArray[np.str_] = names[np.select(kinds, [0, 1, 2], default=3)]
         return told
@@ -179,10 +185,12 @@ class LegOutcome:
     """One leg, judged.
 
     Attributes:
-        alarms_ns: (a,) deciding samples of the false alarms.
+        alarms_ns: (a,) deciding samples of the false alarms in swings.
         alarm_swing: (a,) the swings they lie in.
-        outside_ns: deciding samples of each ``contact: true`` outside swings; not judged.
-        unjudged_ns: onsets of touches outside swings; not judged either.
+        after_ns: (b,) deciding samples of the false alarms after a turn to stance.
+        after_swing: (b,) the swings that they follow.
+        outside_ns: deciding samples of each ``contact: true`` that is not judged: in stance.
+        unjudged_ns: onsets of touches that are not judged: in stance.
         span_ns: first and last sample.
     """
 
@@ -191,6 +199,8 @@ class LegOutcome:
     touches: TouchTable
     alarms_ns: Times
     alarm_swing: Index
+    after_ns: Times
+    after_swing: Index
     outside_ns: Times
     unjudged_ns: Times
     span_ns: tuple[int, int]
@@ -207,6 +217,7 @@ class LegOutcome:
         keep = within(self.swings.start_ns)
         renumbered = np.cumsum(keep) - 1
         of_touch, of_alarm = keep[self.touches.swing], keep[self.alarm_swing]
+        of_after = keep[self.after_swing]
         touches = TouchTable._make(column[of_touch] for column in self.touches)
         return dataclasses.replace(
             self,
@@ -214,6 +225,8 @@ class LegOutcome:
             touches=touches._replace(swing=renumbered[touches.swing]),
             alarms_ns=self.alarms_ns[of_alarm],
             alarm_swing=renumbered[self.alarm_swing[of_alarm]],
+            after_ns=self.after_ns[of_after],
+            after_swing=renumbered[self.after_swing[of_after]],
             outside_ns=self.outside_ns[within(self.outside_ns)],
             unjudged_ns=self.unjudged_ns[within(self.unjudged_ns)],
             span_ns=(max(self.span_ns[0], from_ns), min(self.span_ns[1], to_ns)),

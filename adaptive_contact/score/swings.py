@@ -1,4 +1,4 @@
-"""Swings of a leg: runs of swing samples, and the part of each that is its lift."""
+"""Swings of a leg: runs of swing samples, the lift of each, and the ticks that follow its turn."""
 
 from __future__ import annotations
 
@@ -7,7 +7,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["GAP_TICKS", "Swings", "find_swings", "lift_by_halves", "lift_by_height", "longest_gap"]
+__all__ = [
+    "AFTER_TICKS",
+    "GAP_TICKS",
+    "Swings",
+    "find_swings",
+    "lift_by_halves",
+    "lift_by_height",
+    "longest_gap",
+]
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -17,6 +25,8 @@ GAP_TICKS: Final = 10
 # The lift is over once the command comes this close to the highest point of its swing.  A swing's
 # top is flat: its last ticks rise by fractions of a millimetre.
 TOP_M: Final = 0.001
+# A gait says "stance" when it plans to touch; for so many ticks the foot may be on its way.
+AFTER_TICKS: Final = 16
 
 
 class Swings(NamedTuple):
@@ -26,11 +36,14 @@ class Swings(NamedTuple):
         start: (s,) index of the first swing sample.
         stop: (s,) index after the last one.
         of_tick: (n,) which swing a sample belongs to, -1 in stance.
+        after_tick: (n,) which swing a sample follows, up to 16 ticks after its turn to stance; -1
+            elsewhere.
     """
 
     start: Index
     stop: Index
     of_tick: Index
+    after_tick: Index
 
 
 def longest_gap(t_ns: NDArray[np.int64]) -> int:
@@ -53,15 +66,24 @@ def find_swings(t_ns: NDArray[np.int64], swing: Flags) -> Swings:
     n = len(t_ns)
     if n == 0:
         nothing = np.zeros(0, np.int64)
-        return Swings(nothing, nothing, nothing)
+        return Swings(nothing, nothing, nothing, nothing)
     broken = np.concatenate(([True], np.diff(t_ns) > longest_gap(t_ns)))
     before = np.concatenate(([False], swing[:-1]))
     begins = swing & (broken | ~before)
     start = np.flatnonzero(begins)
     after = np.concatenate((~swing[1:] | broken[1:], [True]))
     stop = np.flatnonzero(swing & after) + 1
-    of_tick = np.where(swing, np.cumsum(begins) - 1, -1)
-    return Swings(start, stop, of_tick)
+    newest = np.cumsum(begins) - 1
+    of_tick = np.where(swing, newest, -1)
+    after_tick = np.full(n, -1)
+    if len(start):
+        # A swing that a hole in the samples ends was not seen to turn.
+        last = stop[newest] - 1
+        stretch = np.cumsum(broken)
+        follows = (newest >= 0) & ~swing & (stretch == stretch[last])
+        follows &= np.arange(n) - last <= AFTER_TICKS
+        after_tick[follows] = newest[follows]
+    return Swings(start, stop, of_tick, after_tick)
 
 
 def lift_by_height(swings: Swings, height_m: NDArray[np.float64]) -> Flags:

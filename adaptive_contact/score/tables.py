@@ -26,7 +26,7 @@ _MEANING: Final = {
     Row.SOFT: "soft ground *",
     Row.GRAZING: "grazing",
     Row.LIFT: "in the lift",
-    Row.LATE: "late: under 3 swing samples left",
+    Row.LATE: "late: last 2 of a swing, 10 after it",
     Row.UNKNOWN: "speed not told",
 }
 
@@ -56,6 +56,9 @@ def summary_json(summary: Summary) -> dict[str, Any]:
     return {
         "rows": {row.value: _row(figures) for row, figures in summary.rows.items()},
         "counted": _row(summary.counted),
+        "in_time": _row(summary.in_time),
+        "late_in_swing": _row(summary.late_in_swing),
+        "late_after_turn": _row(summary.late_after),
         "precision": summary.precision,
         "precision_interval": _interval(summary.precision_interval),
         "detections": summary.detections,
@@ -64,6 +67,10 @@ def summary_json(summary: Summary) -> dict[str, Any]:
         "robot_hours": summary.robot_hours,
         "false_alarms_per_robot_hour": summary.per_hour,
         "false_alarms_per_robot_hour_interval": _interval(summary.per_hour_interval),
+        "false_alarms_after_turn": summary.after.false_alarms,
+        "judged_ticks_after_turn": summary.after.judged_ticks,
+        "false_alarms_after_turn_per_robot_hour": summary.after.per_hour,
+        "false_alarms_after_turn_per_robot_hour_interval": _interval(summary.after.interval),
         "swings": summary.swings,
         "swings_with_errors": summary.lost_swings,
         "neutral_events": summary.neutral,
@@ -98,9 +105,14 @@ def _rows_table(summary: Summary) -> Table:
     for row, figures in summary.rows.items():
         style = "bold" if row is Row.HEADLINE else None
         table.add_row(_MEANING[row], *_cells(figures), style=style)
+        if row is Row.LATE:
+            table.add_row("  of these still in the swing", *_cells(summary.late_in_swing))
+            table.add_row("  of these after the turn", *_cells(summary.late_after))
     if len(summary.rows) > 1:
         table.add_section()
-        table.add_row("all but creep, grazing, lift, late", *_cells(summary.counted))
+        if Row.LATE in summary.rows:
+            table.add_row("all but creep, grazing, lift, late", *_cells(summary.in_time))
+        table.add_row("all but creep, grazing, lift", *_cells(summary.counted))
     if {Row.SLOW, Row.CREEP, Row.SOFT} & summary.rows.keys():
         table.caption = "* found within 500 ms; the others within 120 ms"
         table.caption_justify = "left"
@@ -123,13 +135,14 @@ def _totals(summary: Summary) -> Table:
     table = Table(show_header=False, box=None, padding=(0, 1))
     table.add_column(style="bold")
     table.add_column()
-    rate = "-" if summary.per_hour is None else f"{summary.per_hour:.2f}"
-    low, high = summary.per_hour_interval
-    alarms = f"{summary.false_alarms}, {rate} per robot-hour"
-    if summary.per_hour is not None:
-        alarms += f" (95 % {low:.2f} to {high:.2f})"
-    table.add_row("false alarms", alarms)
-    told = summary.detections + summary.false_alarms
+    table.add_row(
+        "false alarms", _alarms(summary.false_alarms, summary.per_hour, summary.per_hour_interval)
+    )
+    after = summary.after
+    if after.judged_ticks:
+        alarms = _alarms(after.false_alarms, after.per_hour, after.interval)
+        table.add_row("after the turn", f"{alarms}; {after.judged_ticks} ticks")
+    told = summary.detections + summary.false_alarms + after.false_alarms
     interval = _range(summary.precision_interval, told)
     share = f"{_percent(summary.precision)} of {told} alarms (95 % {interval})" if told else "-"
     table.add_row("precision", share)
@@ -140,10 +153,18 @@ def _totals(summary: Summary) -> Table:
     )
     table.add_row(
         "not judged",
-        f"{summary.neutral} alarms while still loaded, {summary.outside} outside swings; "
-        f"{summary.unjudged} touches outside swings",
+        f"{summary.neutral} alarms while still loaded, {summary.outside} in stance; "
+        f"{summary.unjudged} touches in stance",
     )
     return table
+
+
+def _alarms(count: int, per_hour: float | None, interval: Interval) -> str:
+    if per_hour is None:
+        return f"{count}, - per robot-hour"
+    return (
+        f"{count}, {per_hour:.2f} per robot-hour (95 % {interval.low:.2f} to {interval.high:.2f})"
+    )
 
 
 def _legs_table(score: Score) -> Table:

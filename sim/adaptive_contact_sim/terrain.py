@@ -1,4 +1,4 @@
-"""Ground: flat, steps, rough and soft.
+"""Ground: flat, steps, rough, soft, and rough with holes.
 
 Heights are drawn from a seed on a square of ``size_m``; the outermost metre is there so that a
 robot kept inside by its controller never sees the rim.
@@ -19,7 +19,7 @@ from adaptive_contact.errors import ConfigurationError
 __all__ = ["HARD_SOLREF", "Terrain", "TerrainKind", "TerrainSettings", "soft_contact"]
 
 Array = NDArray[np.float64]
-TerrainKind = Literal["flat", "steps", "rough", "soft"]
+TerrainKind = Literal["flat", "steps", "rough", "soft", "holes"]
 
 # Hard ground: a contact settles in 4 ms, twice the shortest the 1 ms step allows twice over.
 HARD_SOLREF: Final = (0.004, 1.0)
@@ -31,6 +31,11 @@ _FRICTION: Final = (0.9, 0.005, 0.0001)
 _CELL_M: Final = 0.04
 _TILE_M: Final = 0.2
 _BASE_M: Final = 0.2
+# Holes in the rough field: so many cells wide, and deeper than a descent aims below the ground that
+# it expects.  None lie near the middle, where a robot begins.
+_HOLE_CELLS: Final = 3
+_HOLE_M: Final = 0.1
+_WITHOUT_M: Final = 0.4
 
 
 @dataclass(frozen=True)
@@ -39,10 +44,12 @@ class TerrainSettings:
 
     Attributes:
         kind: ``flat``; ``steps`` (square tiles at random heights); ``rough`` (height field);
-            ``soft`` (flat and yielding).
+            ``soft`` (flat and yielding); ``holes`` (rough, with square holes at random places, in
+            which a descent finds no ground).
         relief_m: from the lowest to the highest point.
         size_m: edge of the square.
         stiffness_n_m: of soft ground, per contact point.
+        holes: share of the ground that lies in one, of ``holes``.
         seed: of the heights; None for the run's.
     """
 
@@ -50,6 +57,7 @@ class TerrainSettings:
     relief_m: float = 0.035
     size_m: float = 6.0
     stiffness_n_m: float = 1000.0
+    holes: float = 0.03
     seed: int | None = None
 
     def __post_init__(self) -> None:
@@ -61,6 +69,8 @@ class TerrainSettings:
             raise ConfigurationError(
                 f"terrain relief is {self.relief_m} m; expected 0 to 0.08 m (legs lift about 5 cm)"
             )
+        if not 0.0 <= self.holes <= 0.5:
+            raise ConfigurationError(f"a share of {self.holes} of holes; expected 0 to 0.5")
         if not 100.0 <= self.stiffness_n_m <= 100_000.0:
             raise ConfigurationError(
                 f"ground stiffness is {self.stiffness_n_m} N/m; expected 100 to 100000 N/m"
@@ -78,8 +88,10 @@ class Terrain:
         self.settings = settings
         rng = np.random.default_rng([settings.seed or 0, 0x7E44A])
         self._cells = max(2, round(settings.size_m / self._pitch))
-        if settings.kind == "rough":
+        if settings.kind in ("rough", "holes"):
             self._heights = _rough(self._cells, settings.relief_m, rng)
+            if settings.kind == "holes":
+                self._heights -= _HOLE_M * _holes(self._cells, settings.holes, rng)
         elif settings.kind == "steps":
             self._heights = rng.uniform(0.0, settings.relief_m, (self._cells, self._cells))
         else:
@@ -130,7 +142,7 @@ class Terrain:
         }
         world = spec.worldbody
         half = settings.size_m / 2
-        if settings.kind == "rough":
+        if settings.kind in ("rough", "holes"):
             low, high = float(self._heights.min()), float(self._heights.max())
             n = self._cells
             spec.add_hfield(
@@ -217,6 +229,17 @@ def _rough(cells: int, relief_m: float, rng: np.random.Generator) -> Array:
     # Clip the tails: relief is a promise to the gait, and a normal field has no largest value.
     heights = np.clip(heights / heights.std(), -2.0, 2.0)
     return np.asarray((heights + 2.0) / 4.0 * relief_m)
+
+
+def _holes(cells: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(cells, cells) which points of a field lie in a hole; squares, up to the share."""
+    sunk = np.zeros((cells, cells), dtype=np.bool_)
+    middle = np.hypot(*np.meshgrid(*2 * [(np.arange(cells) - cells / 2) * _CELL_M]))
+    while sunk.mean() < share:
+        i, j = rng.integers(0, cells - _HOLE_CELLS, 2)
+        sunk[j : j + _HOLE_CELLS, i : i + _HOLE_CELLS] = True
+        sunk &= middle > _WITHOUT_M
+    return sunk
 
 
 def _smooth(field: Array, width_cells: float) -> Array:

@@ -8,6 +8,11 @@ All points are feet in the body's frame, :math:`p_i`.  With the wanted twist :ma
 the body, a stance foot moves by :math:`\dot p_i = -v - \omega \times p_i`; a swing foot goes to
 its neutral point plus half a stride ahead.  Posture: stance feet are moved up and down slowly, so
 that the body keeps its height over the mean of its feet, stays level, and loads its feet alike.
+
+Two kinds of controllers: one that lets a descent go on until it is stopped at a touch, with the
+phase "swing" until then; and, with ``phase="planned"``, one that follows its plan.  The second says
+"stance" at the tick in which its *command* comes down to the ground that it expects, and moves on
+as in stance, while the servos still bring the foot down.
 """
 
 from __future__ import annotations
@@ -26,10 +31,11 @@ from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Swings
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.motion import Goal, World
 
-__all__ = ["StopOn", "WalkMotion", "WalkSettings"]
+__all__ = ["PhaseOf", "StopOn", "WalkMotion", "WalkSettings"]
 
 Array = NDArray[np.float64]
 StopOn = Literal["truth", "service", "never"]
+PhaseOf = Literal["touch", "planned"]
 
 # Waypoints keep this far from the field's rim, m: body and legs are 0.35 m from the centre, and
 # a turn takes some room.
@@ -48,6 +54,9 @@ _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
 # the weight at once; what the command is lower still is taken back at this rate.
 _PRELOAD_M: Final = 0.012
 _RELAX_M_S: Final = 1.0
+# Ticks after a planned turn to stance until a foot is taken to stand: until then its distance from
+# its command is the servos' lag and no load.
+_SETTLE_TICKS: Final = 10
 
 
 @dataclass(frozen=True)
@@ -65,6 +74,8 @@ class WalkSettings:
         variability: relative half-width of the differences between cycles and swings.
         stop_on: who tells a leg that it touches: ``truth``, ``service`` or ``never``.
         react_ms: from a true touch to the leg's stop; the phase stays swing until then.
+        phase: what ends a swing: ``touch`` (a stop, or the descent's end) or ``planned`` (the
+            command reaches the expected ground; nothing stops a descent).
     """
 
     gait: GaitName = "tripod"
@@ -77,6 +88,7 @@ class WalkSettings:
     variability: float = 0.15
     stop_on: StopOn = "truth"
     react_ms: float = 60.0
+    phase: PhaseOf = "touch"
 
     def __post_init__(self) -> None:
         if self.gait not in GAITS:
@@ -84,6 +96,14 @@ class WalkSettings:
         if self.stop_on not in get_args(StopOn):
             raise ConfigurationError(
                 f"stop-on '{self.stop_on}'; expected one of {', '.join(get_args(StopOn))}"
+            )
+        if self.phase not in get_args(PhaseOf):
+            raise ConfigurationError(
+                f"phase '{self.phase}'; expected one of {', '.join(get_args(PhaseOf))}"
+            )
+        if self.phase == "planned" and self.stop_on == "service":
+            raise ConfigurationError(
+                "a planned descent is stopped by nothing, found stop-on 'service'; leave out one"
             )
         ranges = (
             ("stride", self.stride_m, 0.0, 0.09, "m"),
@@ -160,6 +180,11 @@ class WalkMotion:
         self._swinging = np.zeros(len(LEGS), dtype=np.bool_)
         self._own_before = self._own_clock()
         self._descent_tick = np.zeros(len(LEGS), dtype=np.int64)
+        self._planned = settings.phase == "planned"
+        self._floor_m = self._feet[
+            :, 2
+        ].copy()  # expected where the swing goes, in the body's frame
+        self._settled_tick = np.zeros(len(LEGS), dtype=np.int64)  # from then on the foot stands
         self._twist = np.zeros(3)  # vx, vy m/s, wz rad/s
         self._waypoint = self._draw_waypoint()
 
@@ -190,7 +215,11 @@ class WalkMotion:
         own = self._own_clock()
         for k in range(ticks):
             progress = np.minimum((own + (k + 1) * self._rate * self._period_s) / self._share, 1.0)
-            ahead[self._swinging, k] = self._swings.feet(progress)[self._swinging]
+            points = self._swings.feet(progress)
+            if self._planned:  # the turn comes first
+                down = progress > DESCENT
+                points[down, 2] = np.maximum(points[down, 2], self._floor_m[down])
+            ahead[self._swinging, k] = points[self._swinging]
         return np.stack(
             [self._geometry.joints(self._geometry.to_leg(ahead[:, k])) for k in range(ticks)],
             axis=1,
@@ -251,18 +280,26 @@ class WalkMotion:
             target = self._neutral[leg, :2] + ahead[leg] + jitter
             swings.target_m[leg, :2] = target
             floor = ground.height(*target)
+            self._floor_m[leg] = floor
             lift = settings.clearance_m * (1.0 + settings.variability * rng.uniform(-1.0, 1.0))
             swings.top_m[leg] = floor + lift
             swings.target_m[leg, 2] = floor - rng.uniform(*settings.depth_m)
             swings.began_step[leg] = world.step
 
     def _expected_ground(self, world: World, measured: Array) -> _Ground:
-        """The level plane through the middle of the feet that stand."""
+        """The level plane through the middle of the feet that stand; of a plan, where it has it."""
+        if self._planned:
+            return _Ground(self._neutral.mean(axis=0), world.rotation[2])
         stance = ~self._swinging
         middle = measured[stance].mean(axis=0) if stance.any() else self._neutral.mean(axis=0)
         return _Ground(middle, world.rotation[2])
 
     # -- stance --------------------------------------------------------------------------------
+
+    def _standing(self, world: World) -> NDArray[np.bool_]:
+        """(6,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
+        stance = ~self._swinging
+        return stance & (world.tick >= self._settled_tick) if self._planned else stance
 
     def _stand(self, world: World, measured: Array) -> None:
         """Move stance feet: with the body's twist, for its posture, and off too much pressure."""
@@ -271,8 +308,11 @@ class WalkMotion:
             return
         dt, feet = self._period_s, self._feet
         feet[stance, :2] -= dt * self._velocity_of(feet)[stance]
+        stance = self._standing(world)
+        if not stance.any():
+            return
         up = world.rotation[2]  # the vertical in the body's frame
-        below = float((measured[stance] @ up).mean())
+        below = float(((feet if self._planned else measured)[stance] @ up).mean())
         height = -below - self.settings.body_height_m
         # Level the body: it tilts by (up x z); lower the feet on the side that hangs.
         slope = -(feet[:, 0] * up[0] + feet[:, 1] * up[1])
@@ -295,6 +335,12 @@ class WalkMotion:
         points = self._swings.feet(np.minimum(progress, 1.0))
         for leg in np.flatnonzero(self._swinging):
             descending = progress[leg] > DESCENT
+            if self._planned:
+                self._feet[leg] = points[leg]
+                if progress[leg] >= 1.0 or (descending and points[leg, 2] <= self._floor_m[leg]):
+                    self._swinging[leg] = False
+                    self._settled_tick[leg] = world.tick + _SETTLE_TICKS
+                continue
             if not descending:
                 self._descent_tick[leg] = world.tick + 1
             if descending and self._told(world, int(leg)):

@@ -29,6 +29,8 @@ def swings(story: str) -> SwingTable:
         misses=np.array([c == "m" for c in story], dtype=np.int64),
         false_alarms=np.array([c == "f" for c in story], dtype=np.int64),
         neutral=np.zeros(n, dtype=np.int64),
+        judged_after=np.zeros(n, dtype=np.int64),
+        alarms_after=np.zeros(n, dtype=np.int64),
     )
 
 

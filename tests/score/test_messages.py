@@ -287,9 +287,15 @@ def test_json_has_its_documented_shape() -> None:
         "latency_p99_ms": "number",
         "onset_error_median_ms": "number",
     }
+    unknown = ("recall", "latency_", "onset_error")
+    empty = {name: "NoneType" if name.startswith(unknown) else kind for name, kind in row.items()}
+    empty["recall_interval"] = ["number", "number"]
     summary = {
         "rows": {"headline": row},
         "counted": row,
+        "in_time": row,
+        "late_in_swing": empty,
+        "late_after_turn": empty,
         "precision": "number",
         "precision_interval": ["number", "number"],
         "detections": "number",
@@ -298,6 +304,10 @@ def test_json_has_its_documented_shape() -> None:
         "robot_hours": "number",
         "false_alarms_per_robot_hour": "number",
         "false_alarms_per_robot_hour_interval": ["number", "number"],
+        "false_alarms_after_turn": "number",
+        "judged_ticks_after_turn": "number",
+        "false_alarms_after_turn_per_robot_hour": "number",
+        "false_alarms_after_turn_per_robot_hour_interval": ["number", "number"],
         "swings": "number",
         "swings_with_errors": "number",
         "neutral_events": "number",

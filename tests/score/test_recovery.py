@@ -34,6 +34,8 @@ def table(errors: list[int], touched: list[bool] | None = None) -> SwingTable:
         misses=np.array(errors, dtype=np.int64),
         false_alarms=zeros,
         neutral=zeros,
+        judged_after=zeros,
+        alarms_after=zeros,
     )
 
 

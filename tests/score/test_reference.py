@@ -41,6 +41,9 @@ class Reference:
     unjudged: list[int] = field(default_factory=list)
     judged: Counter[int] = field(default_factory=Counter)
     neutral: Counter[int] = field(default_factory=Counter)
+    judged_after: Counter[int] = field(default_factory=Counter)
+    alarms_after: list[int] = field(default_factory=list)
+    late_after: list[int] = field(default_factory=list)  # onsets
     errors: Counter[int] = field(default_factory=Counter)
     swings: list[tuple[int, int]] = field(default_factory=list)
 
@@ -60,6 +63,14 @@ def reference(case: Case) -> Reference:
             out.swings.append((k, k))
         out.swings[-1] = (out.swings[-1][0], k)
         number.append(len(out.swings) - 1)
+
+    # What follows a swing: up to 16 ticks of stance, without a hole.
+    follows: list[int | None] = [None] * len(case.t)
+    for swing, (_, last) in enumerate(out.swings):
+        for k in range(last + 1, min(last + 17, len(case.t))):
+            if case.swing[k] or case.t[k] - case.t[k - 1] > gap:
+                break
+            follows[k] = swing
 
     def tick_at(when: int) -> int | None:
         found = None
@@ -101,16 +112,27 @@ def reference(case: Case) -> Reference:
             for c in contacts
         )
 
+    def after_at(when: int) -> int | None:
+        tick = tick_at(when)
+        return None if tick is None else follows[tick]
+
+    def touched_after(when: int, swing: int) -> bool:
+        """Whether a contact was there from the swing's turn on until then, at any time."""
+        turn = case.t[out.swings[swing][1] + 1]
+        return any((c["off"] is None or c["off"] > turn) and c["on"] <= when for c in contacts)
+
     for k, t in enumerate(case.t):
         if number[k] is not None and not loaded(t, number[k]):
             out.judged[number[k]] += 1
+        if follows[k] is not None and not touched_after(t, follows[k]):
+            out.judged_after[follows[k]] += 1
 
     free: list[int] = []
     for when in sorted({t for t, contact in case.events if contact}):
         swing = swing_at(when)
-        if swing is None:
+        if swing is None and after_at(when) is None:
             out.outside.append(when)
-        elif loaded(when, swing):
+        elif swing is not None and loaded(when, swing):
             out.neutral[swing] += 1
         else:
             free.append(when)
@@ -119,6 +141,12 @@ def reference(case: Case) -> Reference:
         if not contact["touch"]:
             continue
         swing, onset = contact["swing"], contact["on"]
+        after = after_at(onset)
+        if after is not None and not touched_after(onset - 1, after):
+            _, last = out.swings[after]
+            if tick_at(onset) - last <= 10:  # the first tick of stance is one after the last
+                swing = after
+                out.late_after.append(onset)
         if swing is None:
             out.unjudged.append(onset)
             continue
@@ -146,17 +174,24 @@ def reference(case: Case) -> Reference:
         window = 500 * MS if contact["soft"] or speed <= 0.1 else 120 * MS
         found = None
         for when in free:
-            if onset < when <= onset + window and swing_at(when) == swing:
+            if onset < when <= onset + window and swing in (swing_at(when), after_at(when)):
                 found = when
                 break
         if found is not None:
             free.remove(found)
-        elif row in ("headline", "mid", "slow", "soft", "unknown"):
+        elif row in ("headline", "mid", "slow", "soft", "unknown", "late"):
             out.errors[swing] += 1
         out.touches.append((onset, row, found is not None, -1 if found is None else found - onset))
-    out.alarms = free
     for when in free:
-        out.errors[swing_at(when)] += 1
+        if swing_at(when) is not None:
+            out.alarms.append(when)
+            out.errors[swing_at(when)] += 1
+        elif touched_after(when, after_at(when)):
+            out.outside.append(when)
+        else:
+            out.alarms_after.append(when)
+            out.errors[after_at(when)] += 1
+    out.outside.sort()
     return out
 
 
@@ -247,6 +282,9 @@ def test_equals_the_slow_reference(case: Case) -> None:
     assert list(got.alarms_ns) == expected.alarms
     assert list(got.outside_ns) == expected.outside
     assert list(got.unjudged_ns) == expected.unjudged
+    assert list(got.after_ns) == expected.alarms_after
+    assert list(got.touches.onset_ns[got.touches.after_turn]) == expected.late_after
+    assert list(got.swings.judged_after) == [expected.judged_after[s] for s in range(count)]
     assert list(got.swings.judged) == [expected.judged[s] for s in range(count)]
     assert list(got.swings.neutral) == [expected.neutral[s] for s in range(count)]
     assert list(got.swings.errors) == [expected.errors[s] for s in range(count)]
@@ -259,7 +297,9 @@ def test_every_event_and_touch_is_accounted_for(case: Case) -> None:
     got = match(stream_of(case), events)
     told = len({when for when, contact in case.events if contact})
     found = int(got.touches.found.sum())
-    assert told == found + len(got.alarms_ns) + int(got.swings.neutral.sum()) + len(got.outside_ns)
+    alarms = len(got.alarms_ns) + len(got.after_ns)
+    assert told == found + alarms + int(got.swings.neutral.sum()) + len(got.outside_ns)
+    assert int(got.swings.alarms_after.sum()) == len(got.after_ns)
     assert found == int(got.swings.hits.sum())
     assert np.all(got.touches.latency_ns[got.touches.found] > 0)
     assert np.all(got.touches.latency_ns <= got.touches.window_ns)
@@ -275,7 +315,7 @@ def test_two_parts_of_a_stream_add_up(case: Case, cut_ms: int) -> None:
     whole = match(stream_of(case), events_of(case))
     parts = [whole.between(0, cut_ms * MS), whole.between(cut_ms * MS, 10**15)]
     together, apart = summarise([whole]), summarise(parts)
-    for name in ("counted", "rows", "detections", "false_alarms", "judged_ticks", "swings"):
+    for name in ("counted", "rows", "late_after", "detections", "false_alarms", "after", "swings"):
         assert getattr(together, name) == getattr(apart, name), name
     assert together.neutral == apart.neutral
     assert together.outside == apart.outside
@@ -301,6 +341,7 @@ def test_recovery_equals_the_slow_reference(swings: list[tuple[int, bool]], drif
         touches=np.array([int(touched) for _, touched in swings], dtype=np.int64),
         misses=zeros,
         false_alarms=np.array([errors for errors, _ in swings], dtype=np.int64),
+        alarms_after=zeros,
     )
     expected = None
     after = swings[drift:]

@@ -147,19 +147,16 @@ class TestDetection:
 
 class TestWhatIsJudged:
     def test_events_in_stance_do_not_count(self) -> None:
-        outcome = judge(WALK, AIR + touch(990), 100, 1000)
-        assert len(outcome.alarms_ns) == 0
+        # Of a foot that has touched, and before the first swing.
+        outcome = judge(WALK, AIR + touch(700), 100, 720, 1000)
+        assert len(outcome.alarms_ns) == len(outcome.after_ns) == 0
         assert outcome.outside_ns.tolist() == [100 * MS, 1000 * MS]
-
-    def test_touches_in_stance_are_not_judged(self) -> None:
-        outcome = judge(WALK, AIR + touch(1005), 1020)
-        assert len(outcome.touches.onset_ns) == 0
-        assert outcome.unjudged_ns.tolist() == [1005 * MS]
 
     def test_an_event_belongs_to_the_last_sample_at_its_time(self) -> None:
         outcome = judge(WALK, AIR, 199, 200, 989, 1000)
-        assert outcome.outside_ns.tolist() == [199 * MS, 1000 * MS]
+        assert outcome.outside_ns.tolist() == [199 * MS]
         assert outcome.alarms_ns.tolist() == [200 * MS, 989 * MS]
+        assert outcome.after_ns.tolist() == [1000 * MS]
 
     def test_events_beyond_the_stream_are_outside(self) -> None:
         outcome = judge("s" * 20, AIR, 390, 2000)
@@ -194,6 +191,67 @@ class TestWhatIsJudged:
         outcome = judge(WALK, [], 520)
         assert len(outcome.touches.onset_ns) == 0
         assert len(outcome.alarms_ns) == 1
+
+
+class TestAfterTheTurn:
+    """Up to 16 ticks of stance, the first at 1000 ms, while the foot has not touched."""
+
+    LONG = "." * 10 + "s" * 40 + "." * 30 + "s" * 20
+
+    @pytest.mark.parametrize(("onset_ms", "late"), [(1000, True), (1199, True), (1200, False)])
+    def test_touches_in_the_first_10_ticks_are_late(self, onset_ms: float, late: bool) -> None:
+        outcome = judge(self.LONG, AIR + touch(onset_ms), onset_ms + 20)
+        assert rows(outcome) == (["late"] if late else [])
+        assert outcome.touches.found.tolist() == ([True] if late else [])
+        assert outcome.touches.after_turn.tolist() == ([True] if late else [])
+        assert outcome.unjudged_ns.tolist() == ([] if late else [onset_ms * MS])
+        assert len(outcome.after_ns) == len(outcome.alarms_ns) == 0  # the later one is neither
+
+    def test_events_on_the_first_16_ticks_are_false_alarms_of_their_own(self) -> None:
+        outcome = judge(self.LONG, AIR, 1000, 1300, 1319, 1320)
+        assert outcome.after_ns.tolist() == [1000 * MS, 1300 * MS, 1319 * MS]
+        assert outcome.after_swing.tolist() == [0, 0, 0]
+        assert outcome.outside_ns.tolist() == [1320 * MS]
+        assert outcome.swings.judged_after.tolist() == [16, 0]
+        assert outcome.swings.errors.tolist() == [3, 0]
+        assert [str(kind) for kind in outcome.swings.outcome] == ["false alarm", "clean"]
+        summary = summarise([outcome])
+        assert (summary.false_alarms, summary.judged_ticks) == (0, 60)
+        assert (summary.after.false_alarms, summary.after.judged_ticks) == (3, 16)
+        assert summary.after.per_hour == pytest.approx(3 * ROBOT_HOUR_TICKS / 16)
+
+    def test_a_touch_ends_them(self) -> None:
+        # Whatever comes later: another touch is none of the swing's.
+        outcome = judge(self.LONG, AIR + touch(1045, 1070) + touch(1150), 1020, 1060, 1160)
+        assert outcome.after_ns.tolist() == [1020 * MS]
+        assert outcome.touches.onset_ns.tolist() == [1045 * MS]
+        assert outcome.touches.found.tolist() == [True]
+        assert outcome.outside_ns.tolist() == [1160 * MS]
+        assert outcome.swings.judged_after.tolist() == [3, 0]
+        assert outcome.unjudged_ns.tolist() == [1150 * MS]
+
+    def test_a_foot_on_the_ground_at_the_turn_has_none(self) -> None:
+        outcome = judge(self.LONG, AIR + touch(700), 720, 1100)
+        assert outcome.swings.judged_after.tolist() == [0, 0]
+        assert outcome.outside_ns.tolist() == [1100 * MS]
+
+    def test_a_foot_that_came_free_again_has_them(self) -> None:
+        outcome = judge(self.LONG, AIR + touch(700, 800) + touch(1050), 720, 1080)
+        assert rows(outcome) == ["headline", "late"]
+        assert outcome.touches.found.tolist() == [True, True]
+
+    def test_the_next_swing_ends_them(self) -> None:
+        outcome = judge("s" * 20 + "." * 3 + "s" * 20, AIR + touch(430), 460)
+        assert outcome.touches.found.tolist() == [False]  # told in another swing
+        assert outcome.swings.judged_after.tolist() == [2, 0]
+        assert outcome.swings.neutral.tolist() == [0, 1]
+
+    def test_a_swing_that_ends_in_a_hole_has_none(self) -> None:
+        t_ns = np.array([*range(20), *range(40, 60)], dtype=np.int64) * 20 * MS
+        swing = np.arange(40) < 20
+        nothing = Events(np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(0, np.int64))
+        outcome = match(LegStream("rf", t_ns, swing, truth_changes(AIR)), nothing)
+        assert outcome.swings.judged_after.tolist() == [0]
 
 
 class TestContacts:
@@ -253,13 +311,17 @@ class TestRows:
         assert rows(judge("s" * 20, AIR + touch(350))) == ["late"]
         assert rows(judge("s" * 20, AIR + touch(339))) == ["headline"]
 
-    def test_a_late_touch_may_be_found_and_is_no_error_if_not(self) -> None:
-        found = judge(WALK, AIR + touch(950), 960)
+    @pytest.mark.parametrize("event_ms", [960, 1000, 1060])
+    def test_a_late_touch_may_be_found_after_the_turn(self, event_ms: float) -> None:
+        found = judge(WALK, AIR + touch(950), event_ms)
         assert found.touches.found.tolist() == [True]
-        assert len(found.alarms_ns) == 0
-        missed = judge(WALK, AIR + touch(950), 1000)  # decided in stance: does not count
+        assert len(found.alarms_ns) == len(found.after_ns) == 0
+
+    def test_a_late_touch_that_is_missed_is_an_error(self) -> None:
+        missed = judge(WALK, AIR + touch(950), 1080)  # 130 ms later; the foot has touched
         assert missed.touches.found.tolist() == [False]
-        assert missed.swings.errors.tolist() == [0]
+        assert missed.swings.errors.tolist() == [1]
+        assert missed.outside_ns.tolist() == [1080 * MS]
 
     def test_a_touch_in_the_lift_has_its_row(self) -> None:
         lift = "." * 10 + "l" * 20 + "." * 30  # 200 to 580 ms
@@ -375,9 +437,11 @@ class TestFigures:
         } == dict.fromkeys(
             ["headline", "mid", "slow", "soft", "unknown", "creep", "grazing", "late"], 1
         )
-        assert summary.counted.touches == 5
-        assert summary.lost_swings == 5
-        assert outcome.swings.touches.tolist() == [1, 1, 1, 1, 1, 0, 0, 0]
+        assert summary.counted.touches == 6
+        assert summary.in_time.touches == 5
+        assert summary.late_in_swing.touches == 1
+        assert summary.lost_swings == 6
+        assert outcome.swings.touches.tolist() == [1, 1, 1, 1, 1, 0, 0, 1]
 
     def test_legs_add_up(self) -> None:
         one = judge(WALK, AIR + touch(500), 520)

@@ -9,7 +9,9 @@ from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings, soft_contact
 
 
-@pytest.mark.parametrize(("kind", "error_m"), [("flat", 1e-9), ("steps", 1e-6), ("rough", 0.004)])
+@pytest.mark.parametrize(
+    ("kind", "error_m"), [("flat", 1e-9), ("steps", 1e-6), ("rough", 0.004), ("holes", 0.02)]
+)
 def test_heights_are_the_engines(kind: str, error_m: float) -> None:
     """Asked by a ray from above; the rough field's cells are triangles there, bilinear here."""
     terrain = Terrain(TerrainSettings(kind=kind, seed=3))
@@ -45,6 +47,16 @@ def test_relief_is_kept_and_seeds_differ(kind: str) -> None:
     assert not np.array_equal(first, other)
 
 
+def test_holes_are_in_the_rough_field_and_nowhere_else() -> None:
+    x, y = np.meshgrid(np.linspace(-2.9, 2.9, 300), np.linspace(-2.9, 2.9, 300))
+    rough, holes = (Terrain(TerrainSettings(kind=kind, seed=1)) for kind in ("rough", "holes"))
+    depth = rough.height_at(x, y) - holes.height_at(x, y)
+    assert depth.max() == pytest.approx(0.1)
+    assert depth.min() == 0.0
+    assert 0.02 < (depth > 0.05).mean() < 0.05
+    assert depth[np.hypot(x, y) < 0.3].max() == 0.0  # where the robot begins
+
+
 @pytest.mark.parametrize("stiffness", [300.0, 1000.0, 5000.0])
 def test_soft_ground_is_as_stiff_as_it_says(stiffness: float) -> None:
     """A known weight on one foot, let down gently: it sinks by weight over stiffness."""
@@ -72,8 +84,9 @@ def test_soft_ground_is_as_stiff_as_it_says(stiffness: float) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"kind": "sand"}, "terrains are flat, steps, rough, soft"),
+        ({"kind": "sand"}, "terrains are flat, steps, rough, soft, holes"),
         ({"relief_m": 0.5}, "expected 0 to 0.08 m"),
+        ({"holes": 0.9}, "expected 0 to 0.5"),
         ({"stiffness_n_m": 1.0}, "expected 100 to 100000 N/m"),
     ],
 )

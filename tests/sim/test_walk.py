@@ -4,14 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.gait import GAITS, Swings, quintic
+from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+
+Array = NDArray[np.float64]
 
 
 def walk(gait: str = "tripod", kind: str = "rough", seconds: float = 20.0, **motion: object) -> Run:
@@ -108,6 +112,45 @@ def test_never_stopped_legs_swing_to_the_end() -> None:
     assert never.position_m[:, 2].min() > 0.08
 
 
+def planned(kind: str, **motion: object) -> list[tuple[float | None, Array]]:
+    """Per swing: ms from the turn to the first touch (None: not before the next), the stream."""
+    run = walk(kind=kind, seconds=40.0, phase="planned", **motion)
+    found = []
+    for leg in LEGS:
+        stream = run.legs[leg]
+        edges = np.diff(stream.swing.astype(int))
+        starts, turns = np.flatnonzero(edges == 1) + 1, np.flatnonzero(edges == -1) + 1
+        onsets = np.array([onset.t_ns for onset in stream.onsets])
+        for turn in turns[turns < starts[-1]]:
+            begin, end = starts[starts < turn][-1] + 10, starts[starts > turn][0]
+            inside = onsets[(onsets > run.t_ns[begin]) & (onsets < run.t_ns[end])]
+            ms = float(inside[0] - run.t_ns[turn]) / 1e6 if len(inside) else None
+            found.append((ms, stream.desired[turn - 1 : turn + 2]))
+    return found
+
+
+def test_a_planned_turn_comes_before_the_touch() -> None:
+    swings = planned("flat")
+    after = np.array([ms for ms, _ in swings if ms is not None])
+    assert len(after) > 0.98 * len(swings) > 100
+    # The servos bring the foot down some 70 ms after its command.
+    assert 20.0 < np.median(after) < 90.0
+    assert (after > 0.0).mean() > 0.9
+    # The command goes no deeper from the turn on: it moves as in stance.
+    geometry = LegGeometry.of()
+    feet = [geometry.feet(np.repeat(d[:, None], len(LEGS), axis=1))[:, 0, 2] for _, d in swings]
+    last, turned, then = np.transpose(feet)
+    assert (turned < last).all()
+    assert np.median(last - turned) > 0.004
+    assert np.abs(then - turned).max() < 0.002
+
+
+def test_a_foot_over_a_hole_does_not_touch() -> None:
+    rough, holes = planned("rough"), planned("holes")
+    assert np.mean([ms is None for ms, _ in rough]) < 0.05
+    assert np.mean([ms is None or ms > 320.0 for ms, _ in holes]) > 0.1
+
+
 def test_slower_reaction_swings_longer() -> None:
     lengths = [
         walk(kind="flat", react_ms=r, seconds=10.0).legs["rm"].swing.sum()
@@ -179,6 +222,8 @@ def test_preview_continues_swings() -> None:
         ({"stride_m": 0.5}, "stride is 0.5 m; expected 0 to 0.09 m"),
         ({"swing_s": 0.01}, "expected 0.3 to 3 s"),
         ({"depth_m": (0.01, 0.03)}, "expected 0.02 to 0.06 m"),
+        ({"phase": "guessed"}, "expected one of touch, planned"),
+        ({"phase": "planned", "stop_on": "service"}, "stopped by nothing"),
         ({"react_ms": -1.0}, "expected 0 to 1000 ms"),
         ({"variability": float("nan")}, "expected 0 to 0.4"),
     ],

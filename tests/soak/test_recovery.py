@@ -38,11 +38,12 @@ def outcome(onsets_s: list[float], found: list[bool]) -> LegOutcome:
         onset_error_ns=count,
         speed_m_s=none,
         force_n=none,
+        after_turn=none > 0.0,
     )
     start = onset - S // 2
-    swings = SwingTable(start, onset, *([count + 10] * 2), *([count] * 5))
+    swings = SwingTable(start, onset, *([count + 10] * 2), *([count] * 7))
     empty = np.zeros(0, dtype=np.int64)
-    return LegOutcome("rf", swings, touches, empty, empty, empty, empty, (0, 100 * S))
+    return LegOutcome("rf", swings, touches, *([empty] * 6), (0, 100 * S))
 
 
 NO_TRUTH = truth_changes([])
