@@ -380,6 +380,7 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
 # Words of notes that speak of what the samples themselves may show.
 _NOTED: Final = {
     "ms apart, robot.toml says": Cause.PERIOD,
+    "t_ns jitters": Cause.JITTER,
     "starts anew every few samples": Cause.RUN,
     "carry no phase": Cause.PHASE,
     "answered": Cause.INVALID,

@@ -133,7 +133,13 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.TIME_UNIT: frozenset({Reject.TIME_BACKWARDS}),
     Cause.SEQ: _OTHER,
     Cause.NOT_FINITE: frozenset({Reject.NOT_FINITE}),
-    Cause.UNITS: frozenset({Reject.OUT_OF_RANGE}),
+    Cause.UNITS: frozenset({Reject.OUT_OF_RANGE, Reject.IMPLAUSIBLE}),
+    Cause.GLITCHES: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.TURN: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.ECHO: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.ORDER: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.BACKWARDS: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.FAR: frozenset({Reject.IMPLAUSIBLE}),
 }
 
 

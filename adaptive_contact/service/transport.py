@@ -54,9 +54,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     _DROP_AFTER_US: 1_000_000,
     # An express message fills a batch of its own: 16 events find room before a put has to wait.
     "transport/link/tx/queue/size/interactive_high": 16,
-    # Messages that may be dropped wait for nothing: 1 ms for each link that hangs would make the
-    # router deaf.  Sixteen batches of 64 kB are room enough for a busy machine's pauses.
-    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    # Sixteen batches of 64 kB are room enough for a busy machine's pauses.
     "transport/link/tx/queue/size/data": 16,
     "connect/timeout_ms": CONNECT_TIMEOUT_MS,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
@@ -70,6 +68,12 @@ DEFAULTS: Final[Mapping[str, object]] = {
         "period_max_ms": 500,
         "period_increase_factor": 1.5,
     },
+}
+
+# A router's messages that may be dropped wait for nothing: 1 ms for each link that hangs would make
+# it deaf.  A client has one link, and waits for room on it.
+ROUTER_DEFAULTS: Final[Mapping[str, object]] = {
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
 
 # An endpoint's options may hold a key.
@@ -106,7 +110,8 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     config = zenoh.Config() if path is None else _from_file(path)
     users = _users(config, path)
     said = frozenset() if path is None else _said(path, config)
-    for key, value in DEFAULTS.items():
+    of_mode = ROUTER_DEFAULTS if settings.mode == "router" else {}
+    for key, value in {**DEFAULTS, **of_mode}.items():
         if key not in said:
             _insert(config, key, value)
     listen = settings.listen
@@ -206,7 +211,7 @@ def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
     if found:
         return found
     blank = zenoh.Config()
-    keys = (*DEFAULTS, "listen/endpoints")
+    keys = (*DEFAULTS, *ROUTER_DEFAULTS, "listen/endpoints")
     return frozenset(key for key in keys if config.get_json(key) != blank.get_json(key))
 
 
