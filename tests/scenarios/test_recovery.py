@@ -125,6 +125,7 @@ def test_a_foot_that_trails_too_much_is_ambiguous_and_the_leg_is_well_again_afte
         assert alarms[0] > 20, "worth telling of"
         assert alarms[1] < alarms[0]
         after = summarise([within(match(stream, full.events), 38.5, 60.0)])
-        assert after.counted.touches >= 10
-        assert after.counted.found >= after.counted.touches - 1
+        # Touches after the turn are not looked for yet (decision 27).
+        assert after.in_time.touches >= 10
+        assert after.in_time.found >= after.in_time.touches - 1
         assert after.false_alarms <= 1
