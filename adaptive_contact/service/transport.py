@@ -70,12 +70,6 @@ DEFAULTS: Final[Mapping[str, object]] = {
     },
 }
 
-# A router's messages that may be dropped wait for nothing: 1 ms for each link that hangs would make
-# it deaf.  A client has one link, and waits for room on it.
-ROUTER_DEFAULTS: Final[Mapping[str, object]] = {
-    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-}
-
 # An endpoint's options may hold a key.
 _ENDPOINT_TAIL: Final = re.compile(r"\b([a-z][a-z0-9_-]*/[^\s?#'\"<]+)[?#][^\"\n]*")
 _SOURCE_PATH: Final = re.compile(r" at /\S+\.rs:\d+\.?")
@@ -110,8 +104,7 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     config = zenoh.Config() if path is None else _from_file(path)
     users = _users(config, path)
     said = frozenset() if path is None else _said(path, config)
-    of_mode = ROUTER_DEFAULTS if settings.mode == "router" else {}
-    for key, value in {**DEFAULTS, **of_mode}.items():
+    for key, value in DEFAULTS.items():
         if key not in said:
             _insert(config, key, value)
     listen = settings.listen
@@ -211,7 +204,7 @@ def _said(path: Path, config: zenoh.Config) -> frozenset[str]:
     if found:
         return found
     blank = zenoh.Config()
-    keys = (*DEFAULTS, *ROUTER_DEFAULTS, "listen/endpoints")
+    keys = (*DEFAULTS, "listen/endpoints")
     return frozenset(key for key in keys if config.get_json(key) != blank.get_json(key))
 
 
