@@ -81,8 +81,7 @@ class Tracker:
         inflation: of the variance of the last residual.
         lateness: of the reading to come, periods after its tick; 0 where it is on time.
         usable: sound residuals of this swing, newest first.
-        refused: readings of joints that were none, until whoever counts them sets it back.
-        refused_values: the last value of each joint that came back to the last bit, if any.
+        refused: readings of joints that were refused since the learner last counted them.
     """
 
     def __init__(self, model: LegModel, quantum_rad: float) -> None:
@@ -113,7 +112,6 @@ class Tracker:
         self._refused: Mask = np.zeros(joints, dtype=bool)
         self._unsure = 0
         self.refused = 0
-        self.refused_values: list[float | None] = [None] * joints
         self._reach = [0.0] * joints  # rad, largest movement predicted for a tick
         self._reach_ticks = 0
         self._allowance = REACH_QUANTA * quantum_rad
@@ -389,13 +387,9 @@ class Tracker:
     def _remember(self, measured: Sequence[float], refused: Sequence[bool]) -> None:
         """Count refused readings, and keep their values: one that returns is no movement."""
         values = self._values
-        for j, (value, bad) in enumerate(zip(measured, refused, strict=True)):
-            if not bad:
-                continue
-            self.refused += 1
-            if values.get(value, 0) > 0:
-                self.refused_values[j] = value
-        for value in {value for value, bad in zip(measured, refused, strict=True) if bad}:
+        found = [value for value, bad in zip(measured, refused, strict=True) if bad]
+        self.refused += len(found)
+        for value in set(found):
             values[value] = values.pop(value, 0) + 1
             if len(values) > MAX_VALUES:
                 # Once refused goes before twice refused, the oldest first.

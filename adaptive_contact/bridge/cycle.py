@@ -296,7 +296,7 @@ class Cycle:
             servos = [self._servos[joint.servo] for joint in leg.joints]
             asked_now = leg in legs
             if not asked_now:
-                for servo in servos:  # while nothing is commanded, others may set them anew
+                for servo in servos:  # while nothing is commanded, others may change them
                     servo.waker.forget()
             places = [self._place(servo) if asked_now else None for servo in servos]
             start = [self._start(driver, j, *pair) for j, pair in

@@ -50,7 +50,7 @@ class AngleFrame:
     def sample(self, sample: ServoSample) -> ServoSample:
         """Turn a sample of the wire into the description's frame.
 
-        What has not J values is left as it is: whoever checks samples refuses it.
+        A sample with another number of values is left as it is; the checks refuse it.
         """
         if self.same:
             return sample

@@ -1,4 +1,4 @@
-r"""Do a source's angles mean what ``robot.toml`` says?  Signs, order and zeros, from the motion.
+r"""Finds joints whose angles grow the other way than ``robot.toml`` says, from the motion.
 
 Half of all robots count pitch angles downwards, and a leg described so is learned, judged and
 driven wrong without any error.  Three facts of a robot's body show it, none of them a model:
@@ -25,7 +25,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +35,10 @@ from adaptive_contact.robot.description import Leg, Mount, Robot
 from adaptive_contact.robot.geometry import foot, height_gradients
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["ConventionFinding", "Kind", "LegMotion", "Verdict", "judge_motion"]
+__all__ = ["ConventionFinding", "LegMotion", "Verdict", "judge_motion"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Kind = Literal["sign", "order", "zero"]
 
 # Displacements are taken over this time, s: long against the jitter of a command's rounding, short
 # against a stance.
@@ -86,7 +85,6 @@ class ConventionFinding:
     Attributes:
         leg: its id.
         joints: names of the joints concerned.
-        kind: what is wrong with them.
         message: what was seen, one line without the leg's name.
         advice: what to write into ``robot.toml``, one line.
         directions: (J,) to write as ``[leg.angles] directions``; those in force included.
@@ -96,7 +94,6 @@ class ConventionFinding:
 
     leg: str
     joints: tuple[str, ...]
-    kind: Kind
     message: str
     advice: str
     directions: tuple[int, ...]
@@ -163,7 +160,7 @@ class Verdict:
 
 
 def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
-    """Judge the signs, order and zeros of all legs that have lengths.
+    """Judge the signs of all legs that have lengths.
 
     Args:
         robot: its description, as the samples were turned by.
@@ -494,7 +491,7 @@ def _sign_finding(
         advice += f"; if that does not help, directions = {turned}"
     message = f"the angles of {_listed(joints)} grow the wrong way: {told}"
     return ConventionFinding(
-        leg.id, joints, "sign", message, advice, directions, offsets, certain=not others
+        leg.id, joints, message, advice, directions, offsets, certain=not others
     )
 
 

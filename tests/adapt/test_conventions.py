@@ -136,7 +136,8 @@ def test_a_learner_reports_what_to_write_and_is_silent_until_then() -> None:
         status = bank.learner(leg).status
         assert status.status == "ambiguous"
         assert "femur and tibia grow the wrong way" in status.note
-        assert "directions = [1, -1, -1]" in status.note
+        assert "write [leg.angles] directions = [1, -1, -1]" in status.note
+        assert "where the bridge reads this leg, write [leg.servos] directions = [" in status.note
         assert not status.contact
     assert all(
         not event.contact for event, status in events if "grow the wrong" in str(status.note)

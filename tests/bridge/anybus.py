@@ -122,7 +122,7 @@ class AnyServo(VirtualServo):
         """Store registers as they are; mode and turns are what they would be after power-on."""
         for name, value in registers.items():
             self._store(name, value)
-        self._settle_turns(anew=True)
+        self._settle_turns(fresh=True)
         if "torque_enable" in registers:
             self._backend.set_torque(self._index, bool(registers["torque_enable"]))
             if self.drives:

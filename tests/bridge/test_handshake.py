@@ -203,5 +203,5 @@ def test_angles_and_steps_agree(direction: int) -> None:
     assert (joint.angle(600) - 0.3) * direction > 0
     for steps in range(0, 1024, 7):
         assert joint.steps(joint.angle(steps)) == steps
-    # No clamp hides a wish that cannot be met: whoever writes a goal limits it.
+    # No clamp hides a wish that cannot be met: what writes a goal limits it.
     assert abs(joint.steps(99.0)) > joint.model.highest

@@ -172,7 +172,7 @@ def test_a_file_on_a_full_disk_is_named() -> None:
 def test_a_command_that_runs_until_it_is_stopped_loses_its_lines(
     env: dict[str, str], tmp_path: Path
 ) -> None:
-    """Its code tells of its work: here a virtual bus, which prints once it is there."""
+    """Its exit code is that of its work: here a virtual bus, which prints once it runs."""
     for stop in (signal.SIGINT, signal.SIGTERM):
         folder = tmp_path / stop.name
         with FULL.open("w") as full:

@@ -301,7 +301,7 @@ class VirtualServo:
             self._backend.set_goal(self._index, self._backend.angle(self._index))
 
     def _steps(self, angle_rad: float, noise: float = 0.0) -> int:
-        """The position told of a horn's angle, as mode, turns and offsets have it."""
+        """Return the position register for a horn's angle, by mode, turns and offsets."""
         model = self.model
         offset, divider, sign = self._frame()
         turn = model.centre + round(sign * angle_rad / model.step_rad + noise)
@@ -338,10 +338,10 @@ class VirtualServo:
             homing = 0
         return homing, 1, -1 if self.value("drive_mode") & DriveMode.REVERSE else 1
 
-    def _settle_turns(self, *, anew: bool = False) -> None:
+    def _settle_turns(self, *, fresh: bool = False) -> None:
         """Forget whole turns: at power-on, and in position mode as torque comes on."""
         position = self.model.protocol == 2 and self.value("operating_mode") == _POSITION
-        if anew or position:
+        if fresh or position:
             sign = self._frame()[2]
             angle = self._backend.angle(self._index)
             turn = self.model.centre + round(sign * angle / self.model.step_rad)
@@ -399,7 +399,7 @@ class VirtualServo:
     def _power_on(self) -> None:
         model = self.model
         self._latched = 0
-        self._settle_turns(anew=True)
+        self._settle_turns(fresh=True)
         initial = {
             "temperature": 35,
             "voltage": 120 if model.protocol == 1 else 50,
