@@ -28,6 +28,8 @@ _ENOUGH_ROWS: Final = 12
 _LEAST_EXCEEDANCE: Final = 1e-3
 # Rounding alone errs by 0.29 steps; a joint that moves and errs by less is not read in such steps.
 _LEAST_STEPS: Final = 0.25
+# Four steps of an AX-12A, the coarsest servo known here: with coarser ones a touch hides in a step.
+_COARSEST_RAD: Final = 0.02
 # No leg swings for so long: swings of the shipped gaits and trials take 20 to 60 ticks.
 _LONG_SWING_TICKS: Final = 200
 _LONG_SWING_S: Final = 2.0
@@ -61,6 +63,12 @@ def verdict(robot: Robot, training: Training) -> list[str]:
 
 def refusals(robot: Robot, training: Training) -> list[str]:
     """Why what was learned is of no use, one line a cause; empty where it is."""
+    coarse = [leg for leg in training.figures if robot.quantum(leg) > _COARSEST_RAD]
+    if coarse:
+        return [
+            f"quantum_rad of {', '.join(coarse)} is over {_COARSEST_RAD} rad, four steps of an "
+            "AX-12A: write the step of the servo's readings in rad (4096 steps a turn: 0.00153)"
+        ]
     endless = _endless_swings(robot, training)
     if endless:
         return [

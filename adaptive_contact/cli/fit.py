@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt.training import Training
     from adaptive_contact.robot import Robot
 
-__all__ = ["check_conventions", "fit", "gather", "print_training"]
+__all__ = ["check_conventions", "fit", "gather", "print_training", "refuse_useless"]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -68,7 +68,7 @@ def fit(
 
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.training import learn
-    from adaptive_contact.adapt.verdict import refusals, verdict
+    from adaptive_contact.adapt.verdict import verdict
     from adaptive_contact.robot import load_robot, shipped_robot
 
     check_output(out, "--out")
@@ -107,12 +107,7 @@ def fit(
             "they are cautious, and soft contacts will be missed; record more swings",
             err=True,
         )
-    refused = refusals(robot, training)
-    if refused:
-        for line in refused:
-            typer.echo(f"adaptive-contact: {line}", err=True)
-        typer.echo("adaptive-contact: no baseline was written", err=True)
-        raise typer.Exit(1)
+    refuse_useless(robot, training)
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json, equations=equations)
     for line in verdict(robot, training):
@@ -206,6 +201,19 @@ def check_conventions(
             f"leg {', '.join(grave)}: angles are not counted as robot.toml says (above); nothing "
             "is learned from them: correct robot.toml and run this again"
         )
+
+
+def refuse_useless(robot: Robot, training: Training) -> None:
+    """End the command with code 1 where what was learned is no model of a leg; one line a cause."""
+    from adaptive_contact.adapt.verdict import refusals
+
+    refused = refusals(robot, training)
+    if not refused:
+        return
+    for line in refused:
+        typer.echo(f"adaptive-contact: {line}", err=True)
+    typer.echo("adaptive-contact: no baseline was written", err=True)
+    raise typer.Exit(1)
 
 
 def print_training(training: Training, robot: Robot, *, json: bool, equations: bool = True) -> None:

@@ -297,7 +297,12 @@ def learn_(
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.verdict import verdict
     from adaptive_contact.cli import _robot_learning as learning
-    from adaptive_contact.cli.fit import check_conventions, gather, print_training
+    from adaptive_contact.cli.fit import (
+        check_conventions,
+        gather,
+        print_training,
+        refuse_useless,
+    )
 
     check_output(out, "--out")
     kept = learning.free_file(out) if recording is None else recording
@@ -342,6 +347,7 @@ def learn_(
             error.have,
             error.needed,
         ) from error
+    refuse_useless(robot, training)
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
     for line in verdict(robot, training):

@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import adaptive_contact_models
+
 from . import mistakes as m
+
+SHIPPED = Path(adaptive_contact_models.__file__).parent / "hexapod" / "robot.toml"
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -62,3 +66,13 @@ def test_a_recording_of_other_legs_is_named(walk: Path, tmp_path: Path) -> None:
     done = run("fit", made, "-o", tmp_path / "legs.json")
     assert "no --config: taken for the shipped robot 'hexapod-ax12a'" in done.stderr
     assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.stderr
+
+
+def test_steps_that_hide_a_touch_are_refused(walk: Path, tmp_path: Path) -> None:
+    config = tmp_path / "robot.toml"
+    made = SHIPPED.read_text().replace("quantum_rad = 0.005118", "quantum_rad = 0.03")
+    config.write_text(made)
+    done = run("fit", walk, "--config", config, "-o", tmp_path / "legs.json")
+    assert done.returncode == 1, done.stdout
+    assert "quantum_rad of lf, lm, lr, rf, rm, rr is over 0.02 rad" in done.stderr
+    assert not (tmp_path / "legs.json").exists()
