@@ -386,6 +386,7 @@ _NOTED: Final = {
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,
 }
+_WRONG_SIGNS: Final = "grow the wrong way"
 _NOTES: Final = "docs/operating.md says what each note asks for"
 
 
@@ -393,6 +394,9 @@ def _about_learner(
     before: LearnerStatus, status: LearnerStatus, service: ServiceStatus | None, causes: set[Cause]
 ) -> Iterator[Fault]:
     """What a leg's own status says, but for what is known of its stream already."""
+    note = status.note or ""
+    if _WRONG_SIGNS in note:
+        causes = causes | {Cause.SIGNS}
     known = {str(reason) for cause in causes for reason in REFUSED_FOR.get(cause, ())}
     refused = {
         reason: times for reason, times in status.rejects.items() if times and reason not in known
@@ -408,7 +412,13 @@ def _about_learner(
             listed,
             sum(refused.values()),
         )
-    if status.status == "learning":
+    if _WRONG_SIGNS in note:
+        # A wrong yaw changes no height, and the leg works on.
+        level: Level = "error" if status.status == "ambiguous" else "warning"
+        what = "angles are not counted as robot.toml says"
+        remedy = "write what is said here into robot.toml, and start the service again"
+        yield Fault(level, Cause.SIGNS, what, remedy, note)
+    elif status.status == "learning":
         yield _learning(status, service)
     elif status.status == "ambiguous":
         yield Fault(

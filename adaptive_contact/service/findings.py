@@ -65,6 +65,7 @@ class Cause(enum.StrEnum):
     QUANTUM = "quantum"
     PHASE = "phase"
     # What the leg's learner says.
+    SIGNS = "signs"
     NOT_THIS_ROBOT = "not_this_robot"
     REFUSED = "refused"
     LEARNING = "learning"
@@ -113,6 +114,7 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.FAR: _LEARNER,
     Cause.QUANTUM: _LEARNER,
     Cause.PHASE: _LEARNER,
+    Cause.SIGNS: _LEARNER,
     Cause.NOT_THIS_ROBOT: _LEARNER,
 }
 
@@ -140,6 +142,7 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.ORDER: frozenset({Reject.IMPLAUSIBLE}),
     Cause.BACKWARDS: frozenset({Reject.IMPLAUSIBLE}),
     Cause.FAR: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.SIGNS: frozenset({Reject.IMPLAUSIBLE}),
 }
 
 

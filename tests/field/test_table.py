@@ -104,12 +104,24 @@ def test_a_mistake_has_one_entry_with_its_name(
     assert all(finding.remedy for finding in diagnosis.findings)
 
 
-@pytest.mark.parametrize("mistake", [m.swapped, m.pitch_down], ids=["order", "signs"])
-def test_what_the_samples_do_not_show_the_learners_do(
-    walk: list[m.Sent], mistake: m.Mistake
-) -> None:
-    made = list(mistake(walk, np.random.default_rng(1)))
+def test_an_order_that_the_samples_do_not_show_the_learners_do(walk: list[m.Sent]) -> None:
+    made = list(m.swapped(walk, np.random.default_rng(1)))
     diagnosis = listen(made, shipped_robot(), shipped_baseline(shipped_robot().name))
+    assert diagnosis.exit_code == 1
+
+
+@pytest.mark.parametrize("given", [True, False], ids=["baseline", "cold start"])
+@pytest.mark.parametrize("phase", [True, False], ids=["phase", "no phase"])
+def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, given: bool) -> None:
+    made = list(m.pitch_down(walk, np.random.default_rng(1)))
+    if not phase:
+        made = [m.Sent(s.key, s.at_ns, {**s.body, "phase": None}) for s in made]
+    baseline = shipped_baseline(shipped_robot().name) if given else None
+    diagnosis = listen(made, shipped_robot(), baseline)
+    assert causes(diagnosis) == [Cause.SIGNS], diagnosis.findings
+    (finding,) = diagnosis.findings
+    assert finding.legs == ["lf", "lm", "lr", "rf", "rm", "rr"]
+    assert "directions = [1, -1, -1]" in finding.what
     assert diagnosis.exit_code == 1
 
 
