@@ -148,6 +148,13 @@ class ColdStart:
         self._jobs = 0
         self._pending: int | None = None
 
+    @property
+    def progress(self) -> str:
+        """How far it is to the next try, such as ``12 of 20 swings``."""
+        if self._pending is not None:
+            return f"a first model is being fitted to {self.swings} swings"
+        return f"{self.swings} of {self._next_try} swings"
+
     def interrupt(self) -> None:
         """The stream broke off here."""
         if self._starts[-1] < self.samples:

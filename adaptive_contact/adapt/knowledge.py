@@ -130,6 +130,13 @@ class Knowledge:
         self.note = "the baseline does not fit this leg: learning it anew"
         self._start_cold()
 
+    @property
+    def note_now(self) -> str | None:
+        """The note, with how many swings a leg without a model has of those it needs."""
+        if self.cold is None or self.note is None:
+            return self.note
+        return f"{self.note} ({self.cold.progress})"
+
     def snapshot(self) -> dict[str, Any]:
         """What has been learned, as a tree that msgpack can write.
 

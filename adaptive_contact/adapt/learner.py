@@ -482,7 +482,7 @@ class ContactLearner:
             self._rate.note,
             self._convention_note,
             self._swing.blind_note,
-            self._knowledge.note,
+            self._knowledge.note_now,
             None if follower is None else follower.note,
             self._quarantine.deaf_note,
             self._tally.preview_note,

@@ -74,7 +74,9 @@ class Cause(enum.StrEnum):
     LEG_NOTE = "leg_note"
 
 
-_LEARNER: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Cause.NOT_THIS_ROBOT})
+# Vague words of the learner's, and all of its words.
+_VAGUE: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Cause.NOT_THIS_ROBOT})
+_LEARNER: Final = _VAGUE | {Cause.SIGNS}
 _VALUES: Final = frozenset(
     {Cause.ECHO, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR, Cause.GLITCHES, Cause.TURN}
     | {Cause.QUANTUM}
@@ -114,8 +116,8 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.FAR: _LEARNER,
     Cause.QUANTUM: _LEARNER,
     Cause.PHASE: _LEARNER,
-    Cause.SIGNS: _LEARNER,
-    Cause.NOT_THIS_ROBOT: _LEARNER,
+    Cause.SIGNS: _VAGUE,
+    Cause.NOT_THIS_ROBOT: _VAGUE,
 }
 
 
