@@ -1,0 +1,171 @@
+"""One leg's ticks in time, compiled: mean rate, schedule, and whether what is late is the reading.
+
+See :class:`adaptive_contact.adapt.stream.RateWatch` for the reasons.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from adaptive_contact.detect.layout import RING
+
+RATE_STEPS: Final = 8
+RATE_ERRORS: Final = 8.0
+MOST_RATE_STEPS: Final = 100
+MEAN_STEPS: Final = 30
+MOST_OFF: Final = 0.10
+STEADY_OFF: Final = 0.05
+LATE_PERIODS: Final = 1.6
+PAUSE_PERIODS: Final = 4.0
+SCHEDULE_GAIN: Final = 0.2
+JITTER_MEMORY: Final = 64
+ON_SCHEDULE: Final = 0.01
+VOTES: Final = 3.0
+VOTE_MEMORY: Final = 200
+LATE_SHARE: Final = 0.6
+ON_TIME_SHARE: Final = 0.4
+
+PAUSE: Final = -1
+
+
+@njit(cache=True, inline="never")
+def anchor(leg, t_ns, seq, ring):
+    """The tick is on schedule, or begins one."""
+    leg.at_ns, leg.due_ns = t_ns, t_ns + leg.period_ns
+    leg.lateness = leg.stretch = 0.0
+    at = leg.ring_n % RING
+    ring[at, 0], ring[at, 1], ring[at, 2] = t_ns, seq, t_ns
+    leg.ring_n += 1
+
+
+@njit(cache=True, inline="never")
+def note_jitter(leg, by):
+    """Take in a deviation from the schedule, periods."""
+    leg.jitter_mean += (by - leg.jitter_mean) / JITTER_MEMORY
+    leg.jitter_square += (by * by - leg.jitter_square) / JITTER_MEMORY
+    if by == 0.0:
+        leg.spread -= leg.spread / JITTER_MEMORY
+        if leg.jitter_square < ON_SCHEDULE**2:
+            leg.jitter_mean = leg.jitter_square = leg.spread = 0.0
+
+
+@njit(cache=True, inline="never")
+def off_schedule(leg, t_ns, seq, missed, periods, ring):
+    """Follow a stamp that is off the schedule, its step so many periods a tick."""
+    period = leg.period_ns
+    count = min(leg.ring_n, RING)
+    oldest, newest = (leg.ring_n - count) % RING, (leg.ring_n - 1) % RING
+    due_ns = leg.due_ns + missed * period
+    by_ns = t_ns - due_ns
+    leg.at_ns = due_ns + np.int64(np.rint(SCHEDULE_GAIN * by_ns))
+    leg.due_ns = leg.at_ns + period
+    leg.lateness = (t_ns - leg.at_ns) / period
+    note_jitter(leg, by_ns / period)
+    found_ns = leg.found_ns
+    if found_ns != found_ns:
+        found_ns = (t_ns - ring[oldest, 0]) / (seq - ring[oldest, 1])
+    spread = (periods - found_ns / period) ** 2
+    leg.spread += (spread - leg.spread) / min(count, JITTER_MEMORY)
+    leg.stretch = 0.0
+    if not missed:
+        steps = ring[newest, 1] - ring[oldest, 1]
+        mean = 1.0
+        if steps >= JITTER_MEMORY:
+            mean = (ring[newest, 0] - ring[oldest, 0]) / steps / period
+        stretch = periods - mean
+        leg.stretch = stretch if abs(stretch) > ON_SCHEDULE else 0.0
+    at = leg.ring_n % RING
+    ring[at, 0], ring[at, 1], ring[at, 2] = t_ns, seq, leg.at_ns
+    leg.ring_n += 1
+
+
+@njit(cache=True, inline="never")
+def judge_rate(leg, ring):
+    """Compare the mean of as many steps as their spread asks for with the period."""
+    steps = RATE_STEPS
+    if leg.spread:
+        wanted = RATE_ERRORS * math.sqrt(leg.spread) / MOST_OFF
+        steps = max(RATE_STEPS, min(math.ceil(wanted), MOST_RATE_STEPS))
+    leg.told_by = steps + 1
+    if min(leg.ring_n, RING) <= steps:
+        return
+    first, last = (leg.ring_n - 1 - steps) % RING, (leg.ring_n - 1) % RING
+    leg.found_ns = (ring[last, 0] - ring[first, 0]) / (ring[last, 1] - ring[first, 1])
+    limit = STEADY_OFF if leg.rate_off else MOST_OFF
+    by = leg.found_ns / leg.period_ns - 1.0
+    off = abs(by) > limit
+    if off and steps < MEAN_STEPS:
+        side = math.copysign(limit / 2.0, by)
+        count = 0
+        for k in range(steps):
+            a, b = (leg.ring_n - 1 - steps + k) % RING, (leg.ring_n - steps + k) % RING
+            step = (ring[b, 0] - ring[a, 0]) / (ring[b, 1] - ring[a, 1]) / leg.period_ns
+            if (step - 1.0) / side > 1.0:
+                count += 1
+        off = 2 * count >= steps
+    leg.rate_off = off
+
+
+@njit(cache=True, inline="never")
+def restart_clock(leg):
+    """The source began again."""
+    leg.ring_n = 0
+    leg.rate_off = False
+    leg.found_ns = np.nan
+
+
+@njit(cache=True, inline="never")
+def follow_clock(leg, t_ns, seq, ring):
+    """Take in time and number of an accepted sample.
+
+    Returns:
+        Ticks that nobody read since the last one, or :data:`PAUSE`.
+    """
+    if leg.ring_n == 0:
+        anchor(leg, t_ns, seq, ring)
+        return 0
+    last = (leg.ring_n - 1) % RING
+    steps = seq - ring[last, 1]
+    missed = steps - 1
+    due_ns = leg.due_ns + missed * leg.period_ns
+    if abs(t_ns - due_ns) <= math.floor(ON_SCHEDULE * leg.period_ns):
+        anchor(leg, t_ns, seq, ring)
+        if leg.jitter_square:
+            note_jitter(leg, 0.0)
+    else:
+        periods = (t_ns - ring[last, 0]) / leg.period_ns
+        if periods > PAUSE_PERIODS * steps:
+            leg.ring_n = 0
+            anchor(leg, t_ns, seq, ring)
+            return PAUSE
+        if leg.late == 1 and periods > LATE_PERIODS:
+            missed = max(int(periods + 2.0 - LATE_PERIODS) - 1, missed)
+        off_schedule(leg, t_ns, seq, missed, periods / steps, ring)
+    if min(leg.ring_n, RING) > RATE_STEPS:
+        judge_rate(leg, ring)
+    return missed
+
+
+@njit(cache=True, inline="never")
+def vote_late(leg, residual, moved, sigma):
+    """Take in what a free tick off the schedule shows: did the leg move by the longer step?"""
+    shown = power = 0.0
+    for j in range(len(residual)):
+        off = residual[j] + (leg.stretch * moved[j] if leg.late == 1 else 0.0)
+        by = leg.stretch * moved[j] / sigma[j]
+        shown += off / sigma[j] * by
+        power += by * by
+    if power <= 0.0:
+        return
+    weight = power / (1.0 + power)
+    share = min(max(shown / power, -1.0), 2.0)
+    kept = 1.0 - weight / VOTE_MEMORY
+    leg.votes = kept * leg.votes + weight
+    leg.shown = kept * leg.shown + weight * share
+    if leg.votes >= VOTES:
+        limit = ON_TIME_SHARE if leg.late == 1 else LATE_SHARE
+        leg.late = 1 if leg.shown > limit * leg.votes else 0

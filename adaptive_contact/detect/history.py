@@ -1,0 +1,348 @@
+"""The recent past of one leg, compiled: readings repaired, windows shifted, residuals kept.
+
+A reading that is missing, or that no leg could have made, is replaced by its prediction.  Every
+function takes the batch's arrays and the row of the leg.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from numba import njit
+
+from adaptive_contact.detect.layout import DEPTH, VALUES
+from adaptive_contact.detect.regressors import predict, regressors
+
+# Constants: see adapt/tracker.py (moved here with their evidence).
+LIFT_OFF_TICKS: Final = 5
+STALE_QUANTA: Final = 3.0
+FREE_QUANTA: Final = 2.0
+REACH: Final = 1.25
+REACH_QUANTA: Final = 4.0
+REACH_TICKS: Final = 200
+KNOWN_QUANTA: Final = 3.0
+MAX_IMPOSSIBLE: Final = 3
+MOST_EARLY: Final = -0.5
+UNSURE_TICKS: Final = 2
+UNSURE_VARIANCE: Final = 2.5
+
+
+@njit(cache=True, inline="never")
+def restart_history(leg, doubts):
+    """Drop the past: what comes does not connect to it."""
+    leg.filled = 0
+    leg.predicted = False
+    leg.usable = 0
+    leg.impossible = 0
+    leg.unsure = 0
+    doubts[:] = False
+
+
+@njit(cache=True, inline="never")
+def foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+    """Predict the next movement if it is not, and can be without a preview; True if it is."""
+    if not leg.predicted and leg.filled >= leg.length and preview == 0:
+        kind, first, entry, weight, knee, law = table
+        regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room)
+        leg.predicted = predict(theta, coefficients, increment)
+    return leg.predicted
+
+
+@njit(cache=True, inline="never")
+def remember_refused(leg, measured, refused, values, counts):
+    """Count refused readings and keep their values, the oldest least often refused goes first."""
+    joints = len(measured)
+    for j in range(joints):
+        if not refused[j]:
+            continue
+        leg.refused += 1
+        value = measured[j]
+        again = False
+        for i in range(j):
+            if refused[i] and measured[i] == value:
+                again = True
+        if again:  # once for all joints that read it
+            continue
+        n = leg.values_n
+        count = 0
+        for k in range(n):
+            if values[k] == value:
+                count = counts[k]
+                for m in range(k, n - 1):
+                    values[m], counts[m] = values[m + 1], counts[m + 1]
+                n -= 1
+                break
+        values[n], counts[n] = value, count + 1
+        n += 1
+        if n > VALUES:
+            least = 0
+            for k in range(1, n):
+                if min(counts[k], 2) < min(counts[least], 2):
+                    least = k
+            for m in range(least, n - 1):
+                values[m], counts[m] = values[m + 1], counts[m + 1]
+            n -= 1
+        leg.values_n = n
+
+
+@njit(cache=True, inline="never")
+def beyond_reach(
+    leg, measured, last, valid, has_valid, impossible, has_impossible,
+    window, lags, preview, history, increment, reach, believed, doubts, values, counts,
+    table, xi0, coefficients, theta, room, known, jumps, limits, recent, offs, found,
+):  # fmt: skip
+    """Find joints that read what they cannot have reached in a tick.
+
+    Returns:
+        0 where there are none, 1 where ``found`` holds them, 2 where a joint has said so twice.
+    """
+    joints = len(measured)
+    some_known = some_refused = suspect = False
+    learned = leg.reach_ticks >= REACH_TICKS
+    for j in range(joints):
+        found[j] = doubts[j]  # of the reading before
+        doubts[j] = False
+    if leg.predicted:
+        leg.reach_ticks += 1
+        learned = leg.reach_ticks >= REACH_TICKS
+    allowance = REACH_QUANTA * leg.quantum
+    known_step = KNOWN_QUANTA * leg.quantum
+    for j in range(joints):
+        moved = 0.0
+        for lag in range(lags - 1):
+            moved = max(moved, abs(window[(lag + 1) * joints + j] - window[lag * joints + j]))
+        recent[j] = moved
+        if leg.predicted:
+            largest = max(abs(increment[j]), moved)
+            if largest > reach[j]:
+                reach[j] = min(largest, leg.max_step)
+        limits[j] = min(REACH * reach[j] + allowance, leg.max_step)
+        known[j] = False
+        for k in range(leg.values_n):
+            if values[k] == measured[j]:
+                known[j] = counts[k] > 1
+        some_known |= known[j]
+        jumps[j] = abs(measured[j] - believed[j])
+    if not leg.predicted:
+        for j in range(joints):
+            if learned and jumps[j] > limits[j]:
+                suspect = True
+        if not suspect and not some_known:
+            return 0
+        if not foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+            return 2 if suspect else 0
+        for j in range(joints):
+            recent[j] = limits[j]
+    else:
+        for j in range(joints):
+            most = max(abs(increment[j]), recent[j])
+            for lag in range(DEPTH):
+                most = max(most, abs(history[1, lag, j]))
+            recent[j] = REACH * most + allowance
+    agreed = False
+    for j in range(joints):
+        offs[j] = min(abs(measured[j] - window[j] - increment[j]), jumps[j])
+        beyond = learned and offs[j] > limits[j]
+        once = offs[j] > recent[j] or (known[j] and offs[j] > known_step)
+        before = found[j]
+        doubt = beyond or (once and not before)
+        if has_valid and not valid[j]:
+            doubt = beyond = False
+        if beyond and before and not known[j] and abs(measured[j] - last[j]) <= limits[j]:
+            agreed = True
+        found[j] = doubt
+        some_refused |= doubt or (has_impossible and impossible[j])
+    if not some_refused:
+        return 0
+    if agreed:
+        for j in range(joints):
+            found[j] = False
+        return 2
+    for j in range(joints):  # `limits` is free now: 1 for a value that is refused for a joint
+        limits[j] = 0.0
+        for i in range(joints):
+            if (found[i] or (has_impossible and impossible[i])) and measured[i] == measured[j]:
+                limits[j] = 1.0
+    for j in range(joints):
+        if limits[j] > 0.0 and offs[j] > known_step and (not has_valid or valid[j]):
+            found[j] = True
+    remember_refused(leg, measured, found, values, counts)
+    for j in range(joints):
+        doubts[j] = found[j]
+    return 1
+
+
+@njit(cache=True, inline="never")
+def repair(
+    leg, measured, valid, has_valid, reading,
+    window, lags, preview, history, increment, reach, believed, last, doubts, stale, refused,
+    values, counts, table, xi0, coefficients, theta, room, bools, floats,
+):  # fmt: skip
+    """Fill the (J,) reading that enters the window, with substitutes for what is bad."""
+    joints = len(measured)
+    bad, impossible, found, known, missing = bools[0], bools[1], bools[2], bools[3], bools[4]
+    steps, jumps, limits, recent, offs = floats[0], floats[1], floats[2], floats[3], floats[4]
+    before = floats[5]
+    substituted = leg.bad
+    leg.sound, leg.bad = True, False
+    seen = leg.seen
+    leg.seen = True
+    for j in range(joints):
+        before[j] = last[j]
+        last[j] = measured[j]
+    if leg.filled == 0 or not seen:
+        for j in range(joints):
+            believed[j] = reading[j] = measured[j]
+        return
+    some_missing = some_bad = has_impossible = False
+    largest = 0.0
+    still = moving = False
+    for j in range(joints):
+        steps[j] = abs(measured[j] - before[j])
+        jump = abs(measured[j] - window[j]) if substituted else steps[j]
+        missing[j] = has_valid and not valid[j]
+        some_missing |= missing[j]
+        if missing[j]:
+            jump = 0.0
+        jumps[j] = jump
+        largest = max(largest, jump)
+        bad[j] = impossible[j] = False
+        if steps[j] == 0.0:
+            still = True
+        else:
+            moving = True
+    if largest > leg.max_step:
+        leg.impossible += 1
+        if leg.impossible > MAX_IMPOSSIBLE:
+            restart_history(leg, doubts)
+            for j in range(joints):
+                believed[j] = reading[j] = measured[j]
+            return
+        has_impossible = some_bad = True
+        for j in range(joints):
+            bad[j] = impossible[j] = refused[j] = jumps[j] > leg.max_step
+    elif leg.impossible:
+        again = False
+        for j in range(joints):
+            again |= missing[j] and refused[j]
+        if not again:
+            leg.impossible = 0
+    said = beyond_reach(
+        leg, measured, before, valid, some_missing, impossible, has_impossible,
+        window, lags, preview, history, increment, reach, believed, doubts, values, counts,
+        table, xi0, coefficients, theta, room, known, jumps, limits, recent, offs, found,
+    )  # fmt: skip
+    if said == 0 and has_impossible:
+        remember_refused(leg, measured, impossible, values, counts)
+    elif said == 2:  # two in a row that agree
+        restart_history(leg, doubts)
+        for j in range(joints):
+            believed[j] = reading[j] = measured[j]
+        return
+    elif said == 1:
+        some_bad = True
+        for j in range(joints):
+            bad[j] |= found[j]
+    doubtful = False
+    if leg.predicted and still:
+        for j in range(joints):
+            if steps[j] == 0.0 and abs(increment[j]) > STALE_QUANTA * leg.quantum:
+                doubtful = True
+    if not doubtful:
+        stale[:] = 0
+    else:
+        some_still = all_still = False
+        all_known = True
+        all_still = True
+        for j in range(joints):
+            found[j] = (
+                steps[j] == 0.0
+                and abs(increment[j]) > STALE_QUANTA * leg.quantum
+                and not missing[j]
+            )
+            some_still |= found[j]
+            all_still &= found[j]
+            free = abs(measured[j] - window[j] - increment[j]) < FREE_QUANTA * leg.quantum
+            all_known &= free or found[j] or missing[j]
+        if not some_still:
+            stale[:] = 0
+        else:
+            most = 2 if all_known and not all_still else 1
+            for j in range(joints):
+                if found[j] and stale[j] < most:
+                    stale[j] += 1
+                    bad[j] = some_bad = True
+                else:
+                    stale[j] = 0
+    for j in range(joints):
+        if missing[j]:
+            bad[j] = some_bad = True
+    late = leg.lateness != 0.0
+    scale = 1.0 / (1.0 + max(leg.lateness, MOST_EARLY))
+    if some_bad:
+        leg.bad, leg.sound = True, False
+        for j in range(joints):
+            if not bad[j]:
+                leg.sound = True
+        foreseen = foresee(
+            leg, window, preview, table, xi0, coefficients, theta, increment, room
+        )
+    for j in range(joints):
+        if some_bad and bad[j]:
+            reading[j] = window[j] + increment[j] if foreseen else window[j]
+            continue
+        believed[j] = measured[j]
+        reading[j] = window[j] + (measured[j] - window[j]) * scale if late else measured[j]
+
+
+@njit(cache=True, inline="never")
+def take(leg, reading, window, lags, history, increment):
+    """Shift a reading into the window, and what it leaves of the prediction into the history."""
+    joints = len(reading)
+    for lag in range(DEPTH - 1, 0, -1):
+        for j in range(joints):
+            history[0, lag, j] = history[0, lag - 1, j]
+            history[1, lag, j] = history[1, lag - 1, j]
+    for j in range(joints):
+        history[1, 0, j] = increment[j]
+        history[0, 0, j] = reading[j] - window[j] - increment[j]
+    for at in range(lags * joints - 1, joints - 1, -1):
+        window[at] = window[at - joints]
+    for j in range(joints):
+        window[j] = reading[j]
+
+
+@njit(cache=True, inline="never")
+def judged(leg, theta, thetas):
+    """True if the residual of the reading just taken can be judged; once per reading."""
+    if leg.predicted:
+        for lag in range(DEPTH - 1, 0, -1):
+            thetas[lag] = thetas[lag - 1]
+        thetas[0] = theta
+        leg.thetas_n = min(leg.thetas_n + 1, DEPTH)
+    leg.inflation = 1.0
+    if leg.bad:
+        leg.unsure = UNSURE_TICKS
+        leg.inflation = UNSURE_VARIANCE
+    elif leg.unsure:
+        leg.unsure -= 1
+        leg.inflation = UNSURE_VARIANCE
+    can = leg.predicted and leg.sound
+    leg.usable = min(leg.usable + 1, DEPTH) if can else 0
+    return can
+
+
+@njit(cache=True, inline="never")
+def push_command(leg, desired, window, lags, preview):
+    """Shift a command into the window; True if it is full."""
+    joints = len(desired)
+    first = lags * joints
+    last = len(window) - preview * joints
+    for at in range(last - 1, first + joints - 1, -1):
+        window[at] = window[at - joints]
+    for j in range(joints):
+        window[first + j] = desired[j]
+    if leg.filled < leg.length:
+        leg.filled += 1
+    return leg.filled >= leg.length

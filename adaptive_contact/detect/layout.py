@@ -1,0 +1,155 @@
+"""The state of several legs' ticks: one row of every array is one leg.
+
+Scalars stand in one structured array, so that compiled code names them; what has as many entries
+as a leg has joints, or as its library has terms, is an array of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+__all__ = ["DEPTH", "LEG", "ROW"]
+
+DEPTH: Final = 3  # ticks of the longest window of the statistic
+HEIGHTS: Final = 12  # of the foot, remembered
+LOW_TICKS: Final = 10  # of the commanded foot, whose low a swing rises from
+ASKED: Final = 4  # ways commanded, remembered
+SWINGS: Final = 5  # lengths of swings, remembered
+PATH_TICKS: Final = 400  # commands of a swing, remembered
+RING: Final = 101  # ticks by which the rate is judged, at most
+VALUES: Final = 8  # refused readings remembered
+
+f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
+
+# The scalars of one leg, in the order in which a tick uses them.
+LEG: Final = np.dtype(
+    [
+        # Description.
+        ("has_lengths", b1),
+        ("quantum", f8),  # rad
+        ("max_step", f8),  # rad per tick
+        ("length", i4),  # samples in a row before a prediction
+        ("period_ns", i8),
+        ("known", b1),  # a model is in force
+        ("gated", b1),  # learns only what is confirmed
+        ("learning", b1),
+        # Stream and clock.
+        ("at_ns", i8),
+        ("lateness", f8),
+        ("stretch", f8),
+        ("late", i4),  # -1 unknown, 0 on time, 1 late
+        ("rate_off", b1),
+        ("seq", i8),
+        ("t_ns", i8),
+        ("due_ns", i8),
+        ("found_ns", f8),  # NaN while unknown
+        ("told_by", i4),
+        ("ring_n", i8),
+        ("jitter_mean", f8),
+        ("jitter_square", f8),
+        ("spread", f8),
+        ("votes", f8),
+        ("shown", f8),
+        ("misread", b1),
+        # Swing: the command.
+        ("ticks", i4),
+        ("swing_phase", b1),  # as inferred
+        ("told", b1),
+        ("untold", i4),
+        ("whole", b1),
+        ("stood", b1),
+        ("heights_n", i4),
+        ("low_n", i4),
+        ("low_at", i4),
+        ("apex", f8),
+        ("still", i4),
+        ("has_desired", b1),
+        ("has_measured", b1),
+        ("commanded_up", b1),
+        ("descent", b1),  # direction of the command in force
+        ("asked_n", i4),
+        ("lengths_n", i4),
+        ("path_n", i4),
+        ("path_first", i8),
+        ("path_last", i8),
+        # Swing: the foot.
+        ("rising", b1),
+        ("cleared", b1),
+        ("held", b1),
+        ("rise", f8),
+        ("moved", f8),
+        ("surface", f8),
+        ("touch_at", f8),
+        ("touch_before", f8),
+        ("top", f8),
+        ("fallen", f8),
+        # History.
+        ("filled", i4),
+        ("predicted", b1),
+        ("inflation", f8),
+        ("usable", i4),
+        ("sound", b1),
+        ("bad", b1),
+        ("seen", b1),  # a raw reading before
+        ("impossible", i4),
+        ("unsure", i4),
+        ("refused", i8),
+        ("reach_ticks", i8),
+        ("values_n", i4),
+        ("thetas_n", i4),
+        # Statistic.
+        ("context", i4),
+        ("level", f8),
+        ("inflated", b1),  # the covariance is
+        ("clock_most", f8),
+        ("clock_left", i4),
+        # Contact.
+        ("contact", b1),
+        ("loaded", b1),
+        ("calm", i4),
+        ("calm_since", i8),
+        # Labels of the swing in hand.
+        ("open", b1),
+        ("lift_n", i4),  # rows of the lift
+        ("commanded_n", i4),  # of these, those whose command went up
+        ("row_n", i4),  # rows
+        ("topped", b1),
+        ("closed", b1),
+        ("broken", b1),
+        ("top_seen", b1),
+        ("touching", b1),
+        ("resolved_first", i4),
+        ("resolved_last", i4),
+        ("began_full", b1),
+        ("has_seam", b1),
+        ("has_theta", b1),
+        ("owes_release", b1),
+        ("hole_ns", i8),  # -1 for none
+        ("changed", b1),
+        ("has_domain", b1),
+        # What this tick found.
+        ("flags", i8),
+        ("score", f8),
+        ("onset_ns", i8),
+        ("distance", f8),
+        ("free_n", i8),
+    ],
+    align=True,
+)
+
+# One row of a swing in hand.
+ROW: Final = np.dtype(
+    [
+        ("level", f8),
+        ("value", f8),
+        ("sigma", f8),
+        ("t_ns", i8),
+        ("context", i4),
+        ("lift", b1),
+        ("calm", b1),
+        ("cleared", b1),
+        ("push", b1),
+    ],
+    align=True,
+)

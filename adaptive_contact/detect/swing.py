@@ -1,0 +1,196 @@
+"""Where a leg is in its swing, compiled: phase, direction, and the foot's heights.
+
+The functions follow the commands (:func:`follow_command`) and the readings (:func:`follow_foot`)
+of one leg; judgements that are made once a swing stand in ``learn``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
+from adaptive_contact.detect.history import LIFT_OFF_TICKS
+
+CLEARANCE_M: Final = 0.015
+SUNK_M: Final = 0.006
+SOFT_TICKS: Final = 12
+LIFTED_M: Final = 0.006
+CLEAR_TICKS: Final = 11
+LIFT_TICKS: Final = 10
+RECENT_TICKS: Final = 50
+RISE_M: Final = 0.004
+STILL_TICKS: Final = 2
+STILL_M: Final = 0.0008
+
+UNKNOWN: Final = -1  # phase
+SWING: Final = 1
+
+
+@njit(cache=True, inline="never")
+def place_foot(angles, lengths, pitched, foot):
+    """Fill (3,) m, the foot in its leg's frame."""
+    pitch = yaw = x = y = z = 0.0
+    along, up, ahead, aside = 1.0, 0.0, 1.0, 0.0
+    for j in range(len(angles)):
+        if pitched[j]:
+            pitch += angles[j]
+            along, up = math.cos(pitch), math.sin(pitch)
+        else:
+            yaw += angles[j]
+            ahead, aside = math.cos(yaw), math.sin(yaw)
+        reach = lengths[j] * along
+        x += reach * ahead
+        y += reach * aside
+        z += lengths[j] * up
+    foot[0], foot[1], foot[2] = x, y, z
+
+
+@njit(cache=True, inline="never")
+def distance(a, b):
+    """Distance of two places, m."""
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@njit(cache=True, inline="never")
+def infer_phase(leg, height, low):
+    """Follow the commanded foot's height; True in a swing."""
+    before = low[(leg.low_at - 1) % LOW_TICKS] if leg.low_n else height
+    low[leg.low_at] = height
+    leg.low_at = (leg.low_at + 1) % LOW_TICKS
+    leg.low_n = min(leg.low_n + 1, LOW_TICKS)
+    if not leg.swing_phase:
+        least = height
+        for k in range(leg.low_n):
+            least = min(least, low[(leg.low_at - 1 - k) % LOW_TICKS])
+        if height > before and height - least > RISE_M:
+            leg.swing_phase, leg.apex, leg.still = True, height, 0
+    else:
+        leg.apex = max(leg.apex, height)
+        still = abs(height - before) < STILL_M and height < leg.apex - RISE_M
+        leg.still = leg.still + 1 if still else 0
+        if leg.still >= STILL_TICKS:
+            leg.swing_phase = False
+            low[0] = height
+            leg.low_n, leg.low_at = 1, 1
+    return leg.swing_phase
+
+
+@njit(cache=True, inline="never")
+def forget_phase(leg):
+    """Infer the phase from here on."""
+    leg.swing_phase = False
+    leg.apex = -np.inf
+    leg.low_n = leg.low_at = leg.still = 0
+
+
+@njit(cache=True, inline="never")
+def half_swing(leg, lengths_ticks):
+    """Half of the shortest of the last swings, ticks; 0 where none is known."""
+    if leg.lengths_n == 0:
+        return 0
+    least = lengths_ticks[0]
+    for k in range(1, min(leg.lengths_n, SWINGS)):
+        least = min(least, lengths_ticks[k])
+    return least // 2
+
+
+@njit(cache=True, inline="never")
+def follow_command(
+    leg, phase, measured, desired, seq, lengths, pitched,
+    low, lengths_ticks, last_desired, last_measured, path, asked, commanded, foot, start, now,
+):  # fmt: skip
+    """Take in a sample's phase, and in a swing the place that its command sends the foot to."""
+    joints = len(desired)
+    placed = False
+    if phase == UNKNOWN and leg.has_lengths:
+        place_foot(desired, lengths, pitched, now)
+        placed = True
+        if leg.told:
+            forget_phase(leg)
+        leg.told = False
+        swinging = infer_phase(leg, now[2], low)
+        leg.untold = max(leg.untold - 1, 0)
+    else:
+        leg.told = phase != UNKNOWN
+        swinging = phase == SWING
+        leg.untold = RECENT_TICKS if phase == UNKNOWN else max(leg.untold - 1, 0)
+    if not swinging:
+        leg.stood = True
+        if leg.ticks and leg.whole:
+            lengths_ticks[leg.lengths_n % SWINGS] = leg.ticks
+            leg.lengths_n += 1
+    leg.ticks = leg.ticks + 1 if swinging else 0
+    if leg.ticks == 1:
+        leg.whole = leg.stood
+    if leg.ticks and leg.has_lengths:
+        if leg.ticks == 1:
+            leg.path_n = 0
+            leg.path_first = seq
+            place_foot(last_desired if leg.has_desired else desired, lengths, pitched, commanded)
+            place_foot(last_measured if leg.has_measured else measured, lengths, pitched, start)
+            for k in range(3):
+                foot[k] = start[k]
+            leg.rise = leg.moved = 0.0
+            leg.asked_n = 1
+            asked[0] = 0.0
+            leg.surface = (
+                leg.touch_before if start[2] < leg.touch_at - SUNK_M else -np.inf
+            )
+            leg.touch_at = leg.touch_before = -np.inf
+            leg.top = start[2]
+            leg.fallen = np.nan
+        if leg.path_n < PATH_TICKS:
+            path[leg.path_n] = desired
+            leg.path_n += 1
+        leg.path_last = seq
+        if not placed:
+            place_foot(desired, lengths, pitched, now)
+        leg.commanded_up = now[2] > commanded[2]
+        for k in range(3):
+            commanded[k] = now[k]
+    leg.has_desired = True
+    for j in range(joints):
+        last_desired[j] = desired[j]
+
+
+@njit(cache=True, inline="never")
+def follow_foot(
+    leg, reading, lengths, pitched, lengths_ticks, last_measured, heights, asked,
+    commanded, foot, start, now,
+):  # fmt: skip
+    """Take in where the leg is, with substitutes for bad readings."""
+    for j in range(len(reading)):
+        last_measured[j] = reading[j]
+    leg.has_measured = True
+    if not leg.ticks:
+        return
+    if not leg.has_lengths:
+        half = half_swing(leg, lengths_ticks)
+        leg.cleared = leg.ticks >= CLEAR_TICKS
+        leg.rising = half >= LIFT_TICKS and LIFT_OFF_TICKS < leg.ticks <= half
+        return
+    out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
+    leg.cleared = out and (leg.rise > CLEARANCE_M or leg.ticks >= CLEAR_TICKS)
+    place_foot(reading, lengths, pitched, now)
+    leg.rising = now[2] > foot[2]
+    for k in range(3):
+        foot[k] = now[k]
+    heights[leg.heights_n % HEIGHTS] = now[2]
+    leg.heights_n += 1
+    leg.top = max(leg.top, now[2])
+    leg.rise = max(leg.rise, now[2] - start[2])
+    leg.moved = max(leg.moved, distance(now, start))
+    asked[leg.asked_n % ASKED] = distance(commanded, start)
+    leg.asked_n += 1
+
+
+@njit(cache=True, inline="never")
+def descending(leg, lengths_ticks):
+    """True if the command in force is past the lift; without geometry, the time says so."""
+    if not leg.has_lengths:
+        return leg.ticks > max(2 * LIFT_OFF_TICKS, half_swing(leg, lengths_ticks))
+    return leg.descent and leg.ticks > LIFT_OFF_TICKS
