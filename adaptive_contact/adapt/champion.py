@@ -17,6 +17,7 @@ from adaptive_contact.adapt.directions import core_support, drift_directions
 from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.segments import Row, residuals_of
 from adaptive_contact.adapt.snapshot import ImplausibleError, SavedState, array_of, pack
+from adaptive_contact.detect.batch import LegBatch
 from adaptive_contact.identify import LegModel
 from adaptive_contact.identify.recursive import RecursiveLeastSquares
 
@@ -95,9 +96,10 @@ class Champion:
         """As it was when somebody last asked for it; rows learned since are not in it."""
         return self._model
 
-    def uncertainty(self, theta: Array) -> Array:
-        """(J,) variance of the prediction at (p,) regressors, over the noise's."""
-        return self._rls.uncertainty(theta)
+    def show_doubt(self, batch: LegBatch, row: int) -> None:
+        """Put the recursion's covariance where the tick finds it."""
+        self._rls.show(batch.index[row], batch.per_scale[row], batch.root[row])
+        batch.sizes[row] = self._rls.size
 
     def learn(self, row: Row) -> list[float]:
         """Learn a row; how far the model was off before, J numbers over the noise."""

@@ -38,6 +38,7 @@ from adaptive_contact.adapt.snapshot import (
     read_state,
     segment_of,
 )
+from adaptive_contact.detect.batch import LegBatch
 from adaptive_contact.identify import LegModel
 from adaptive_contact.wire import RefitCounts, Status
 
@@ -120,19 +121,14 @@ class Follower:
         """In force."""
         return self._champion.model
 
-    def variance(self, theta: Array) -> Array | float:
-        """Factor on the residual's variance at a tick: the level, and the model's own doubt.
+    @property
+    def loosened(self) -> bool:
+        """Whether the recursion was let loose, so that a prediction has a doubt of its own."""
+        return self._champion.loosened
 
-        Args:
-            theta: (p,) regressors of the prediction.
-
-        Returns:
-            (J,) or one number.
-        """
-        level = self.level_in_force
-        if self._champion.loosened:
-            return level * (1.0 + self._champion.uncertainty(theta))
-        return level
+    def show_doubt(self, batch: LegBatch, row: int) -> None:
+        """Put the recursion's covariance where the tick finds it."""
+        self._champion.show_doubt(batch, row)
 
     @property
     def changed(self) -> bool:

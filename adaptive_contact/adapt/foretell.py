@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.stream import MAX_ANGLE_RAD
-from adaptive_contact.adapt.tracker import push
 from adaptive_contact.identify import LegModel
 
 __all__ = ["foretold"]
@@ -39,6 +38,7 @@ def foretold(model: LegModel, window: Array, commands: Sequence[Sequence[float]]
         if not np.all(np.abs(now) <= MAX_ANGLE_RAD):  # neither does NaN
             break
         places.append(now)
-        push(measured, now)
-        push(desired, command)
+        for rows, newest in ((measured, now), (desired, command)):
+            rows[1:] = rows[:-1].copy()
+            rows[0] = newest
     return places

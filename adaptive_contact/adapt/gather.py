@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.stream import (
-    LATE_PERIODS,
     RESET_SAMPLES,
     RateWatch,
     StreamGuard,
 )
-from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
+from adaptive_contact.detect.clock import LATE_PERIODS, PAUSE_PERIODS
+from adaptive_contact.detect.history import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.robot import AngleFrame, Leg, Robot

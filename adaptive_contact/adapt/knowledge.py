@@ -10,6 +10,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adaptive_contact.adapt.baseline import (
     Baseline,
     LegBaseline,
@@ -18,18 +21,20 @@ from adaptive_contact.adapt.baseline import (
 )
 from adaptive_contact.adapt.changes import ready_for_changes
 from adaptive_contact.adapt.coldstart import ColdStart, prior_tails
-from adaptive_contact.adapt.detector import LegDetector
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.recent import RecentNoise
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.detect import Tail
 from adaptive_contact.errors import BaselineError
-from adaptive_contact.identify import leg_library
+from adaptive_contact.identify import Library, leg_library
+from adaptive_contact.identify.library import with_changes
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["Knowledge"]
+
+Array = NDArray[np.float64]
 
 
 class Knowledge:
@@ -43,7 +48,8 @@ class Knowledge:
         refitter: does the sparse refits, and first fits.
 
     Attributes:
-        detector, follower: None while there is no model.
+        follower, recent: keep the model, covariances and thresholds; None while there is no model.
+        begun: raised whenever another follower takes over, or none does.
         cold: collects samples for a first model, None where there is one or none is wanted.
         origin: how the model began, for people.
         note: what is wrong with what is known, None when nothing is.
@@ -64,13 +70,15 @@ class Knowledge:
         self._refitter = refitter
         # The last snapshot, made or taken over, until it is gone back to.
         self._saved: dict[str, Any] | None = None
+        self.begun = 0
         self.start()
 
     def start(self) -> None:
         """Begin as if nothing had been learned: from the baseline, or cold."""
         baseline = self._baseline
-        self.detector: LegDetector | None = None
+        self.recent: RecentNoise | None = None
         self.follower: Follower | None = None
+        self.begun += 1
         self.cold: ColdStart | None = None
         self.origin = None if baseline is None else baseline.origin
         self.note: str | None = None
@@ -81,6 +89,20 @@ class Knowledge:
             self._begin(self._known, baseline.tails)
         elif self._mode is not LearnerMode.FROZEN:
             self._start_cold()
+
+    @property
+    def library(self) -> Library:
+        """Of the model, or of the first one that a leg without will get."""
+        if self.follower is not None:
+            return self.follower.model.library
+        plain = leg_library(self._robot, self._leg)
+        return with_changes(plain, np.zeros((plain.size, len(plain.joints))))
+
+    @property
+    def sigma(self) -> Array:
+        """(J,) rad, deviation of the residuals of the model at its start."""
+        assert self._known is not None
+        return self._known.noise.rms
 
     @property
     def noise_floor(self) -> list[float]:
@@ -124,7 +146,8 @@ class Knowledge:
 
     def forget(self) -> None:
         """The baseline was never this leg's: start cold, and say so."""
-        self._known = self.follower = self.detector = None
+        self._known = self.follower = self.recent = None
+        self.begun += 1
         self.origin = None
         self._started_cold, self._unfit = False, True
         self.note = "the baseline does not fit this leg: learning it anew"
@@ -209,9 +232,6 @@ class Knowledge:
             refused = self.follower.restore(inner)
         if refused is not None:
             return refused
-        assert self.follower is not None
-        assert self.detector is not None
-        self.detector.tracker.model = self.follower.model
         return None
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
@@ -234,8 +254,7 @@ class Knowledge:
         known = ready_for_changes(known)
         aim = robot.detector.false_alarms_per_hour
         recent = RecentNoise(known.noise, tails, aim, known.domain)
-        period_ns = round(robot.period_s * 1e9)
-        self.detector = LegDetector(known, recent, robot.quantum(leg.id), period_ns)
+        self.recent, self.begun = recent, self.begun + 1
         first = version > 0  # no file's: from a few swings
         self.follower = Follower(
             leg.id, known, recent, self._mode, self._refitter, provisional=first
@@ -257,12 +276,13 @@ class Knowledge:
             known = leg_of_tree(of_start.get("known"), leg_library(self._robot, self._leg))
         except BaselineError as problem:
             return self._refused(str(problem))
-        before = (self._known, self.note, self.detector, self.follower)
+        before = (self._known, self.note, self.recent, self.follower)
         self._begin(known, self._prior_tails(), version=1)
         assert self.follower is not None
         refused = self.follower.restore(inner)
         if refused is not None:
-            self._known, self.note, self.detector, self.follower = before
+            self._known, self.note, self.recent, self.follower = before
+            self.begun += 1
             return refused
         self.cold, self._started_cold = None, True
         origin = of_start.get("origin")

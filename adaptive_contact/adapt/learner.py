@@ -7,26 +7,40 @@ six cost little more than one.  Recursive updates and refits come after the even
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline
-from adaptive_contact.adapt.conventions import ConventionWatch
-from adaptive_contact.adapt.detector import LegDetector, Verdict
+from adaptive_contact.adapt.conventions import ConventionWatch, MotionTrack
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
-from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
-from adaptive_contact.adapt.swing import SwingWatch
+from adaptive_contact.adapt.stream import RateWatch, StreamGuard
+from adaptive_contact.adapt.swing import SwingJudge
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
-from adaptive_contact.adapt.tracker import UNSURE_TICKS, Tracker
-from adaptive_contact.detect import ContactState, Decision
-from adaptive_contact.identify import LegModel
+from adaptive_contact.detect import statistic
+from adaptive_contact.detect.batch import LegBatch, LegPlace
+from adaptive_contact.detect.history import MAX_STEP_RAD_S
+from adaptive_contact.detect.tick import (
+    BEGAN,
+    BROKE_OFF,
+    DECIDED,
+    ENTERED,
+    LACKING,
+    OWES,
+    RATE_OFF,
+    RESOLVED,
+    RESTARTED,
+    TOUCHED,
+    TOUCHING,
+)
+from adaptive_contact.identify import ChangeLibrary, Domain, LegModel
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
@@ -44,6 +58,22 @@ __all__ = ["ContactLearner"]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
+# What a tick may leave to be handed on.
+_MOVES: Final = RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF
+
+
+class JudgedTick(NamedTuple):
+    """How a tick was judged.
+
+    Attributes:
+        residual: (J,) rad.
+        scores: (windows,) statistic over threshold, NaN where it reaches too far back.
+        thresholds: (windows,) of the statistic, for the baseline's variance.
+    """
+
+    residual: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    thresholds: NDArray[np.float64]
 
 
 class ContactLearner:
@@ -59,9 +89,7 @@ class ContactLearner:
             other legs; the leg by itself where absent.
 
     Attributes:
-        frame: turns the wire's angles into the description's; None where they are the same.
-        owes_release: whoever listens may hold the leg to touch, and no tick will decide that it
-            has let go; to be told with the next sample.
+        place: the leg's arrays.
 
     Raises:
         ConfigurationError: the robot has no such leg.
@@ -83,24 +111,24 @@ class ContactLearner:
         self.robot = robot
         self.leg: Leg = robot.leg(leg)
         frame = AngleFrame(self.leg)
-        self.frame = None if frame.same else frame
+        self._frame = None if frame.same else frame
         self._knowledge = Knowledge(robot, self.leg, baseline, mode, refitter or InlineRefitter())
+        self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
-        self._seams = Seams()
-        self._swing = SwingWatch(self.leg)
-        self._state = ContactState()
-        self.owes_release = False
-        self._tally = Tally(len(self.leg.joints))
-        self._t_ns = 0
-        self._command = self._command_before = [0.0] * len(self.leg.joints)  # in force, and before
-        self._period_ns = round(robot.period_s * 1e9)
-        self._rate = RateWatch(self._period_ns)
-        self._unsure = (0.0, 0)  # share of a period, and for how many ticks
+        self._rate = RateWatch.of(self.place)
+        self._tally = Tally()
         self._alone: Team | None = None
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg)
         self._misread = False  # the leg's angles are not counted as described
-        self._quarantine = Quarantine(self._swing, self._knowledge)
+        self._sample: ServoSample | None = None  # of the tick in hand
+        self._swing = SwingJudge(self.leg, self.place)
+        self._quarantine = Quarantine(self.place, self._swing, self._knowledge)
+        self._assessed = False  # what this tick found, for its event
+        self._begun = 0  # what the arrays hold of what is known
+        self._shown: tuple[int, Domain | None] = (-1, None)
+        self._stale = True  # the model in force is newer than the arrays'
+        self._begin()
 
     # -- public --------------------------------------------------------------------------------
 
@@ -124,8 +152,10 @@ class ContactLearner:
         self._tally.fault(fault)
         self._knowledge.fall_back()
         self._let_go()
+        self.place.restart_swing()
         self._swing.restart()
         self._quarantine.restart()
+        self._begin()
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
@@ -133,28 +163,31 @@ class ContactLearner:
 
     def owe_release(self) -> None:
         """Whoever listens may have heard from another process that the leg touches."""
-        self.owes_release = True
+        self.place.leg["owes_release"] = True
 
     @property
     def contact(self) -> bool:
         """Whether the leg is held to touch."""
-        return self._state.contact
-
-    @property
-    def detector(self) -> LegDetector | None:
-        """Judges its ticks; None while there is no model."""
-        return self._knowledge.detector
+        return bool(self.place.leg["contact"])
 
     @property
     def model(self) -> LegModel | None:
         """The model in force, or None while there is none."""
         return None if self._follower is None else self._follower.model
 
-    @property
-    def tracker(self) -> Tracker | None:
-        """The leg's recent past, or None while there is no model."""
-        detector = self._knowledge.detector
-        return None if detector is None else detector.tracker
+    def judged(self) -> JudgedTick | None:
+        """The last tick's residual and scores; None where it could not be judged."""
+        leg, recent = self.place.leg, self._knowledge.recent
+        usable = int(leg["usable"])
+        if recent is None or not usable:
+            return None
+        batch, row = self.place.batch, self.place.row
+        unit = batch.unit[row]
+        whiten = recent.whiten[int(leg["context"])] / np.sqrt(unit)
+        found = statistic(self.place.residuals, self.place.increments, whiten, np.array(usable))
+        thresholds = recent.thresholds
+        residual = self.place.residuals[0].copy()
+        return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
 
     def drain_confirmed(self) -> list[int]:
         """Times of the ticks confirmed as free since the last call, ns."""
@@ -168,12 +201,13 @@ class ContactLearner:
     def status(self) -> LearnerStatus:
         """How the learner is."""
         follower = self._follower
+        self._collect_counts()
         return LearnerStatus(
             leg=self.leg.id,
-            t_ns=self._t_ns,
+            t_ns=int(self.place.leg["t_ns"]),
             status=self._status,
             model_version=self._version,
-            residual_rms=self._tally.residual_rms,
+            residual_rms=self.place.free_rms,
             noise_floor=self._knowledge.noise_floor,
             buffer=BufferCounts() if follower is None else follower.buffer.counts,
             drift=DriftLevel() if follower is None else follower.monitor.drift,
@@ -182,23 +216,24 @@ class ContactLearner:
             rejects={str(reason): n for reason, n in sorted(self._tally.rejects.items())},
             missed=self._guard.missed,
             restarts=self._guard.restarts,
-            contact=self._state.contact,
+            contact=self.contact,
             contacts=self._tally.counts["contacts"],
-            jitter_ms=self._rate.jitter * self._period_ns / 1e6,
+            jitter_ms=self._rate.jitter_ms,
             note=self._ailment(),
         )
 
     @property
     def model_report(self) -> ModelReport | None:
         """The model in terms and equations, or None while there is none."""
-        follower, detector = self._follower, self.detector
-        if follower is None or detector is None:
+        follower, recent = self._follower, self._knowledge.recent
+        if follower is None or recent is None:
             return None
-        threshold = float(detector.thresholds[0])
+        threshold = float(recent.thresholds[0])
         return report_of(self.leg, follower.model, threshold, self._knowledge.origin)
 
     def snapshot(self) -> dict[str, Any]:
         """What has been learned and counted, as a tree that msgpack can write."""
+        self._collect_counts()
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
         return {**self._knowledge.snapshot(), **self._tally.snapshot(), **stream}
 
@@ -211,6 +246,7 @@ class ContactLearner:
         refused = self._knowledge.restore(saved)
         if refused is not None:
             return refused
+        self._begin()
         self._tally.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
@@ -219,230 +255,181 @@ class ContactLearner:
 
     # -- one tick, in the order `Team` calls it -------------------------------------------------
 
-    def admit(self, sample: ServoSample) -> ServoSample | None:
-        """Check a sample; as it is to be judged and learned from, or None."""
+    def take(self, sample: ServoSample) -> bool:
+        """Put a sample into the arrays, for the tick to judge; False if it is refused."""
+        if self._frame is not None:
+            sample = self._frame.sample(sample)
         result = self._guard.admit(sample)
         if isinstance(result, Reject):
             self.count(result)
-            return None
-        sample = self._seams.unwrap(sample, restart=result.restart)
-        self._tally.counts["ticks"] += 1
-        self._t_ns = sample.t_ns
-        rate = self._rate
-        missed = rate.follow(sample.t_ns, sample.seq, restart=result.restart)
-        if self.tracker is not None:
-            self.tracker.lateness = rate.lateness if rate.late else 0.0
-        broken = result.restart or missed != 0
-        if broken:
-            self._connect(result, sample, missed)
-        self._follow_phase(sample)
-        if self._track is not None:
-            self._follow_convention(sample, restart=result.restart)
-        if self._misread:
-            return sample
-        if self._knowledge.cold is not None:
-            swing = self._swing.ticks > 0
-            off = rate.told_by - 1 if rate.off else 0
-            self._knowledge.collect(sample, swing=swing, broken=broken, off=off)
-        return sample
-
-    def released(self, sample: ServoSample) -> ContactEvent:
-        """The end of a contact that was cut short by a restart, told with the next sample."""
-        self.owes_release = False
-        cut_short = Decision(contact=False, onset_ns=self._rate.at_ns, score=0.0)
-        return self._event(cut_short, sample, [0.0] * len(self.leg.joints))
-
-    def watch(self, sample: ServoSample) -> None:
-        """A tick of a leg without a model: its commands are followed, a cold start goes on."""
-        self.command(sample)
-        self.learn()
-
-    def observe(self, sample: ServoSample) -> bool:
-        """The tracker has taken the reading in; True if its residual can be judged."""
-        detector = self.detector
-        assert detector is not None
-        tracker = detector.tracker
-        judged = tracker.judge()
-        if tracker.refused:
-            self.count(Reject.IMPLAUSIBLE, tracker.refused)
-            tracker.refused = 0
-        self._swing.observe(tracker.measured[0].tolist())  # as repaired: -π is no place of a foot
-        if self._rate.off:  # the model speaks of ticks of another length
-            tracker.restart()
-            self._quarantine.break_off()
-            if self._follower is not None:
-                self._follower.distrust(self._rate.since_ns)
             return False
-        if self._misread:  # what is high and what is low is not known
-            self._quarantine.break_off()
-            return False
-        if not judged:
-            self._quarantine.hole()
-            return False
-        if self._swing.ticks < 2:
-            return False
-        # The commands that caused this tick's motion are those before `sample.desired`.
-        detector.place(self._command, self._command_before, self._swing.direction)
-        if self._follower is not None and tracker.theta is not None:
-            detector.unit = self._follower.variance(tracker.theta) * tracker.inflation
-            if self._unsure[1] or self._rate.stretch:
-                self._allow_for_clock(detector)
+        self._sample = sample
+        track = self._track
+        if track is not None and (self._misread or track.finding is not None):
+            self._follow_convention(track)
+        self.place.take(sample, lost=result.missed, restart=result.restart)
         return True
 
-    def decide(self, verdict: Verdict, sample: ServoSample) -> ContactEvent | None:
-        """Turn the statistic of a tick that can be judged into an event, or into none."""
-        detector = self.detector
-        assert detector is not None
-        tracker = detector.tracker
-        loaded = self._state.loaded
-        now_ns = self._rate.at_ns
-        score, onset_ns = verdict.score, now_ns
-        if score > 1.0 and self._quarantine.lift_first:
-            score = 1.0
-        elif score > 1.0 and not loaded:
-            score, width = detector.known_score(verdict)
-            onset_ns = detector.onset_ns(now_ns, width)
-        decision = self._state.swing_tick(
-            score,
-            detector.distance(verdict),
-            now_ns,
-            onset_ns,
-            descending=self._quarantine.lift_over,
-        )
-        if loaded and not self._state.loaded:
-            tracker.begin_swing()  # what was loaded must not enter a window of the free leg
-        elif not (loaded or self._state.contact):
-            self._tally.free(verdict.residual)
-        self._quarantine.enter(
-            tracker.thetas[0],
-            verdict,
-            detector,
-            t_ns=now_ns,
-            at=sample.desired,
-            free=not (loaded or self._state.contact),
-        )
-        if decision is None:
-            return None
-        if decision.contact:
-            self._tally.counts["contacts"] += 1
-            self._quarantine.alarm(decision.onset_ns, now_ns, self._period_ns, detector)
-        return self._event(decision, sample, tracker.residuals[0].tolist())
+    def event_of(self, flags: int) -> ContactEvent | None:
+        """The event of a judged tick, if there is one."""
+        leg = self.place.leg
+        if flags & DECIDED:
+            # A lift whose top is past changes the status that the event carries.
+            self._assess(flags)
+            contact = bool(leg["contact"])
+            self._tally.counts["contacts"] += contact
+            residual = self.place.residuals[0].tolist()
+            return self._event(contact, int(leg["onset_ns"]), float(leg["score"]), residual)
+        if flags & OWES:
+            leg["owes_release"] = False
+            return self._event(False, int(leg["at_ns"]), 0.0, [0.0] * len(self.leg.joints))
+        return None
 
-    def command(self, sample: ServoSample) -> bool:
-        """Take in the command written after the reading; True if a prediction is to be made.
-
-        The tracker's window takes it in with those of the other legs.
-        """
-        self._quarantine.hand_over()  # of this tick, while the tracker still has it
-        self._command_before, self._command = self._command, sample.desired
-        self._swing.command()
-        tracker = self.tracker
-        if tracker is None:
-            return False
-        preview = None if sample.preview is None else np.array(sample.preview)
-        ready = tracker.commanded(preview)
-        self._tally.preview(lacking=not ready and tracker.full)
-        # Between swings nothing is judged; who needs a prediction there asks the tracker.
-        return ready and self._swing.ticks > 0
-
-    def learn(self) -> None:
-        """The tick's share of learning: rows that wait, and refits that are due."""
+    def finish(self, flags: int) -> None:
+        """What a tick leaves to be learned, before the next is predicted."""
+        knowledge, track = self._knowledge, self._track
+        if track is not None and not track.settled:
+            self._keep_motion(track, restart=bool(flags & RESTARTED))
+        if flags & RESTARTED:
+            self._swing.restart()
+            if knowledge.follower is not None:
+                knowledge.follower.new_source()
+        if flags & _MOVES:
+            if not self._assessed:
+                self._assess(flags)
+            self._quarantine.hand_over(flags)
+            if flags & RATE_OFF and knowledge.follower is not None:
+                knowledge.follower.distrust(self._rate.since_ns)
+        self._assessed = False
+        self._tally.preview(lacking=bool(flags & LACKING))
         if self._misread:
             return
-        if self._knowledge.cold is not None:
-            self._knowledge.try_cold()
-        follower, tracker = self._follower, self.tracker
-        if follower is None or tracker is None or not follower.learning:
+        if knowledge.cold is not None:
+            self._collect(flags)
+            knowledge.try_cold()
+        follower = knowledge.follower
+        if follower is None or not follower.learning or self._begun != knowledge.begun:
             return
         follower.tick(ROWS_PER_TICK)
-        if self._swing.ticks == 0:  # nothing is predicted, and no lift is heard
-            return
-        tracker.model = follower.model
-        if follower.monitor.unfit:
-            self._knowledge.forget()
+        if follower.monitor.unfit and self._swing.ticks:
+            knowledge.forget()
             self._let_go()
+            self._begin()
+            return
+        self._publish()
+
+    def settle(self) -> None:
+        """After a tick: a model that has come is in force from the next one on."""
+        if self._begun != self._knowledge.begun:
+            self._begin()
 
     # -- private -------------------------------------------------------------------------------
 
-    def _connect(self, result: Accepted, sample: ServoSample, missed: int | None) -> None:
-        """Bridge what was missed, at least one tick; None where what was before is no past."""
-        tracker = self.tracker
-        if result.restart:
-            self._let_go()
-            self._swing.restart()
-            self._quarantine.restart()
-            self._command = self._command_before = sample.desired
-            if tracker is not None:
-                tracker.restart()
-            if self._follower is not None:
-                self._follower.new_source()
-        elif tracker is not None:
-            if missed is not None and missed < tracker.model.library.window.length:
-                self._quarantine.hole()
-                # While a tick was late, the command before it stayed in force.
-                tracker.bridge(np.array(sample.desired if result.missed else self._command), missed)
-            else:
-                tracker.restart()
-                self._quarantine.break_off()
-                self._state.begin_swing()  # it may be another one, and the foot on the ground
+    def _batch(self) -> LegBatch:
+        robot, leg = self.robot, self.leg
+        library = self._knowledge.library
+        return LegBatch(
+            [leg], library, [robot.quantum(leg.id)], round(robot.period_s * 1e9),
+            max_step=MAX_STEP_RAD_S * library.period_s,
+        )  # fmt: skip
 
-    def _allow_for_clock(self, detector: LegDetector) -> None:
-        """Widen a tick's variance while nobody knows whether it or its stamp is late.
+    def _begin(self) -> None:
+        """What is known is another: the past under it is no past of the new."""
+        self._collect_counts()
+        knowledge, place = self._knowledge, self.place
+        if knowledge.library != place.batch.library:
+            place.move(self._batch(), 0)
+        place.batch.forget_past(place.row)
+        self._begun, self._shown, self._stale = knowledge.begun, (-1, None), True
+        leg, follower = place.leg, knowledge.follower
+        leg["known"] = follower is not None
+        if follower is None:
+            return
+        leg["gated"], leg["learning"] = follower.gated, follower.learning
+        library = follower.model.library
+        assert isinstance(library, ChangeLibrary)
+        place.batch.xi0[place.row] = library.first
+        place.batch.sigma[place.row] = knowledge.sigma
+        place.batch.coefficients[place.row] = follower.model.coefficients
+        self._publish()
 
-        A reading that was late by a share of a period errs by that share of the movement, and so
-        do the velocities of the ticks that look back on it.
-        """
-        rate, tracker = self._rate, detector.tracker
-        if rate.stretch:
-            self._unsure = (abs(rate.stretch), UNSURE_TICKS + 1)
-        most, left = self._unsure
-        self._unsure = (most, left - 1)
-        moved = tracker.increments[0]
-        if rate.stretch and not (self._state.loaded or self._state.contact):
-            residual = tracker.residuals[0]
-            if rate.late:  # as the reading came
-                residual = residual + (rate.stretch * moved)
-            rate.vote(residual.tolist(), moved.tolist(), detector.sigma)
-        if rate.late is None:
-            detector.unit = detector.unit + np.square(most * moved / detector.sigma)
+    def _publish(self) -> None:
+        """Put what is known of free motion into the arrays that the tick judges by."""
+        follower, recent, place = self._knowledge.follower, self._knowledge.recent, self.place
+        assert follower is not None
+        assert recent is not None
+        batch, row, leg = place.batch, place.row, place.leg
+        leg["level"] = follower.level_in_force
+        leg["inflated"] = inflated = follower.loosened
+        leg["changed"] = follower.changed
+        revision, domain = self._shown
+        if revision != recent.revision or domain is not recent.domain:
+            self._shown = (recent.revision, recent.domain)
+            batch.whiten[row] = recent.whiten
+            batch.limits[row] = recent.limits
+            place.show_domain(recent.domain)
+        if inflated:
+            follower.show_doubt(batch, row)
+        if leg["ticks"]:
+            batch.coefficients[row] = follower.model.coefficients
 
-    def _follow_convention(self, sample: ServoSample, *, restart: bool) -> None:
-        """Keep the sample for a judgement of the leg's angles, and follow the last one."""
-        assert self._track is not None
+    def _assess(self, flags: int) -> None:
+        self._quarantine.assess(flags)
+        self._assessed = True
+
+    def _collect(self, flags: int) -> None:
+        """A sample for a first model."""
+        leg, sample = self.place.leg, self._sample
+        assert sample is not None
+        rate = self._rate
+        self._knowledge.collect(
+            self.place.sample(sample),
+            swing=bool(leg["ticks"]),
+            broken=bool(flags & RESTARTED) or bool(leg["missed"]),
+            off=rate.told_by - 1 if rate.off else 0,
+        )
+
+    def _keep_motion(self, track: MotionTrack, *, restart: bool) -> None:
         if restart:
-            self._track.restart()
-        self._track.take(sample)
-        if self._track.spoils and not self._misread:
+            track.restart()
+        assert self._sample is not None
+        track.take(self.place.sample(self._sample))
+
+    def _follow_convention(self, track: MotionTrack) -> None:
+        """Stop judging a leg whose angles are not counted as described, or go on."""
+        if track.spoils and not self._misread:
             self._let_go()
-        self._misread = self._track.spoils
+        self._misread = track.spoils
+        self.place.leg["misread"] = self._misread
 
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
-        self.owes_release |= self._state.contact
-        self._state.reset()
+        leg = self.place.leg
+        leg["owes_release"] |= leg["contact"]
+        leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
 
-    def _follow_phase(self, sample: ServoSample) -> None:
-        self._swing.follow(sample)
-        if self._swing.ticks == 0:
-            self._quarantine.resolve()
-        elif self._swing.ticks == 1:
-            self._quarantine.begin()
-            self._state.begin_swing()
-            if self.tracker is not None:
-                self.tracker.begin_swing()
+    def _collect_counts(self) -> None:
+        leg = self.place.leg
+        self._tally.counts["ticks"] += int(leg["accepted_n"])
+        refused = int(leg["refused"])
+        if refused:
+            self._tally.rejects[Reject.IMPLAUSIBLE] += refused
+        leg["accepted_n"] = leg["refused"] = 0
 
     def _event(
-        self, decision: Decision, sample: ServoSample, residual: list[float]
+        self, contact: bool, onset_ns: int, score: float, residual: list[float]
     ) -> ContactEvent:
+        sample, leg = self._sample, self.place.leg
+        assert sample is not None
         return ContactEvent(
             leg=self.leg.id,
             t_ns=sample.t_ns,
             seq=sample.seq,
             # In the stamps' own time, of which the schedule is a smoothed one.
-            onset_ns=sample.t_ns - max(self._rate.at_ns - decision.onset_ns, 0),
-            contact=decision.contact,
+            onset_ns=sample.t_ns - max(int(leg["at_ns"]) - onset_ns, 0),
+            contact=contact,
             status=self._status,
-            score=decision.score,
+            score=score,
             residual=residual,
             model_version=self._version,
         )

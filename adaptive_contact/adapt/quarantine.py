@@ -1,35 +1,36 @@
-"""Holds back the ticks of the swing in hand, and hands on what is found to be free.
+"""Hands on what a swing has been found to hold: lifts, descents and contacts.
 
-Between the detector, which judges every tick, and the follower, which learns: a lift goes on at
-its top, a descent once the swing is over, and nothing of a foot that is held.
-
-What a touch and the end of a swing leave to be learned waits for :meth:`Quarantine.hand_over`, as
-the word on other legs must not wait for it.
+Between the tick, which judges every sample and holds its rows back, and the follower, which learns:
+a lift goes on at its top, a descent once the swing is over, and nothing of a foot that is held.
 """
 
 from __future__ import annotations
 
 import functools
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.adapt.buffer import MAX_SEGMENTS
 from adaptive_contact.adapt.contacts import TICKS, Touch
-from adaptive_contact.adapt.detector import LegDetector, Verdict
-from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.foretell import foretold
-from adaptive_contact.adapt.ground import Push, push_of
+from adaptive_contact.adapt.ground import Push
 from adaptive_contact.adapt.knowledge import Knowledge
-from adaptive_contact.adapt.segments import Row, SwingBook
-from adaptive_contact.adapt.swing import Foretell, SwingWatch
+from adaptive_contact.adapt.segments import Row, confirmed_before, confirmed_of, let_go_rows
+from adaptive_contact.adapt.swing import Foretell, SwingJudge
+from adaptive_contact.detect.batch import LegPlace
+from adaptive_contact.detect.tick import (
+    BEGAN,
+    BROKE_OFF,
+    ENTERED,
+    RESOLVED,
+    RESTARTED,
+    TOPPED,
+    TOUCHED,
+    TOUCHING,
+)
 
 __all__ = ["Quarantine"]
-
-Array = NDArray[np.float64]
 
 # Whole swings in a row without a lift that could be handed on, after which a leg is deaf.
 DEAF_SWINGS: Final = 20
@@ -39,33 +40,27 @@ class Quarantine:
     """The swing in hand of one leg.
 
     Args:
-        swing: where the leg is in it; followed by its owner.
+        place: the leg's arrays.
+        swing: judges it.
         knowledge: who learns, if anybody does.
     """
 
-    def __init__(self, swing: SwingWatch, knowledge: Knowledge) -> None:
+    def __init__(self, place: LegPlace, swing: SwingJudge, knowledge: Knowledge) -> None:
+        self._place = place
         self._knowledge = knowledge
         self._swing = swing
-        self._book = SwingBook()
-        self._open = False
         self._region = 0
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
         self._foretell: Foretell | None = None  # from where the leg was before the swing
         self._unheard = 0  # whole swings since a lift was handed on
-        # What this tick has found for the follower, in order.
-        self._found: list[Callable[[], None]] = []
-
-    @property
-    def follower(self) -> Follower | None:
-        """Who learns; None while there is no model."""
-        return self._knowledge.follower
 
     @property
     def deaf_note(self) -> str | None:
         """One line for a person when changes of the leg cannot be heard."""
-        if self.follower is None or not self.follower.gated:
+        follower = self._knowledge.follower
+        if follower is None or not follower.gated:
             return None
         if self._unheard < DEAF_SWINGS:
             return self._swing.deaf_note
@@ -74,167 +69,138 @@ class Quarantine:
             "hardly rises; changes of the leg are not followed"
         )
 
-    @property
-    def lift_first(self) -> bool:
-        """Whether an alarm waits: a foot on its way up speaks of the leg, to be heard at its top.
-
-        So does one whose command goes up and which has yet to follow: it may still come down from
-        the swing before.  What stops a foot in its lift is told once the command has turned.
-        """
-        up = self._swing.rising or not self._swing.descending
-        return self._gated and up and not self._book.topped
-
-    @property
-    def lift_over(self) -> bool:
-        """Whether a leg that never was calm is judged from here on: its lift has been.
-
-        The foot comes up for some ticks after its command came down; only then the lift has told
-        whether it is the leg that has changed.  Where the swing was broken off none will tell.
-        """
-        told = self._book.past_top if self._gated else not self._book.broken
-        return self._swing.descending and told
-
-    @property
-    def _gated(self) -> bool:
-        return self.follower is not None and self.follower.gated
-
-    def begin(self) -> None:
-        """A swing begins."""
-        self._open = True
-        self._lift_judged = False
-        self._touching.clear()
-        self._book.begin()
-        # By its ticks alone nobody can tell its lift from its descent.
-        if not (self._swing.whole or self._swing.measures):
-            self._book.discard()
-        self._foretell = None
-        follower, detector = self.follower, self._knowledge.detector
-        if follower is None or detector is None:
+    def assess(self, flags: int) -> None:
+        """What of a tick the next one is judged by: a swing that begins, a lift past its top."""
+        follower = self._knowledge.follower
+        if flags & (RESTARTED | BROKE_OFF):
+            self._touching.clear()
+        if follower is None:
             return
-        follower.monitor.begin_swing()
-        # By the model as it was first known: what was learned since may be of what holds the foot.
-        tracker, model = detector.tracker, follower.baseline
-        if tracker.full and not model.library.window.preview:
-            self._foretell = functools.partial(foretold, model, tracker.window.copy())
-
-    def hole(self) -> None:
-        """Readings were lost, or were none."""
-        self._book.hole()
-
-    def break_off(self) -> None:
-        """What comes does not connect: the swing cannot be resolved, and is not learned."""
-        self.hand_over()  # of the swing before
-        self._swing.interrupt()
-        self._touching.clear()
-        self._book.discard()
-
-    def restart(self) -> None:
-        """The source started anew: there is no swing."""
-        self._found.clear()
-        self._open = False
-        self.break_off()
-
-    def enter(
-        self, theta: Array, verdict: Verdict, detector: LegDetector, *, t_ns: int,
-        at: Sequence[float], free: bool,
-    ) -> None:  # fmt: skip
-        """Enter a judged tick, and hand on the lift where this tick is past its top.
-
-        Args:
-            theta: (p,) regressors that predicted it.
-            verdict: on it.
-            detector: whose verdict that is.
-            t_ns: of the tick.
-            at: (J,) rad, the command in force.
-            free: the leg had been found free before, and is not held to touch.
-        """
-        follower, swing = self.follower, self._swing
-        if follower is None or not follower.learning:
-            return
-        if self._touching:
-            self._touching.append(detector.touch())
+        if flags & BEGAN:
+            self._touching.clear()
+            self._begin()
+        if flags & TOUCHING and self._touching:
+            self._touching.append(self._touch())
             if len(self._touching) >= TICKS:
                 self._hand_touch()
-        if detector.tracker.substituted:
-            return  # what the model put in where a reading did not come is no measurement
-        # The model's own doubt is part of the unit; the followed level is not.
-        monitor, book = follower.monitor, self._book
-        level = verdict.distance * follower.level_in_force / len(verdict.target)
-        row = Row(
-            theta,
-            verdict.target,
-            level,
-            verdict.scores[0] * detector.recent.limits[0],
-            detector.context,
-            t_ns,
-            lift=swing.rising,
-            calm=free,
-            cleared=swing.cleared,
-            push=self._push(verdict, detector) if follower.changed else None,
-        )
-        if not follower.gated:
-            follower.learn_now(row)
+        if not flags & ENTERED:
             return
-        book.add(row, swing.ticks, descending=swing.descending)
-        monitor.look(level)
-        if book.past_top and not self._lift_judged:
+        leg = self._place.leg
+        if not follower.gated:
+            follower.learn_now(self._rows(0, 1)[0])
+            return
+        joints = self._place.batch.measured.shape[1]
+        follower.monitor.look(float(leg["distance"]) * float(leg["level"]) / joints)
+        if not flags & TOPPED:
+            return
+        swing = self._swing
+        if not self._lift_judged:
             # Whether or not a tick of the lift can be learned: a foot held fast leaves none.
             self._lift_judged = True
             held = swing.judge_lift(self._foretell)
             if held is not None:
-                monitor.foot_held(held=held, came=swing.came)
-        lift = book.take_lift()
+                follower.monitor.foot_held(held=held, came=swing.came)
+        lift = let_go_rows(self._rows(0, int(leg["lift_n"])))
         if lift is not None and swing.lifted and not swing.held:
             self._unheard = 0
-            self._region = self._regions.of(at)
-            follower.lift(lift, self._region, t_ns)
+            self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
+            follower.lift(lift, self._region, int(leg["at_ns"]))
 
-    def alarm(self, onset_ns: int, t_ns: int, period_ns: int, detector: LegDetector) -> None:
-        """A contact was reported: what came well before its onset is free."""
-        self._swing.touched(round((t_ns - onset_ns) / period_ns))
-        self._confirm(self._book.alarm(onset_ns, period_ns))
-        self._found.append(functools.partial(self._begin_touch, detector))
-
-    def resolve(self) -> None:
-        """The leg stands: the swing is over, without an alarm or with one that was dealt with."""
-        follower = self.follower
-        if not self._open or follower is None:
+    def hand_over(self, flags: int) -> None:
+        """Let the follower have the descent that this tick has confirmed, and a touch."""
+        follower, leg = self._knowledge.follower, self._place.leg
+        if follower is None:
             return
-        self._open = False
-        self._unheard += self._swing.whole
-        self._found.append(self._hand_touch)
-        self._confirm(self._book.resolve())
-        self._found.append(functools.partial(follower.swing_done, self._swing.touch_belied()))
+        if flags & RESOLVED:
+            self._unheard += bool(leg["resolved_whole"])
+            self._hand_touch()
+            first, last = int(leg["resolved_first"]), int(leg["resolved_last"])
+            self._confirm(confirmed_of(self._rows(first, last)))
+            follower.swing_done(self._swing.touch_belied(whole=bool(leg["resolved_whole"])))
+        if flags & TOUCHED:
+            onset_ns, now_ns, period_ns = (
+                int(leg[name]) for name in ("onset_ns", "at_ns", "period_ns")
+            )
+            self._swing.touched(round((now_ns - onset_ns) / period_ns))
+            self._confirm(self._alarm(onset_ns, period_ns))
+            self._touching = [self._touch()]
+            leg["touching"] = True
 
-    def hand_over(self) -> None:
-        """Let the follower have what this tick has found, before the next one is taken in."""
-        found, self._found = self._found, []
-        for hand in found:
-            hand()
+    def restart(self) -> None:
+        """The source started anew: there is no swing."""
+        self._touching.clear()
 
-    def _push(self, verdict: Verdict, detector: LegDetector) -> Push | None:
-        """What a tick of a descent shows of a push from the ground; None without geometry."""
-        swing = self._swing
-        if swing.rising:
-            return None
-        gradient = swing.height_gradient
-        if gradient is None:
-            return None
-        return push_of(verdict.residual, verdict.target, detector.whitening[0], gradient)
+    def _begin(self) -> None:
+        self._lift_judged = False
+        self._foretell = None
+        follower = self._knowledge.follower
+        assert follower is not None
+        follower.monitor.begin_swing()
+        # By the model as it was first known: what was learned since may be of what holds the foot.
+        batch, row = self._place.batch, self._place.row
+        if self._place.leg["began_full"]:
+            window = batch.began_window[row].copy()
+            self._foretell = functools.partial(foretold, follower.baseline, window)
 
-    def _begin_touch(self, detector: LegDetector) -> None:
-        self._touching = [detector.touch()]
+    def _alarm(self, onset_ns: int, period_ns: int) -> list[Row]:
+        """Close the swing to its descent; the rows of it that are free all the same."""
+        batch, row, leg = self._place.batch, self._place.row, self._place.leg
+        lift, commanded, count = (int(leg[name]) for name in ("lift_n", "commanded_n", "row_n"))
+        hole_ns = int(leg["hole_ns"])
+        kept, rows = confirmed_before(
+            self._rows(0, lift), commanded, self._rows(lift, count), onset_ns, period_ns,
+            None if hole_ns < 0 else hole_ns,
+        )  # fmt: skip
+        for of in (batch.rows, batch.row_thetas, batch.row_targets, batch.row_asides):
+            of[row, : len(kept)] = of[row, kept]
+        leg["lift_n"] = leg["row_n"] = len(kept)
+        leg["closed"] = True
+        return rows
+
+    def _rows(self, first: int, last: int) -> list[Row]:
+        batch, at = self._place.batch, self._place.row
+        if first == last:
+            return []
+        rows = batch.rows[at, first:last]
+        thetas = batch.row_thetas[at, first:last].copy()
+        targets = batch.row_targets[at, first:last].copy()
+        asides = batch.row_asides[at, first:last].copy()
+        columns = (rows[name].tolist() for name in _COLUMNS)
+        return [
+            Row(theta, target, level, value, context, t_ns, lift, calm, cleared,
+                Push(sigma, aside) if push else None)
+            for theta, target, aside, level, value, context, t_ns, lift, calm, cleared, sigma, push
+            in zip(thetas, targets, asides, *columns, strict=True)
+        ]  # fmt: skip
+
+    def _touch(self) -> Touch:
+        """The last ticks, for candidate models to be tried on."""
+        place = self._place
+        batch, row, leg = place.batch, place.row, place.leg
+        recent = self._knowledge.recent
+        assert recent is not None
+        whiten = recent.whiten[int(leg["context"])] / batch.unit[row] ** 0.5
+        thetas = batch.thetas[row, : int(leg["thetas_n"])]
+        target = place.residuals + place.increments
+        return Touch.of(thetas, target, whiten, recent.thresholds, int(leg["usable"]))
 
     def _hand_touch(self) -> None:
         """The first ticks of a contact, for candidate models to be tried on."""
         ticks, self._touching = self._touching, []
-        if ticks and self.follower is not None and self.follower.learning:
-            self.follower.touched(ticks)
+        self._place.leg["touching"] = False
+        follower = self._knowledge.follower
+        if ticks and follower is not None and follower.learning:
+            follower.touched(ticks)
 
     def _confirm(self, rows: list[Row]) -> None:
-        swing, follower = self._swing, self.follower
+        swing, follower = self._swing, self._knowledge.follower
         if follower is not None and rows and swing.lifted and not swing.held:
-            self._found.append(functools.partial(follower.descent, rows, self._region))
+            follower.descent(rows, self._region)
+
+
+_COLUMNS: Final = (
+    "level", "value", "context", "t_ns", "lift", "calm", "cleared", "sigma", "push",
+)  # fmt: skip
 
 
 class _Regions:

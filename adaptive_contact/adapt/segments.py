@@ -10,7 +10,6 @@ the last ticks before the onset is learned, too.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.adapt.ground import Push
 
-__all__ = ["Row", "SwingBook", "residuals_of"]
+__all__ = ["Row", "confirmed_before", "confirmed_of", "let_go_rows", "residuals_of"]
 
 Array = NDArray[np.float64]
 
@@ -83,121 +82,52 @@ def residuals_of(rows: Sequence[Row], coefficients: Array) -> tuple[Array, Array
     return theta, np.array([row.target for row in rows]) - theta @ coefficients
 
 
-@dataclasses.dataclass
-class SwingBook:
-    """The ticks of the swing in hand."""
+def confirmed_before(
+    lift: Sequence[Row], commanded: int, descent: list[Row], onset_ns: int, period_ns: int,
+    hole_ns: int | None,
+) -> tuple[list[int], list[Row]]:  # fmt: skip
+    """Of a swing in which a contact was reported: what came well before its onset is free.
 
-    _lift: list[Row] = dataclasses.field(default_factory=list)
-    _descent: list[Row] = dataclasses.field(default_factory=list)
-    _commanded: int = 0  # rows of the lift whose command went up, too
-    _topped: bool = False
-    _closed: bool = False  # to the descent
-    _broken: bool = False  # to everything
-    _hole_ns: int | None = None  # the last tick of the descent before a hole in its readings
+    Nearer to it, what the ground cannot have done is: the part of the movement that no push from
+    below accounts for.
 
-    @property
-    def past_top(self) -> bool:
-        """Whether the foot is known to be past the top of this swing."""
-        return self._topped and not self._broken
+    Args:
+        lift: rows of the lift, if its top has not been passed.
+        commanded: of these, the first so many had a command that went up, too.
+        descent: rows of the descent.
+        onset_ns: of the contact.
+        period_ns: control tick.
+        hole_ns: the last tick of the descent before a hole in its readings, None for none.
 
-    @property
-    def broken(self) -> bool:
-        """Whether the swing was broken off."""
-        return self._broken
-
-    @property
-    def topped(self) -> bool:
-        """Whether the foot has been past the top of this swing; who cannot know says yes."""
-        return self._topped or self._broken
-
-    def begin(self) -> None:
-        """A swing begins."""
-        self._hole_ns = None
-        self._lift, self._descent = [], []
-        self._commanded = 0
-        self._topped = self._closed = self._broken = False
-
-    def discard(self) -> None:
-        """The stream broke off: what cannot be resolved is not learned."""
-        self.begin()
-        self._broken = True
-
-    def hole(self) -> None:
-        """Readings were lost, or were none; what went on meanwhile shows in no residual."""
-        if self._descent:
-            self._hole_ns = self._descent[-1].t_ns
-
-    def add(self, row: Row, ticks: int, *, descending: bool) -> None:
-        """Enter a tick.
-
-        Args:
-            row: the tick.
-            ticks: since the swing began, 1 at its first sample.
-            descending: the command is past the top.
-        """
-        if self._broken:
-            return
-        if not (self._topped or row.lift or descending):
-            return  # commanded up and not moving up: held back, or noise
-        if row.lift and not self._topped:
-            # An alarm in the lift does not close it: there the leg is judged, not the ground.
-            if row.calm or ticks >= FREE_LIFT_TICKS:
-                self._lift.append(row)
-                if not descending:
-                    self._commanded = len(self._lift)
-                over = len(self._lift) - MAX_ROWS
-                if over > 0:
-                    del self._lift[:over]
-                    self._commanded = max(self._commanded - over, 0)
-            return
-        self._topped = True
-        if not self._closed:
-            # What rises after the top is a bounce, or noise, and no lift.
-            self._descent.append(row._replace(lift=False) if row.lift else row)
-            del self._descent[:-MAX_ROWS]
-
-    def take_lift(self) -> list[Row] | None:
-        """The lift's rows, once, when the top has been passed; None before."""
-        if not self._topped or not self._lift:
-            return None
-        rows, self._lift = self._lift, []
-        return _let_go(rows)
-
-    def alarm(self, onset_ns: int, period_ns: int) -> list[Row]:
-        """A contact was reported: what came well before its onset is free.
-
-        Nearer to it, what the ground cannot have done is: the part of the movement that no push
-        from below accounts for.
-
-        Returns:
-            Rows of the descent that are confirmed; the rest of the swing is not entered.
-        """
-        near_ns = onset_ns - TOUCHING_TICKS * period_ns
-        if self._hole_ns is not None:
-            hole_ns = self._hole_ns
-            after_ns = next((row.t_ns for row in self._descent if row.t_ns > hole_ns), onset_ns)
-            if onset_ns - after_ns <= HOLE_TICKS * period_ns:
-                onset_ns, near_ns = hole_ns, 0
-        last = onset_ns - GUARD_TICKS * period_ns
-        # A foot on its way up while its command comes down lags behind, or has been kicked up.
-        up, late = self._lift[: self._commanded], self._lift[self._commanded :]
-        limit = LET_GO_RATIO * max([1.0, *(row.level for row in up)])
-        self._lift = up + [row for row in late if row.t_ns <= last or row.level <= limit]
-        rows = [row for row in self._descent if row.t_ns <= last]
-        rows += _not_pushed(self._descent[len(rows) :], near_ns)
-        self._descent, self._closed = [], True
-        return rows
-
-    def resolve(self) -> list[Row]:
-        """The next stance has begun: the rows of the descent that are confirmed."""
-        rows = self._descent[:-LAST_TICKS]
-        self._descent, self._closed = [], True
-        return rows
+    Returns:
+        Which rows of the lift stay, and the rows of the descent that are confirmed.
+    """
+    near_ns = onset_ns - TOUCHING_TICKS * period_ns
+    if hole_ns is not None:
+        after_ns = next((row.t_ns for row in descent if row.t_ns > hole_ns), onset_ns)
+        if onset_ns - after_ns <= HOLE_TICKS * period_ns:
+            onset_ns, near_ns = hole_ns, 0
+    last = onset_ns - GUARD_TICKS * period_ns
+    # A foot on its way up while its command comes down lags behind, or has been kicked up.
+    limit = LET_GO_RATIO * max([1.0, *(row.level for row in lift[:commanded])])
+    kept = [
+        k
+        for k, row in enumerate(lift)
+        if k < commanded or row.t_ns <= last or row.level <= limit
+    ]
+    rows = [row for row in descent if row.t_ns <= last]
+    rows += _not_pushed(descent[len(rows) :], near_ns)
+    return kept, rows
 
 
-def _let_go(rows: list[Row]) -> list[Row] | None:
+def confirmed_of(descent: list[Row]) -> list[Row]:
+    """Of a descent after which the next stance has begun: the rows that are confirmed."""
+    return descent[:-LAST_TICKS]
+
+
+def let_go_rows(rows: list[Row]) -> list[Row] | None:
     """The part of a lift in which the foot is off the ground for sure, None if it is too short."""
-    if not rows[0].calm:
+    if rows and not rows[0].calm:
         limit = LET_GO_RATIO * max(1.0, min(row.level for row in rows[-2:]))
         first = len(rows)
         while first > 0 and rows[first - 1].level <= limit:

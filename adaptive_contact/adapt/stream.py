@@ -8,16 +8,17 @@ next one, the next one after a gap, the first one of a restart, and the rejected
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
-import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
+from adaptive_contact.detect.batch import LegPlace
+from adaptive_contact.detect.clock import PAUSE, follow_one
+from adaptive_contact.detect.layout import RING, new_legs
 from adaptive_contact.wire import MAX_PREVIEW_TICKS, Reject, ServoSample
 
-__all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
+__all__ = ["Accepted", "RateWatch", "StreamGuard"]
 
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
@@ -42,42 +43,8 @@ MAX_OLD_RUNS: Final = 32
 # restarted in a loop.  A window needs a tenth of that to fill.
 SHORT_RUN_SAMPLES: Final = 50
 SHORT_RUNS: Final = 3
-# Steps over which the rate of a steady source is judged: a rate that changes by 20 % shows in the
-# fifth tick, before the ticks held back at the end of a swing are used up.
-RATE_STEPS: Final = 8
-# Where stamps are off, as many more as it takes until the mean is known to this many standard
-# errors within the limit; two seconds at 50 Hz at most.
-RATE_ERRORS: Final = 8.0
-MOST_RATE_STEPS: Final = 100
-# The latest tick that is no pause, 3 periods late, moves the mean of so many steps by MOST_OFF.
-MEAN_STEPS: Final = 30
-# A model's velocities are per tick: at a rate further off than this it predicts another leg.
-MOST_OFF: Final = 0.10
-STEADY_OFF: Final = 0.05
-# A step longer than so many periods is a whole tick that came late, where ticks are known to.
-LATE_PERIODS: Final = 1.6
-# A step this many times too long is a pause of the source, counted by `seq` or not.
-PAUSE_PERIODS: Final = 4.0
-# Share of a stamp's deviation by which the schedule follows it.  Higher follows a loop that slips
-# sooner, lower averages the jitter of more stamps.  Measured, the level of residuals is near its
-# least at 0.2 for loops late against a fixed schedule and for ones that slip (decision 30).
-SCHEDULE_GAIN: Final = 0.2
-# Memory of the figures on jitter, in ticks.
-JITTER_MEMORY: Final = 64
-# A stamp off by less (in periods) is on schedule: the fastest joint of a leg goes a tenth of a step
-# of its servo in that time.
-ON_SCHEDULE: Final = 0.01
 # Deviations above this, root mean square in periods, are worth a line to a person.
 NOTED_JITTER: Final = 0.15
-# Whether stamps or ticks are late is known after so many whole votes, each of a tick in which
-# that makes a difference of far more than the residual's noise; what is forgotten in a few swings.
-VOTES: Final = 3.0
-VOTE_MEMORY: Final = 200
-# Share of the deviations that readings show, above which they are taken for late, and below which
-# no longer.
-LATE_SHARE: Final = 0.6
-ON_TIME_SHARE: Final = 0.4
-
 
 class Accepted(NamedTuple):
     """A sample that is in order.
@@ -250,59 +217,78 @@ def _is_run(value: object) -> bool:
 
 
 class RateWatch:
-    """Follows one leg's ticks in time: their mean rate, their schedule, and what is off it.
-
-    ``seq`` alone says which ticks were lost.  A stamp off the schedule has two causes: the stamp is
-    wrong and its reading is on time, or the loop was late and its reading with it.  Which one is
-    judged by what readings show (:meth:`vote`); until then :attr:`late` is None.
+    """Reads what one leg's clock has shown: mean rate, jitter, whether ticks or stamps are late.
 
     Args:
         period_ns: what ticks should be apart.
-
-    Attributes:
-        off: the mean rate is another; judged again from the first few ticks after a restart.
-        found_ns: mean distance of ticks, None while that is unknown.
-        told_by: ticks by which the rate is judged.
-        at_ns: time of the newest tick, by the schedule that follows the stamps.
-        lateness: of its stamp against that schedule, periods.
-        stretch: by which the step to it was longer than the mean, periods; 0 where it was on
-            schedule, or ticks between were lost.
-        late: readings are as late as their stamps; None while that is not known.
+        place: arrays of the leg, which its tick follows; own ones where absent, to be followed
+            with :meth:`follow`.
     """
 
-    def __init__(self, period_ns: int) -> None:
-        self.off = False
-        self.found_ns: float | None = None
-        self.told_by = RATE_STEPS + 1
-        self.at_ns = 0
-        self.lateness = self.stretch = 0.0
-        self.late: bool | None = None
-        self._period_ns = period_ns
-        self._tolerance_ns = math.floor(ON_SCHEDULE * period_ns)
-        self._due_ns = 0  # the tick to come, by the schedule
-        self._ticks: deque[_Tick] = deque(maxlen=MOST_RATE_STEPS + 1)
-        self._mean = self._square = 0.0  # of deviations from the schedule, periods
-        self._spread = 0.0  # mean square of steps around their mean, periods²
-        self._votes = self._shown = 0.0  # weights, and weighted shares that readings showed
+    def __init__(self, period_ns: int, place: LegPlace | None = None) -> None:
+        self._place = place
+        self._own = new_legs(1)
+        self._own["period_ns"] = period_ns
+        self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
+
+    @classmethod
+    def of(cls, place: LegPlace) -> RateWatch:
+        """Of a leg in a batch."""
+        return cls(int(place.leg["period_ns"]), place)
+
+    @property
+    def off(self) -> bool:
+        """Whether the mean rate is another than described."""
+        return bool(self._leg["rate_off"])
+
+    @property
+    def told_by(self) -> int:
+        """Ticks by which the rate is judged."""
+        return int(self._leg["told_by"])
+
+    @property
+    def found_ns(self) -> float | None:
+        """Mean distance of ticks, None while that is unknown."""
+        found = float(self._leg["found_ns"])
+        return None if math.isnan(found) else found
+
+    @property
+    def at_ns(self) -> int:
+        """Time of the newest tick, by the schedule that follows the stamps."""
+        return int(self._leg["at_ns"])
+
+    @property
+    def late(self) -> bool | None:
+        """Whether readings are as late as their stamps; None while that is not known."""
+        return (None, False, True)[int(self._leg["late"]) + 1]
 
     @property
     def since_ns(self) -> int:
         """Scheduled time of the oldest tick by which the rate is judged."""
-        ticks = self._ticks
-        return ticks[-min(self.told_by, len(ticks))].at_ns if ticks else 0
+        count = int(self._leg["ring_n"])
+        if not count:
+            return 0
+        return int(self._ring[(count - min(self.told_by, count, RING)) % RING, 2])
 
     @property
     def jitter(self) -> float:
         """Root mean square of recent deviations from the schedule, periods."""
-        return math.sqrt(max(self._square - self._mean**2, 0.0))
+        leg = self._leg
+        return math.sqrt(max(float(leg["jitter_square"]) - float(leg["jitter_mean"]) ** 2, 0.0))
+
+    @property
+    def jitter_ms(self) -> float:
+        """The same, ms."""
+        return self.jitter * int(self._leg["period_ns"]) / 1e6
 
     @property
     def note(self) -> str | None:
         """One line for a person while the rate is off, or stamps are far off their schedule."""
-        period_ms = self._period_ns / 1e6
-        if self.off and self.found_ns is not None:
+        period_ms = int(self._leg["period_ns"]) / 1e6
+        found_ns = self.found_ns
+        if self.off and found_ns is not None:
             return (
-                f"samples are {self.found_ns / 1e6:.1f} ms apart, robot.toml says "
+                f"samples are {found_ns / 1e6:.1f} ms apart, robot.toml says "
                 f"{period_ms:.1f} ms: nothing is judged or learned until they agree"
             )
         jitter = self.jitter
@@ -321,177 +307,16 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        ticks = self._ticks
-        if restart:
-            ticks.clear()
-            self.off, self.found_ns = False, None
-        if not ticks:
-            self._anchor(t_ns, seq)
-            return 0
-        last = ticks[-1]
-        steps = seq - last.seq
-        missed = steps - 1
-        due_ns = self._due_ns + missed * self._period_ns
-        if abs(t_ns - due_ns) <= self._tolerance_ns:  # as nearly every tick is
-            self._anchor(t_ns, seq)
-            if self._square:
-                self._jitter(0.0)
-        else:
-            periods = (t_ns - last.t_ns) / self._period_ns
-            if periods > PAUSE_PERIODS * steps:
-                ticks.clear()
-                self._anchor(t_ns, seq)
-                return None
-            if self.late and periods > LATE_PERIODS:
-                missed = max(int(periods + 2.0 - LATE_PERIODS) - 1, missed)
-            self._off_schedule(t_ns, seq, missed, periods / steps)
-        if len(ticks) > RATE_STEPS:
-            self._judge_rate()
-        return missed
+        missed = follow_one(self._own, self._own_ring, t_ns, seq, restart)
+        return None if missed == PAUSE else int(missed)
 
-    def vote(
-        self, residual: Sequence[float], moved: Sequence[float], sigma: Sequence[float]
-    ) -> None:
-        """Take in what a free tick off the schedule shows: did the leg move by the longer step?
+    @property
+    def _leg(self) -> Any:
+        return self._own[0] if self._place is None else self._place.leg
 
-        Args:
-            residual: (J,) rad, of the reading as it came.
-            moved: (J,) rad, the predicted movement of a whole tick.
-            sigma: (J,) rad, deviation of residuals.
-        """
-        shown = power = 0.0
-        for off, step, deviation in zip(residual, moved, sigma, strict=True):
-            by = self.stretch * step / deviation
-            shown += off / deviation * by
-            power += by * by
-        if power <= 0.0:
-            return
-        weight = power / (1.0 + power)
-        share = min(max(shown / power, -1.0), 2.0)
-        kept = 1.0 - weight / VOTE_MEMORY
-        self._votes = kept * self._votes + weight
-        self._shown = kept * self._shown + weight * share
-        if self._votes >= VOTES:
-            limit = ON_TIME_SHARE if self.late else LATE_SHARE
-            self.late = self._shown > limit * self._votes
-
-    def _anchor(self, t_ns: int, seq: int) -> None:
-        """The tick is on schedule, or begins one."""
-        self.at_ns, self._due_ns = t_ns, t_ns + self._period_ns
-        self.lateness = self.stretch = 0.0
-        self._ticks.append(_Tick(t_ns, seq, t_ns))
-
-    def _off_schedule(self, t_ns: int, seq: int, missed: int, periods: float) -> None:
-        """Follow a stamp that is off the schedule, its step so many periods a tick."""
-        ticks, period_ns = self._ticks, self._period_ns
-        due_ns = self._due_ns + missed * period_ns
-        by_ns = t_ns - due_ns
-        self.at_ns = due_ns + round(SCHEDULE_GAIN * by_ns)
-        self._due_ns = self.at_ns + period_ns
-        self.lateness = (t_ns - self.at_ns) / period_ns
-        self._jitter(by_ns / period_ns)
-        found_ns = self.found_ns
-        if found_ns is None:  # by the few ticks there are
-            found_ns = (t_ns - ticks[0].t_ns) / (seq - ticks[0].seq)
-        spread = (periods - found_ns / period_ns) ** 2
-        self._spread += (spread - self._spread) / min(len(ticks), JITTER_MEMORY)
-        self.stretch = 0.0
-        if not missed:
-            first, last = ticks[0], ticks[-1]
-            if last.seq - first.seq >= JITTER_MEMORY:
-                mean = (last.t_ns - first.t_ns) / (last.seq - first.seq) / period_ns
-            else:
-                mean = 1.0
-            stretch = periods - mean
-            self.stretch = stretch if abs(stretch) > ON_SCHEDULE else 0.0
-        ticks.append(_Tick(t_ns, seq, self.at_ns))
-
-    def _jitter(self, by: float) -> None:
-        """Take in a deviation from the schedule, periods."""
-        self._mean += (by - self._mean) / JITTER_MEMORY
-        self._square += (by * by - self._square) / JITTER_MEMORY
-        if not by:
-            self._spread -= self._spread / JITTER_MEMORY
-            if self._square < ON_SCHEDULE**2:
-                self._mean = self._square = self._spread = 0.0
-
-    def _judge_rate(self) -> None:
-        """Compare the mean of as many steps as their spread asks for with the period."""
-        ticks = self._ticks
-        steps = RATE_STEPS
-        if self._spread:
-            wanted = RATE_ERRORS * math.sqrt(self._spread) / MOST_OFF
-            steps = max(RATE_STEPS, min(math.ceil(wanted), MOST_RATE_STEPS))
-        self.told_by = steps + 1
-        if len(ticks) <= steps:
-            return
-        first, last = ticks[-1 - steps], ticks[-1]
-        found_ns = self.found_ns = (last.t_ns - first.t_ns) / (last.seq - first.seq)
-        limit = STEADY_OFF if self.off else MOST_OFF
-        by = found_ns / self._period_ns - 1.0
-        # One tick that came late is no other rate; over many steps it cannot look like one.
-        self.off = abs(by) > limit and (
-            steps >= MEAN_STEPS or self._most_off(math.copysign(limit / 2.0, by), steps)
-        )
-
-    def _most_off(self, limit: float, steps: int) -> bool:
-        """Whether half of the last steps and more are off by a limit, on its side."""
-        recent = list(self._ticks)[-1 - steps :]
-        off = [
-            ((after.t_ns - before.t_ns) / (after.seq - before.seq) / self._period_ns - 1.0) / limit
-            > 1.0
-            for before, after in pairwise(recent)
-        ]
-        return 2 * sum(off) >= len(off)
-
-
-class Seams:
-    """Takes the seam of an encoder out of one leg's angles.
-
-    A joint whose travel crosses the seam reads, and is commanded, a turn further on its other
-    side.  Commands go on from the last command, readings lie within half a turn of the command.
-    """
-
-    def __init__(self) -> None:
-        self._last: list[float] | None = None  # (J,) rad, the command before
-
-    def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
-        """The sample with its angles in one turn; itself where they are, as nearly always."""
-        last = None if restart else self._last
-        measured, desired = sample.measured, sample.desired
-        if last is not None:
-            desired = _near(desired, last)
-        self._last = desired
-        measured = _near(measured, desired)
-        if measured is sample.measured and desired is sample.desired:
-            return sample
-        preview = sample.preview
-        if preview is not None and desired is not sample.desired:
-            before, rows = desired, []
-            for row in preview:
-                before = _near(row, before)
-                rows.append(before)
-            preview = rows
-        return msgspec.structs.replace(sample, measured=measured, desired=desired, preview=preview)
-
-
-def _near(angles: list[float], origin: list[float]) -> list[float]:
-    """Angles in the turn nearest to others; themselves where each is within half a turn."""
-    for angle, at in zip(angles, origin, strict=True):
-        if abs(angle - at) > math.pi:
-            return [
-                angle - 2.0 * math.pi * round((angle - at) / (2.0 * math.pi))
-                for angle, at in zip(angles, origin, strict=True)
-            ]
-    return angles
-
-
-class _Tick(NamedTuple):
-    """A sample's stamp and number, and the time of its tick by the schedule."""
-
-    t_ns: int
-    seq: int
-    at_ns: int
+    @property
+    def _ring(self) -> NDArray[np.int64]:
+        return self._own_ring[0] if self._place is None else self._place.batch.ring[self._place.row]
 
 
 _CAUSES: Final[dict[bool | None, str]] = {

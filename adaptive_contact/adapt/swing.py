@@ -1,24 +1,26 @@
-"""Where a leg is in its swing: phase, direction, and whether the foot follows its command."""
+"""What one swing of a leg shows: whether its foot is obstructed, and how early it was stopped.
+
+The tick follows phase, heights and commands (:mod:`adaptive_contact.detect.swing`); the judgements
+here are made once a swing, from what it has kept.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.tally import RECENT_TICKS
-from adaptive_contact.adapt.tracker import LIFT_OFF_TICKS
-from adaptive_contact.robot import Leg, foot_point, height_gradient
-from adaptive_contact.robot.phase import Direction, PhaseTracker
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.detect.batch import LegPlace
+from adaptive_contact.detect.layout import ASKED, HEIGHTS, SWINGS
+from adaptive_contact.detect.swing import LIFT_TICKS, LIFTED_M
+from adaptive_contact.robot import Leg, foot_point
 
-__all__ = ["Foretell", "SwingWatch"]
+__all__ = ["Foretell", "SwingJudge"]
 
-_Place = tuple[float, float, float]  # of a foot, in its leg's frame, m
+_Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Foretell = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 
 # A command that takes the foot no further says nothing of whether it follows.
@@ -31,84 +33,39 @@ FREE_SHARE: Final = 0.9
 # A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
 # model decides then, as it would have without.
 FORGET_SWINGS: Final = 5
-# Ticks by which a servo's foot is behind its command.
-LAG_TICKS: Final = 3
-# A foot this far above where it stood has left the ground.  Ground that gives, and legs that were
-# pressed, let it rise before that: by less in all but one tick in a thousand on hard ground and
-# on soft.
-CLEARANCE_M: Final = 0.015
-# Ground that gives is felt late, and a foot rises out of it for long: where it begins its swing so
-# far below the onset that was told, it is off the ground only above where it was so many ticks
-# before that onset.
-SUNK_M: Final = 0.006
+# Ground that gives is felt late: where it was, is told by the height so many ticks before an onset.
 SURFACE_TICKS: Final = 3
-SOFT_TICKS: Final = 12  # by then it is, all the same
-HEIGHTS: Final = 12  # ticks remembered
-# A lift in which the foot has risen by less says nothing of the leg: it may never have left the
-# ground.
-LIFTED_M: Final = 0.006
-# A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
-CLEAR_TICKS: Final = 11
 # A touch told where the foot has come down by less than this share of its rise is told early.
 EARLY_SHARE: Final = 1 / 3
-# Commands kept of one swing, to foretell where they take a foot; 8 s, as long as the slowest.
-PATH_TICKS: Final = 400
-# Without geometry the first half of a swing stands for its lift, if it holds enough ticks after the
-# foot has let go; the shortest of the last few swings says how long they are.
-LIFT_TICKS: Final = 10
-SWINGS: Final = 5
 
 
-class SwingWatch:
-    """Follows the phase and the foot's heights of one leg.
+class SwingJudge:
+    """Judges the swings of one leg.
+
+    Args:
+        leg: its description.
+        place: its arrays.
 
     Attributes:
-        ticks: samples since the swing began, 1 at its first, 0 in stance.
-        direction: of the command in force.
-        rising: the measured foot went up in this tick; without geometry, the time says so.
-        cleared: the foot was off the ground before this tick began, whatever residuals say.
-        held: the foot does not follow its command: something holds it, or it has no strength.
         came: share of its command's way that the foot went in the last lift that told; of a leg
-            that does not go all of it, of the way that its model foretells.
-        whole: the swing in hand began after a stance that was seen, and went on without a break.
+            that does not go all of it, of the way that its model predicts.
     """
 
-    def __init__(self, leg: Leg) -> None:
-        self.ticks = 0
-        self.direction = Direction.DESCENT
-        self.rising = False
-        self.cleared = False
-        self.held = False
+    def __init__(self, leg: Leg, place: LegPlace) -> None:
         self.came = 1.0
-        self.whole = False
-        self._stood = False  # since the source began, or broke off
         self._leg = leg
-        self._axes = leg.joint_axes
-        self._phase = None if leg.lengths_m is None else PhaseTracker()
-        self._told = False
-        self._untold = 0  # of the newest samples, those whose phase could not be told
-        self._last_desired: Sequence[float] | None = None
-        self._last_measured: Sequence[float] | None = None
-        self._commanded: _Place = (0.0, 0.0, 0.0)
-        self._measured: _Place = self._commanded
-        self._commanded_up = False
-        self._start: _Place = self._measured
-        self._rise = self._moved = 0.0
+        self._place = place
         self._unasked = 0  # lifts in a row that told nothing of a hold
-        self._path: list[Sequence[float]] = []  # commands of the swing
-        self._path_seq = (0, 0)  # of the first and the last of them
-        self._asked: deque[float] = deque([0.0], maxlen=LAG_TICKS + 1)
-        self._lengths: deque[int] = deque(maxlen=SWINGS)  # of swings, ticks
-        self._heights: deque[float] = deque(maxlen=HEIGHTS)  # m, newest last
-        self._surface = -math.inf  # height of soft ground that the swing began in, m
-        self._touch: tuple[float, float] | None = None  # heights at a touch, and before it
-        self._top = -math.inf  # height of the foot, the highest of the swing so far, m
-        self._fallen: float | None = None  # from there to where its first touch began, m
 
     @property
-    def blind(self) -> bool:
-        """Whether swings cannot be told without the samples' own word."""
-        return self._phase is None
+    def ticks(self) -> int:
+        """Samples since the swing began, 1 at its first, 0 in stance."""
+        return int(self._place.leg["ticks"])
+
+    @property
+    def held(self) -> bool:
+        """Whether the foot does not follow its command: held by something, or without strength."""
+        return bool(self._place.leg["held"])
 
     @property
     def measures(self) -> bool:
@@ -116,21 +73,14 @@ class SwingWatch:
         return self._leg.lengths_m is not None
 
     @property
-    def descending(self) -> bool:
-        """Whether the command in force is past the lift; without geometry, the time says so."""
-        if self._leg.lengths_m is None:
-            return self.ticks > max(2 * LIFT_OFF_TICKS, self._half)
-        return self.direction is Direction.DESCENT and self.ticks > LIFT_OFF_TICKS
-
-    @property
-    def deaf(self) -> bool:
-        """Whether swings are too short to hear of changes without the leg's geometry."""
-        return self._leg.lengths_m is None and bool(self._lengths) and self._half < LIFT_TICKS
+    def lifted(self) -> bool:
+        """Whether the foot has come up at all; without geometry, its command's word is taken."""
+        return self._leg.lengths_m is None or float(self._place.leg["rise"]) > LIFTED_M
 
     @property
     def blind_note(self) -> str | None:
         """One line for a person when swings cannot be told at all."""
-        if not (self._untold and self.blind):
+        if not self._place.leg["untold"] or self.measures:
             return None
         return (
             "samples carry no phase and robot.toml no lengths_m: swings cannot be told, contacts "
@@ -140,28 +90,15 @@ class SwingWatch:
     @property
     def deaf_note(self) -> str | None:
         """One line for a person when changes of the leg cannot be heard."""
-        if not self.deaf:
+        count = min(int(self._place.leg["lengths_n"]), SWINGS)
+        if self.measures or not count:
+            return None
+        if int(self._place.batch.lengths_ticks[self._place.row, :count].min()) // 2 >= LIFT_TICKS:
             return None
         return (
             "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the leg "
             "are not followed; give the lengths of its links"
         )
-
-    @property
-    def _half(self) -> int:
-        return min(self._lengths, default=0) // 2
-
-    @property
-    def lifted(self) -> bool:
-        """Whether the foot has come up at all; without geometry, its command's word is taken."""
-        return self._leg.lengths_m is None or self._rise > LIFTED_M
-
-    @property
-    def height_gradient(self) -> NDArray[np.float64] | None:
-        """(J,) m per rad, how the foot rises with each joint where it is; None without geometry."""
-        if self._leg.lengths_m is None or self._last_measured is None:
-            return None
-        return height_gradient(self._last_measured, self._leg.lengths_m, self._axes)
 
     def judge_lift(self, foretell: Foretell | None = None) -> bool | None:
         """Whether the foot is held, told at the top of a lift; None where little was asked of it.
@@ -172,125 +109,68 @@ class SwingWatch:
             foretell: where the commands of a swing take a leg that nothing holds, (J,) rad each;
                 asked only of a foot that is behind.
         """
-        asked = self._asked[0]
+        batch, row, leg = self._place.batch, self._place.row, self._place.leg
+        count = int(leg["asked_n"])
+        asked = float(batch.asked[row, (count - min(count, ASKED)) % ASKED])
         if asked <= LEAST_WAY_M:
             # Of a gait of small steps nobody could ever tell that the foot is free again.
             self._unasked += 1
             if self._unasked >= FORGET_SWINGS:
-                self.held = False
+                leg["held"] = False
             return None
         self._unasked = 0
-        self.came = self._moved / asked
-        enough = FREE_SHARE if self.held else HELD_SHARE
-        first, last = self._path_seq
-        if self.came < enough and foretell is not None and last - first + 1 == len(self._path):
+        moved = float(leg["moved"])
+        self.came = moved / asked
+        enough = FREE_SHARE if leg["held"] else HELD_SHARE
+        kept = int(leg["path_n"])
+        unbroken = int(leg["path_last"]) - int(leg["path_first"]) + 1 == kept
+        if self.came < enough and foretell is not None and unbroken:
             # Servos that are slow for this gait never bring the foot where the command was.
-            foretold = foretell(self._path)
-            places = [self._place(angles.tolist()) for angles in foretold]
-            way = max((math.dist(place, self._start) for place in places), default=0.0)
-            whole = len(places) == len(self._path)  # else the model ran away
+            path = batch.path[row, :kept].tolist()
+            foretold = foretell(path)
+            places = [self._foot(angles.tolist()) for angles in foretold]
+            start = batch.start[row].tolist()
+            way = max((math.dist(place, start) for place in places), default=0.0)
+            whole = len(places) == len(path)  # else the model ran away
             if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
-                self.came = self._moved / way
-        self.held = self.came < enough
-        return self.held
+                self.came = moved / way
+        leg["held"] = self.came < enough
+        return bool(leg["held"])
 
-    def touch_belied(self) -> bool | None:
+    def touched(self, ticks: int) -> None:
+        """A touch was told, with its onset so many ticks ago."""
+        leg = self._place.leg
+        count = int(leg["heights_n"])
+        if not count or not self.measures:
+            return
+        heights, kept = self._place.batch.heights[self._place.row], min(count, HEIGHTS)
+        at, before = (
+            float(heights[(count - 1 - min(back, kept - 1)) % HEIGHTS])
+            for back in (ticks, ticks + SURFACE_TICKS)
+        )
+        leg["touch_at"], leg["touch_before"] = at, before
+        if math.isnan(leg["fallen"]):
+            leg["fallen"] = leg["top"] - at
+
+    def touch_belied(self, *, whole: bool) -> bool | None:
         """Whether the swing that ends told a touch where its foot had hardly begun to come down.
+
+        Args:
+            whole: it began after a stance that was seen, and went on without a break.
 
         Returns:
             None where it cannot be told; False also where no touch was told.
         """
-        if not (self.measures and self.whole and self.lifted) or self.held:
+        leg = self._place.leg
+        if not (self.measures and whole and self.lifted) or leg["held"]:
             return None
-        return self._fallen is not None and self._fallen < EARLY_SHARE * self._rise
-
-    def interrupt(self) -> None:
-        """What comes does not connect to what was: it may be another swing already."""
-        self.whole = self._stood = False
+        fallen = float(leg["fallen"])
+        return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["rise"])
 
     def restart(self) -> None:
         """The source started anew."""
-        self.interrupt()
-        self.ticks = self._unasked = 0
-        self.held = False
-        self._surface, self._touch = -math.inf, None
-        self._heights.clear()
-        self._last_desired = self._last_measured = None
-        if self._phase is not None:
-            self._phase = PhaseTracker()
+        self._unasked = 0
 
-    def follow(self, sample: ServoSample) -> None:
-        """Take in the sample's phase, and in a swing the place its command sends the foot to."""
-        phase = sample.phase
-        place: _Place | None = None
-        if phase is None and self._phase is not None:
-            place = self._place(sample.desired)
-            if self._told:  # what was inferred before lies too far back
-                self._phase = PhaseTracker()
-            phase = self._phase.update(place[2])
-        self._told = sample.phase is not None
-        self._untold = RECENT_TICKS if phase is None else max(self._untold - 1, 0)
-        if phase != "swing":
-            self._stood = True
-            if self.ticks and self.whole:
-                self._lengths.append(self.ticks)
-        # Between swings nobody asks for places, and four in five ticks lie there.
-        self.ticks = self.ticks + 1 if phase == "swing" else 0
-        if self.ticks == 1:
-            self.whole = self._stood
-        if self.ticks and self._leg.lengths_m is not None:
-            if self.ticks == 1:
-                self._path, self._path_seq = [], (sample.seq, sample.seq)
-                self._commanded = self._place(self._last_desired or sample.desired)
-                self._start = self._measured = self._place(self._last_measured or sample.measured)
-                self._rise = self._moved = 0.0
-                self._asked.clear()
-                self._asked.append(0.0)
-                at, before = self._touch or (-math.inf, -math.inf)
-                self._surface = before if self._start[2] < at - SUNK_M else -math.inf
-                self._touch = None
-                self._top, self._fallen = self._start[2], None
-            if len(self._path) < PATH_TICKS:  # what is longer is not foretold
-                self._path.append(sample.desired)
-            self._path_seq = (self._path_seq[0], sample.seq)
-            now = place or self._place(sample.desired)
-            self._commanded_up = now[2] > self._commanded[2]
-            self._commanded = now
-        self._last_desired = sample.desired
-
-    def observe(self, measured: Sequence[float]) -> None:
-        """Take in where the leg is, (J,) rad, with substitutes for bad readings."""
-        self._last_measured = measured
-        if not self.ticks:
-            return
-        if self._leg.lengths_m is None:
-            self.cleared = self.ticks >= CLEAR_TICKS
-            self.rising = self._half >= LIFT_TICKS and LIFT_OFF_TICKS < self.ticks <= self._half
-            return
-        out = self._measured[2] > self._surface or self.ticks >= SOFT_TICKS
-        self.cleared = out and (self._rise > CLEARANCE_M or self.ticks >= CLEAR_TICKS)
-        now = self._place(measured)
-        self.rising = now[2] > self._measured[2]
-        self._measured = now
-        self._heights.append(now[2])
-        self._top = max(self._top, now[2])
-        self._rise = max(self._rise, now[2] - self._start[2])
-        self._moved = max(self._moved, math.dist(now, self._start))
-        self._asked.append(math.dist(self._commanded, self._start))
-
-    def touched(self, ticks: int) -> None:
-        """A touch was told, with its onset so many ticks ago."""
-        if self._heights:
-            back = [min(past, len(self._heights) - 1) for past in (ticks, ticks + SURFACE_TICKS)]
-            self._touch = (self._heights[-1 - back[0]], self._heights[-1 - back[1]])
-            if self._fallen is None:
-                self._fallen = self._top - self._heights[-1 - back[0]]
-
-    def command(self) -> None:
-        """The sample's command is now in force."""
-        if self._leg.lengths_m is not None:
-            self.direction = Direction.LIFT if self._commanded_up else Direction.DESCENT
-
-    def _place(self, angles: Sequence[float]) -> _Place:
+    def _foot(self, angles: Sequence[float]) -> _Point:
         assert self._leg.lengths_m is not None
-        return foot_point(angles, self._leg.lengths_m, self._axes)
+        return foot_point(angles, self._leg.lengths_m, self._leg.joint_axes)

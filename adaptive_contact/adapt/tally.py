@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adaptive_contact.wire import Reject
 
 __all__ = ["Tally"]
 
-Array = NDArray[np.float64]
-
-# Free residuals remembered for the status, about the swings of the last ten seconds.
-STATUS_TICKS: Final = 256
 FAULT_LINE: Final = 160  # characters
 # What a sample lacks is told of for so many samples more.
 RECENT_TICKS: Final = 50
@@ -25,23 +18,18 @@ _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: n
 class Tally:
     """Counters of one leg.
 
-    Args:
-        joints: J.
-
     Attributes:
         counts: by name.
         rejects: samples and payloads that were not used, by reason.
         fault_note: one line for a person on faults in learning; None while there was none.
     """
 
-    def __init__(self, joints: int) -> None:
+    def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.rejects: Counter[Reject] = Counter()
         self.fault_note: str | None = None
         self._faults = 0
         self._lacking = 0  # of the newest samples, those without the preview that is needed
-        self._residuals = np.zeros((STATUS_TICKS, joints))  # of free ticks, the newest, in turn
-        self._free = 0  # ticks
 
     def fault(self, fault: Exception) -> None:
         """A fault in learning, after which it began anew."""
@@ -60,18 +48,6 @@ class Tally:
             self._lacking = RECENT_TICKS
         elif self._lacking:
             self._lacking -= 1
-
-    def free(self, residual: Array) -> None:
-        """A free tick, and what was left of its prediction, (J,) rad."""
-        self._residuals[self._free % STATUS_TICKS] = residual
-        self._free += 1
-
-    @property
-    def residual_rms(self) -> list[float]:
-        """(J,) rad, root mean square of the newest free residuals; zeros without any."""
-        count = max(1, min(self._free, STATUS_TICKS))
-        rms: list[float] = np.sqrt(np.square(self._residuals).sum(axis=0) / count).tolist()
-        return rms
 
     def snapshot(self) -> dict[str, Any]:
         """The counters as plain maps, for :meth:`restore`."""

@@ -10,35 +10,19 @@ stands in a `try` of its own, without a call around it, which costs more (decisi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from adaptive_contact.adapt.block import Block
+from adaptive_contact.detect.batch import LegBatch
+from adaptive_contact.detect.tick import DECIDED, OWES
 from adaptive_contact.wire import ContactEvent, ServoSample
 
 if TYPE_CHECKING:
-    from adaptive_contact.adapt.detector import LegDetector
     from adaptive_contact.adapt.learner import ContactLearner
 
 __all__ = ["OnFault", "Team"]
 
 # Is told the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
-# A learner's row in its block and place in its team, and itself with the sample of the tick.
-_Seat = tuple[int, int, "ContactLearner", ServoSample]
-
-
-class _Half(NamedTuple):
-    """A tick of a block that has been judged.
-
-    Attributes:
-        block: of which.
-        taken: rows whose reading has been taken in; commands follow.
-        going: those of them that go on.
-    """
-
-    block: Block
-    taken: list[_Seat]
-    going: list[_Seat]
 
 
 class Team:
@@ -55,13 +39,9 @@ class Team:
     ) -> None:
         self.learners = tuple(learners)
         self._on_fault = on_fault
-        self._blocks: list[tuple[Block, list[int]]] = []
-        self._without = list(range(len(self.learners)))  # a model, and so without a block
-        self._homes: list[Block | None] = [None] * len(self.learners)
-        # What was judged and is not finished, and of whom.
-        self._halves: list[_Half] = []
-        self._watching: list[tuple[ContactLearner, ServoSample]] = []
-        self._open: set[int] = set()
+        self._batches: list[LegBatch] = []
+        self._homes: list[LegBatch | None] = [None] * len(self.learners)
+        self._open: set[int] = set()  # judged, and not finished
 
     def advance(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
         """Take learners one sample further, each with its own.
@@ -89,30 +69,33 @@ class Team:
             The event of each, or None.
         """
         if self._open and any(samples[i] is not None for i in self._open):
-            self._finish()
-        here: dict[int, tuple[ContactLearner, ServoSample]] = {}
+            self.finish()
+        self._settle()
         events: list[ContactEvent | None] = [None] * len(self.learners)
-        for i, (learner, given) in enumerate(zip(self.learners, samples, strict=True)):
-            if given is None:
+        here: list[int] = []
+        for batch in self._batches:
+            batch.accepted[:] = False
+        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
+            if sample is None:
                 continue
             try:
-                frame = learner.frame
-                sample = learner.admit(given if frame is None else frame.sample(given))
-                if sample is None:
-                    continue
-                if learner.owes_release:
-                    events[i] = learner.released(sample)
+                if learner.take(sample):
+                    here.append(i)
             except Exception as fault:
                 self._fault(learner, fault)
-            else:
-                here[i] = (learner, sample)
-        self._settle()
+        if not here:
+            return events
+        for batch in self._batches:
+            batch.judge()
         self._open.update(here)
-        self._watching += [here[i] for i in self._without if i in here]
-        for block, places in self._blocks:
-            work = [(row, i, *here[i]) for row, i in enumerate(places) if i in here]
-            if work:
-                self._judge(block, work, events)
+        for i in here:
+            learner = self.learners[i]
+            flags = int(learner.place.leg["flags"])
+            if flags & (DECIDED | OWES):
+                try:
+                    events[i] = learner.event_of(flags)
+                except Exception as fault:
+                    self._fault(learner, fault)
         return events
 
     def finish(self) -> None:
@@ -121,21 +104,19 @@ class Team:
         Who has got, changed or lost a model takes its place among the others here, too: no event
         waits for that.
         """
-        if self._open:
-            self._finish()
-        self._settle()
-
-    def _finish(self) -> None:
-        halves, watching = self._halves, self._watching
-        self._halves, self._watching = [], []
-        self._open.clear()
-        for learner, sample in watching:
+        for i in sorted(self._open):
+            learner = self.learners[i]
             try:
-                learner.watch(sample)
+                learner.finish(int(learner.place.leg["flags"]))
             except Exception as fault:
                 self._fault(learner, fault)
-        for half in halves:
-            self._follow(half)
+        if self._open:
+            for batch in self._batches:
+                batch.finish()
+            for i in self._open:
+                self.learners[i].settle()
+            self._open.clear()
+        self._settle()
 
     def _fault(self, learner: ContactLearner, fault: Exception) -> None:
         """A step of one leg raised, which must not end the others' service; raised if none asks."""
@@ -144,94 +125,20 @@ class Team:
         learner.begin_anew(fault)
         self._on_fault(learner.leg.id, fault)
 
-    def _judge(
-        self, block: Block, work: Sequence[_Seat], events: list[ContactEvent | None]
-    ) -> None:
-        """The first half of a tick of a block: those of its rows that have a sample."""
-        trackers = block.trackers
-        # Who faults on the way begins anew, elsewhere.
-        sound: list[_Seat] = []
-        readings = []
-        for seat in work:
-            row, _, learner, sample = seat
-            try:
-                readings.append(trackers[row].repair(sample.measured, sample.valid))
-            except Exception as fault:
-                self._fault(learner, fault)
-            else:
-                sound.append(seat)
-        if not sound:
-            return
-        block.take([row for row, *_ in sound], readings)
-        observed: list[_Seat] = []
-        judged: list[int] = []
-        for seat in sound:
-            row, _, learner, sample = seat
-            try:
-                if learner.observe(sample):
-                    judged.append(row)
-            except Exception as fault:
-                self._fault(learner, fault)
-            else:
-                observed.append(seat)
-        said = dict(zip(judged, block.judge(judged), strict=True)) if judged else {}
-        going: list[_Seat] = []
-        for seat in observed:
-            row, i, learner, sample = seat
-            try:
-                if row in said and (decided := learner.decide(said[row], sample)) is not None:
-                    events[i] = decided
-            except Exception as fault:
-                self._fault(learner, fault)
-            else:
-                going.append(seat)
-        self._halves.append(_Half(block, sound, going))
-
-    def _follow(self, half: _Half) -> None:
-        """The second half of a tick of a block."""
-        block = half.block
-        ready: list[int] = []
-        for row, _, learner, sample in half.going:
-            if learner.tracker is not block.trackers[row]:  # begun anew since it was judged
-                continue
-            try:
-                if learner.command(sample):
-                    ready.append(row)
-                else:
-                    block.trackers[row].predicted = False
-                learner.learn()
-            except Exception as fault:
-                self._fault(learner, fault)
-        block.push([row for row, *_ in half.taken], [sample.desired for *_, sample in half.taken])
-        if ready:
-            block.predict(ready)
-
     def _settle(self) -> None:
-        """Give every learner its place anew if one has got, changed or lost its tracker."""
-        detectors = [learner.detector for learner in self.learners]
-        for detector, home in zip(detectors, self._homes, strict=True):
-            if (detector is None) != (home is None):
-                break
-            if detector is not None and detector.tracker.home is not home:
+        """Bring learners of equal libraries into one batch each, where some are not."""
+        for learner, home in zip(self.learners, self._homes, strict=True):
+            if learner.place.batch is not home:
                 break
         else:
             return
-        if self._halves:  # in blocks that are about to go
-            self._finish()
-            detectors = [learner.detector for learner in self.learners]
-        groups: list[list[tuple[int, LegDetector]]] = []
-        self._without = []
-        for i, detector in enumerate(detectors):
-            if detector is None:
-                self._without.append(i)
-                continue
+        groups: list[list[ContactLearner]] = []
+        for learner in self.learners:
             for group in groups:
-                if group[0][1].alike(detector):
-                    group.append((i, detector))
+                if group[0].place.batch.alike(learner.place.batch):
+                    group.append(learner)
                     break
             else:
-                groups.append([(i, detector)])
-        self._blocks = [
-            (Block([detector for _, detector in group]), [i for i, _ in group]) for group in groups
-        ]
-        self._homes = [None if d is None else d.tracker.home for d in detectors]
+                groups.append([learner])
+        self._batches = [LegBatch.of([learner.place for learner in group]) for group in groups]
+        self._homes = [learner.place.batch for learner in self.learners]

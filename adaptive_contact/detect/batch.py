@@ -5,27 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptive_contact.detect.layout import (
     ASKED,
     DEPTH,
     HEIGHTS,
-    LEG,
     LOW_TICKS,
     PATH_TICKS,
     RING,
     ROW,
     SWINGS,
     VALUES,
+    new_legs,
 )
 from adaptive_contact.detect.noise import CONTEXTS
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.tick import finish_tick, judge_tick
-from adaptive_contact.identify import Library
+from adaptive_contact.identify import Domain, Library
 from adaptive_contact.robot import Leg
+from adaptive_contact.wire import ServoSample
 
-__all__ = ["LegBatch"]
+__all__ = ["LegBatch", "LegPlace"]
+
+Array = NDArray[np.float64]
 
 STATUS_TICKS: Final = 256
 
@@ -47,6 +52,9 @@ class LegBatch:
     ) -> None:  # fmt: skip
         rows, joints = len(legs), len(library.joints)
         shape = library.window
+        self.described = tuple(legs)
+        self.library, self.count = library, rows
+        self.open = np.zeros(rows, dtype=np.bool_)
         self.table = term_table(library)
         self.lags = shape.past_measured + 1
         self.preview = shape.preview
@@ -57,7 +65,7 @@ class LegBatch:
         def zeros(*shape: int, dtype: Any = f) -> Any:
             return np.zeros((rows, *shape), dtype=dtype)
 
-        self.legs = legs_ = np.zeros(rows, dtype=LEG)
+        self.legs = legs_ = new_legs(rows)
         # A tick's samples.
         self.accepted, self.restart = zeros(dtype=b), zeros(dtype=b)
         self.lost, self.t_ns, self.seq = zeros(dtype=i), zeros(dtype=i), zeros(dtype=i)
@@ -112,16 +120,10 @@ class LegBatch:
             if leg.lengths_m is not None:
                 self.lengths[row] = leg.lengths_m
             self.pitched[row] = [axis == "pitch" for axis in leg.joint_axes]
-        for name, value in {
-            "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
-            "sound": True, "level": 1.0, "loaded": True, "hole_ns": -1, "surface": -np.inf,
-            "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
-            "apex": -np.inf, "asked_n": 1,
-        }.items():  # fmt: skip
-            legs_[name] = value
 
     def judge(self) -> None:
         """The first half of a tick."""
+        self.open |= self.accepted
         judge_tick(
             self.legs, self.accepted, self.restart, self.lost, self.t_ns, self.seq, self.phase,
             self.measured, self.desired, self.valid, self.has_valid, self.preview_in, self.ring,
@@ -139,7 +141,162 @@ class LegBatch:
     def finish(self) -> None:
         """The second half."""
         finish_tick(
-            self.legs, self.accepted, self.desired, self.preview_in, self.preview_n, self.command,
+            self.legs, self.open, self.desired, self.preview_in, self.preview_n, self.command,
             self.before, self.window, self.lags, self.preview, self.increment, self.theta,
             *self.table, self.xi0, self.coefficients, self.room,
         )  # fmt: skip
+        self.open[:] = False
+        if self.legs["row_n"].max() + 2 > self.rows.shape[1]:
+            self.grow()
+
+    @classmethod
+    def of(cls, places: Sequence[LegPlace]) -> LegBatch:
+        """Bring legs of equal libraries into one batch."""
+        first = places[0].batch
+        batch = cls(
+            [leg for place in places for leg in [place.batch.described[place.row]]], first.library,
+            [float(place.leg["quantum"]) for place in places], int(first.legs["period_ns"][0]),
+            max_step=float(first.legs["max_step"][0]),
+        )  # fmt: skip
+        for row, place in enumerate(places):
+            place.move(batch, row)
+        return batch
+
+    def alike(self, other: LegBatch) -> bool:
+        """True if rows of another batch fit into this one, and mean the same."""
+        ours, theirs = self.library, other.library
+        return ours is theirs or ours == theirs
+
+    def adopt(self, row: int, other: LegBatch, of: int) -> None:
+        """Take a row of another batch over: what fits, where its library is another."""
+        whole = self.alike(other)
+        while whole and self.rows.shape[1] < other.rows.shape[1]:
+            self.grow()
+        for name, mine in vars(self).items():
+            theirs = vars(other).get(name)
+            if not isinstance(mine, np.ndarray) or name in _SCRATCH or theirs is None:
+                continue
+            if name in _OF_ROWS:
+                if whole:
+                    mine[row, : theirs.shape[1]] = theirs[of]
+            elif mine.shape[1:] == theirs.shape[1:] and (whole or name not in _OF_MODEL):
+                mine[row] = theirs[of]
+
+    def grow(self) -> None:
+        """Make room for longer swings."""
+        for name in _OF_ROWS:
+            kept = getattr(self, name)
+            setattr(self, name, np.concatenate([kept, np.zeros_like(kept)], axis=1))
+
+    def forget_past(self, row: int) -> None:
+        """A model begins: nothing was predicted before."""
+        for name in _OF_MODEL:
+            getattr(self, name)[row] = 0
+        leg = self.legs[row]
+        for name in ("filled", "impossible", "unsure", "refused", "reach_ticks", "values_n"):
+            leg[name] = 0
+        for name in ("usable", "thetas_n"):
+            leg[name] = 0
+        leg["predicted"] = leg["bad"] = leg["seen"] = False
+        leg["sound"], leg["inflation"] = True, 1.0
+
+
+_OF_ROWS: Final = ("rows", "row_thetas", "row_targets", "row_asides")
+_SCRATCH: Final = ("bools", "floats", "room", "now", "sums")
+# What belongs to a model and to the past under it.
+_OF_MODEL: Final = (
+    "window", "history", "increment", "theta", "thetas", "began_window", "reach", "believed",
+    "last", "doubts", "stale", "refused", "values", "counts", "xi0", "coefficients", "index",
+    "per_scale", "root", "sizes", "domain",
+)  # fmt: skip
+
+
+_PHASES: Final = {None: -1, "stance": 0, "swing": 1}
+
+
+class LegPlace:
+    """Where a leg's arrays are: a row of a batch.
+
+    Attributes:
+        batch: that has them.
+        row: of the leg.
+        leg: its scalars.
+    """
+
+    __slots__ = ("batch", "leg", "row")
+
+    def __init__(self, batch: LegBatch, row: int = 0) -> None:
+        self.batch, self.row, self.leg = batch, row, batch.legs[row]
+
+    def move(self, batch: LegBatch, row: int) -> None:
+        """Take the arrays along to a row of another batch."""
+        batch.adopt(row, self.batch, self.row)
+        self.batch, self.row, self.leg = batch, row, batch.legs[row]
+
+    def take(self, sample: ServoSample, *, lost: int, restart: bool) -> None:
+        """Put an accepted sample in, for the next tick to judge."""
+        batch, row = self.batch, self.row
+        batch.accepted[row], batch.restart[row], batch.lost[row] = True, restart, lost
+        batch.t_ns[row], batch.seq[row] = sample.t_ns, sample.seq
+        batch.phase[row] = _PHASES[sample.phase]
+        batch.measured[row], batch.desired[row] = sample.measured, sample.desired
+        missing = sample.valid is not None and not all(sample.valid)
+        batch.has_valid[row] = missing
+        if missing:
+            batch.valid[row] = sample.valid
+        if batch.preview:
+            ahead = sample.preview or ()
+            count = batch.preview_n[row] = min(len(ahead), batch.preview)
+            batch.preview_in[row, :count] = ahead[:count] if count else 0.0
+
+    def sample(self, taken: ServoSample) -> ServoSample:
+        """The sample that was taken, with its angles in one turn."""
+        measured = self.batch.measured[self.row].tolist()
+        desired = self.batch.desired[self.row].tolist()
+        return msgspec.structs.replace(taken, measured=measured, desired=desired)
+
+    def restart_swing(self) -> None:
+        """Forget the swing in hand."""
+        leg = self.leg
+        for name in ("whole", "stood", "held", "has_desired", "has_measured", "open"):
+            leg[name] = False
+        for name in ("surface", "touch_at", "touch_before"):
+            leg[name] = -np.inf
+        for name in ("ticks", "heights_n", "low_n", "low_at", "still", "lift_n", "row_n"):
+            leg[name] = 0
+        leg["commanded_n"], leg["hole_ns"], leg["apex"] = 0, -1, -np.inf
+        for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):
+            leg[name] = False
+        leg["broken"] = True
+
+    def show_domain(self, domain: Domain | None) -> None:
+        """Put in where the model has been; None if that is not known."""
+        self.leg["has_domain"] = domain is not None
+        if domain is not None:
+            reach = domain.reach
+            self.batch.domain[self.row] = 0.0
+            self.batch.domain[self.row, : len(reach), : len(reach)] = reach
+
+    @property
+    def free_rms(self) -> list[float]:
+        """(J,) rad, root mean square of the newest free residuals; zeros without any."""
+        kept = self.batch.free_ring[self.row]
+        count = max(1, min(int(self.leg["free_n"]), len(kept)))
+        rms: list[float] = np.sqrt(np.square(kept).sum(axis=0) / count).tolist()
+        return rms
+
+    @property
+    def window(self) -> Array:
+        """(lags, J) rad, measured, desired and preview, as a prediction is made from."""
+        joints = self.batch.measured.shape[1]
+        return self.batch.window[self.row].reshape(-1, joints)
+
+    @property
+    def residuals(self) -> Array:
+        """(3, J) rad, the newest first."""
+        return self.batch.history[self.row, 0]
+
+    @property
+    def increments(self) -> Array:
+        """(3, J) rad that were predicted, the newest first."""
+        return self.batch.history[self.row, 1]

@@ -16,6 +16,7 @@ from adaptive_contact.detect.regressors import predict, regressors
 
 # Constants: see adapt/tracker.py (moved here with their evidence).
 LIFT_OFF_TICKS: Final = 5
+MAX_STEP_RAD_S: Final = 25.0
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 REACH: Final = 1.25
@@ -197,7 +198,7 @@ def repair(
         return
     some_missing = some_bad = has_impossible = False
     largest = 0.0
-    still = moving = False
+    still = False
     for j in range(joints):
         steps[j] = abs(measured[j] - before[j])
         jump = abs(measured[j] - window[j]) if substituted else steps[j]
@@ -210,8 +211,6 @@ def repair(
         bad[j] = impossible[j] = False
         if steps[j] == 0.0:
             still = True
-        else:
-            moving = True
     if largest > leg.max_step:
         leg.impossible += 1
         if leg.impossible > MAX_IMPOSSIBLE:
@@ -252,9 +251,7 @@ def repair(
     if not doubtful:
         stale[:] = 0
     else:
-        some_still = all_still = False
-        all_known = True
-        all_still = True
+        some_still, all_still, all_known = False, True, True
         for j in range(joints):
             found[j] = (
                 steps[j] == 0.0

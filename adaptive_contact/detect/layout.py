@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-__all__ = ["DEPTH", "LEG", "ROW"]
+from numpy.typing import NDArray
+__all__ = ["DEPTH", "LEG", "ROW", "new_legs"]
 
 DEPTH: Final = 3  # ticks of the longest window of the statistic
 HEIGHTS: Final = 12  # of the foot, remembered
@@ -46,6 +47,8 @@ LEG: Final = np.dtype(
         ("found_ns", f8),  # NaN while unknown
         ("told_by", i4),
         ("ring_n", i8),
+        ("missed", i8),  # ticks since the last sample; -1 after a pause
+        ("accepted_n", i8),
         ("jitter_mean", f8),
         ("jitter_square", f8),
         ("spread", f8),
@@ -121,6 +124,7 @@ LEG: Final = np.dtype(
         ("touching", b1),
         ("resolved_first", i4),
         ("resolved_last", i4),
+        ("resolved_whole", b1),
         ("began_full", b1),
         ("has_seam", b1),
         ("has_theta", b1),
@@ -153,3 +157,19 @@ ROW: Final = np.dtype(
     ],
     align=True,
 )
+
+
+def new_legs(count: int) -> NDArray[np.void]:
+    """Scalars of legs that have seen nothing."""
+    legs = np.zeros(count, dtype=LEG)
+    for name, value in _BEGINNING.items():
+        legs[name] = value
+    return legs
+
+
+_BEGINNING: Final = {
+    "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
+    "sound": True, "level": 1.0, "loaded": True, "hole_ns": -1, "surface": -np.inf,
+    "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
+    "apex": -np.inf, "asked_n": 1,
+}  # fmt: skip

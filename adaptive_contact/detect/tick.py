@@ -44,6 +44,7 @@ TOUCHED: Final = 128  # and it began
 TOUCHING: Final = 256  # a tick of a contact in hand
 RATE_OFF: Final = 512
 LACKING: Final = 1024  # no preview
+OWES: Final = 2048  # a contact ended that no tick will decide
 
 CALM_SCORE: Final = 0.5
 CALM_TICKS: Final = 3
@@ -73,7 +74,7 @@ def note_hole(leg, rows):
 def break_off(leg):
     """What comes does not connect: the swing cannot be resolved, and is not learned."""
     leg.flags |= BROKE_OFF
-    leg.whole = leg.stood = False
+    leg.whole = leg.stood = leg.touching = False
     begin_labels(leg)
     leg.broken = True
 
@@ -243,15 +244,17 @@ def enter_row(
     """Hold a judged tick back until its swing is resolved."""
     joints = history.shape[2]
     leg.flags |= ENTERED
-    if leg.broken or not (leg.topped or leg.rising or past_top):
+    if not leg.gated:
+        pass
+    elif leg.broken or not (leg.topped or leg.rising or past_top):
         return
-    if leg.rising and not leg.topped:
+    elif leg.rising and not leg.topped:
         if not (free or leg.ticks >= FREE_LIFT_TICKS):
             return
     elif leg.closed:
         leg.topped = True
         return
-    at = leg.row_n
+    at = leg.row_n if leg.gated else 0  # ungated, each is learned at once
     first, most = (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
     if most >= MAX_ROWS:  # the oldest goes
         for k in range(first, at - 1):
@@ -277,6 +280,9 @@ def enter_row(
         push_from_ground(
             leg, row, asides[at], history[0, 0], target, whiten, unit, gradient, target
         )
+    if not leg.gated:
+        row.lift = leg.rising
+        return
     leg.row_n = at + 1
     if leg.rising and not leg.topped:
         row.lift = True
@@ -365,6 +371,8 @@ def judge_tick(
         if restart[i]:
             restart_clock(leg)
         missed = follow_clock(leg, t_ns[i], seq[i], ring[i])
+        leg.missed = missed
+        leg.accepted_n += 1
         if leg.late != 1:
             leg.lateness = 0.0
         if restart[i]:
@@ -382,6 +390,8 @@ def judge_tick(
                 restart_history(leg, doubts[i])
                 break_off(leg)
                 leg.loaded, leg.calm = True, 0
+        if leg.owes_release:
+            leg.flags |= OWES
         # The swing, by the command.
         follow_command(
             leg, phase[i], measured[i], desired[i], seq[i], lengths[i], pitched[i], low[i],
@@ -393,6 +403,7 @@ def judge_tick(
                 leg.open = False
                 leg.flags |= RESOLVED
                 leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
+                leg.resolved_whole = leg.whole
                 leg.row_n = leg.lift_n
                 leg.closed = True
         elif leg.ticks == 1:
@@ -548,7 +559,6 @@ def finish_tick(
 ):  # fmt: skip
     """The second half: commands are in force, and the next tick is predicted."""
     joints = desired.shape[1]
-    table = (kind, first, entry, weight, knee, law)
     for i in range(len(legs)):
         if not accepted[i]:
             continue

@@ -119,6 +119,11 @@ class Domain:
         known[len(self.scale) :] = BEYOND_DEVIATIONS**-2
         return np.asarray(seen + np.diag(known))
 
+    @property
+    def reach(self) -> Array:
+        """(p, p) G with :math:`h = |G \\theta|^2`, without the terms beyond."""
+        return self._reach
+
     def leverage(self, theta: Array) -> Array:
         """Leverage h of rows.
 

@@ -25,6 +25,7 @@ import math
 
 import numpy as np
 import scipy.linalg
+from numba import njit
 from numpy.typing import NDArray
 
 __all__ = ["RecursiveLeastSquares", "RlsSettings"]
@@ -90,7 +91,8 @@ class RecursiveLeastSquares:
         self._to_raw = self._per_scale * self.noise[:, None]
         self._xi = self._scaled(coefficients)  # (J, n)
         self._s = np.zeros((len(noise), size, size))
-        self._outer = np.empty_like(self._s)  # room for an update
+        self._innovations = np.zeros(len(noise))
+        self._room = np.zeros((3, len(noise), size))
         self.reset_covariance()
 
     @property
@@ -144,7 +146,7 @@ class RecursiveLeastSquares:
         """One that goes its own way from here; what never changes is shared."""
         twin = copy.copy(self)
         twin._full, twin._xi, twin._s = self._full.copy(), self._xi.copy(), self._s.copy()
-        twin._outer = np.empty_like(self._outer)
+        twin._innovations, twin._room = self._innovations.copy(), self._room.copy()
         return twin
 
     def reset_covariance(self) -> None:
@@ -157,6 +159,16 @@ class RecursiveLeastSquares:
         """Take over the coefficients of an accepted refit; what was known of them stays known."""
         self._full = coefficients.copy()
         self._xi = self._scaled(coefficients)
+
+    @property
+    def size(self) -> int:
+        """n, terms of the joint that has the most."""
+        return self._index.shape[1]
+
+    def show(self, index: NDArray[np.int64], per_scale: Array, root: Array) -> None:
+        """Copy places, reciprocal scales and square roots into the first n of larger arrays."""
+        n = self.size
+        index[:, :n], per_scale[:, :n], root[:, :n, :n] = self._index, self._per_scale, self._s
 
     def uncertainty(self, theta: Array) -> Array:
         """Variance of a prediction that comes from the coefficients, over the noise's.
@@ -183,33 +195,16 @@ class RecursiveLeastSquares:
             J innovations: how far the prediction was off before the row was learned, over the
             noise.
         """
-        phi = theta[self._index]
-        phi *= self._per_scale
-        innovations: list[float] = (target * self._per_noise - np.vecdot(self._xi, phi)).tolist()
-        # A regressor that is not finite shows in every innovation.
-        if not all(map(math.isfinite, innovations)):
-            return innovations
-        v = np.vecmat(phi, self._s)
-        sv = np.matvec(self._s, v)
-        excitation = np.vecdot(v, v).tolist()
         settings = self.settings
-        gains, rates = [], []
-        # Plain floats: for three joints they are faster than arrays.
-        for innovation, m in zip(innovations, excitation, strict=True):
-            # Huber's weight on the innovation, in units of its own standard deviation.
-            size = abs(innovation) / math.sqrt(1.0 + m)
-            weight = 1.0 if size <= settings.huber else settings.huber / size
-            gains.append(weight * innovation / (1.0 + weight * m))
-            # Without excitation (m = 0) there is nothing to learn and nothing to forget.
-            shrink = math.sqrt(1.0 / (settings.forgetting * (1.0 + weight * m))) - 1.0
-            rates.append(shrink / m if m > 1e-12 else 0.0)
-        self._xi += sv * np.array(gains)[:, None]
-        sv *= np.array(rates)[:, None]
-        np.multiply(sv[:, :, None], v[:, None, :], out=self._outer)
-        self._s += self._outer
-        self.rows += 1
-        if self.rows % 64 == 0:
-            self._bound()
+        learn_row(
+            theta, target, self._index, self._per_scale, self._per_noise, self._xi, self._s,
+            settings.forgetting, settings.huber, self._innovations, self._room,
+        )  # fmt: skip
+        innovations: list[float] = self._innovations.tolist()
+        if all(map(math.isfinite, innovations)):
+            self.rows += 1
+            if self.rows % 64 == 0:
+                self._bound()
         return innovations
 
     def doubt(self, gram: Array) -> None:
@@ -262,3 +257,61 @@ class RecursiveLeastSquares:
         if over.any():
             shrink = np.where(over, limit / np.maximum(deviation, 1e-300), 1.0)
             self._s *= shrink[:, :, None]
+
+
+@njit(cache=True)
+def learn_row(
+    theta, target, index, per_scale, per_noise, xi, s, forgetting, huber, innovations, room
+):  # fmt: skip
+    """Take in one row, in place; one whose innovations are not finite leaves all as it is.
+
+    Args:
+        theta: (p,) regressors.
+        target: (J,) rad.
+        index, per_scale: (J, n) places in theta, and the reciprocal of their scale.
+        per_noise: (J,) reciprocal of the noise.
+        xi: (J, n) coefficients in units of scale and noise.
+        s: (J, n, n) square roots of their covariances.
+        forgetting, huber: settings.
+        innovations: (J,) to be filled.
+        room: (3, J, n) scratch.
+    """
+    joints, size = index.shape
+    sound = True
+    for j in range(joints):
+        innovation = target[j] * per_noise[j]
+        for k in range(size):
+            phi = theta[index[j, k]] * per_scale[j, k]
+            room[0, j, k] = phi
+            innovation -= xi[j, k] * phi
+        innovations[j] = innovation
+        sound &= math.isfinite(innovation)
+    if not sound:
+        return
+    for j in range(joints):
+        phi, v, sv = room[0, j], room[1, j], room[2, j]
+        v[:] = 0.0
+        for k in range(size):
+            if phi[k] != 0.0:
+                for c in range(size):
+                    v[c] += phi[k] * s[j, k, c]
+        m = 0.0
+        for c in range(size):
+            m += v[c] * v[c]
+        for k in range(size):
+            total = 0.0
+            for c in range(size):
+                total += s[j, k, c] * v[c]
+            sv[k] = total
+        # Huber's weight on the innovation, in units of its own standard deviation.
+        size_of = abs(innovations[j]) / math.sqrt(1.0 + m)
+        weight = 1.0 if size_of <= huber else huber / size_of
+        gain = weight * innovations[j] / (1.0 + weight * m)
+        # Without excitation (m = 0) there is nothing to learn and nothing to forget.
+        shrink = math.sqrt(1.0 / (forgetting * (1.0 + weight * m))) - 1.0
+        rate = shrink / m if m > 1e-12 else 0.0
+        for k in range(size):
+            xi[j, k] += sv[k] * gain
+            at = sv[k] * rate
+            for c in range(size):
+                s[j, k, c] += at * v[c]
