@@ -25,9 +25,9 @@ from adaptive_contact.adapt.stream import (
     RateWatch,
     StreamGuard,
 )
-from adaptive_contact.detect.clock import LATE_PERIODS, PAUSE_PERIODS
-from adaptive_contact.detect.history import LIFT_OFF_TICKS
 from adaptive_contact.adapt.training import Stretch, swing_ticks
+from adaptive_contact.detect.clock import LATE_PERIODS
+from adaptive_contact.detect.history import LIFT_OFF_TICKS
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.conventions import (

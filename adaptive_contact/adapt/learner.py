@@ -32,7 +32,6 @@ from adaptive_contact.detect.tick import (
     BROKE_OFF,
     DECIDED,
     ENTERED,
-    LACKING,
     OWES,
     RATE_OFF,
     RESOLVED,
@@ -58,6 +57,7 @@ __all__ = ["ContactLearner"]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
+_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 # What a tick may leave to be handed on.
 _MOVES: Final = RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF
 
@@ -150,6 +150,8 @@ class ContactLearner:
     def begin_anew(self, fault: Exception) -> None:
         """After a fault in its learning: go back to what was last saved of it, and say so."""
         self._tally.fault(fault)
+        self.place.drop_tick()
+        self._assessed = False
         self._knowledge.fall_back()
         self._let_go()
         self.place.restart_swing()
@@ -301,7 +303,6 @@ class ContactLearner:
             if flags & RATE_OFF and knowledge.follower is not None:
                 knowledge.follower.distrust(self._rate.since_ns)
         self._assessed = False
-        self._tally.preview(lacking=bool(flags & LACKING))
         if self._misread:
             return
         if knowledge.cold is not None:
@@ -472,6 +473,6 @@ class ContactLearner:
             self._knowledge.note_now,
             None if follower is None else follower.note,
             self._quarantine.deaf_note,
-            self._tally.preview_note,
+            _NO_PREVIEW if self.place.leg["lacking"] else None,
         )
         return next((note for note in notes if note is not None), None)

@@ -111,9 +111,7 @@ def confirmed_before(
     # A foot on its way up while its command comes down lags behind, or has been kicked up.
     limit = LET_GO_RATIO * max([1.0, *(row.level for row in lift[:commanded])])
     kept = [
-        k
-        for k, row in enumerate(lift)
-        if k < commanded or row.t_ns <= last or row.level <= limit
+        k for k, row in enumerate(lift) if k < commanded or row.t_ns <= last or row.level <= limit
     ]
     rows = [row for row in descent if row.t_ns <= last]
     rows += _not_pushed(descent[len(rows) :], near_ns)

@@ -46,6 +46,7 @@ SHORT_RUNS: Final = 3
 # Deviations above this, root mean square in periods, are worth a line to a person.
 NOTED_JITTER: Final = 0.15
 
+
 class Accepted(NamedTuple):
     """A sample that is in order.
 

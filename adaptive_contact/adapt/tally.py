@@ -10,9 +10,6 @@ from adaptive_contact.wire import Reject
 __all__ = ["Tally"]
 
 FAULT_LINE: Final = 160  # characters
-# What a sample lacks is told of for so many samples more.
-RECENT_TICKS: Final = 50
-_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 
 
 class Tally:
@@ -29,25 +26,12 @@ class Tally:
         self.rejects: Counter[Reject] = Counter()
         self.fault_note: str | None = None
         self._faults = 0
-        self._lacking = 0  # of the newest samples, those without the preview that is needed
 
     def fault(self, fault: Exception) -> None:
         """A fault in learning, after which it began anew."""
         self._faults += 1
         last = " ".join(f"{type(fault).__name__}: {fault}".split())[:FAULT_LINE]
         self.fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
-
-    @property
-    def preview_note(self) -> str | None:
-        """One line for a person when samples carry too little for a prediction."""
-        return _NO_PREVIEW if self._lacking else None
-
-    def preview(self, *, lacking: bool) -> None:
-        """Whether this sample lacked the preview that the model needs."""
-        if lacking:
-            self._lacking = RECENT_TICKS
-        elif self._lacking:
-            self._lacking -= 1
 
     def snapshot(self) -> dict[str, Any]:
         """The counters as plain maps, for :meth:`restore`."""

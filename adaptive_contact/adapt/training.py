@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.baseline import Baseline, LegBaseline
-from adaptive_contact.detect.history import LIFT_OFF_TICKS
 from adaptive_contact.adapt.trimming import inliers, untouched
 from adaptive_contact.detect import context, fit_noise, fit_tail, lagged, stream_statistic
+from adaptive_contact.detect.history import LIFT_OFF_TICKS
 from adaptive_contact.detect.noise import MIN_TICKS, WINDOWS
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.identify import (

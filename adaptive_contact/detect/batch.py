@@ -255,6 +255,11 @@ class LegPlace:
         desired = self.batch.desired[self.row].tolist()
         return msgspec.structs.replace(taken, measured=measured, desired=desired)
 
+    def drop_tick(self) -> None:
+        """Go no further with the tick in hand."""
+        self.batch.accepted[self.row] = self.batch.open[self.row] = False
+        self.leg["flags"] = 0
+
     def restart_swing(self) -> None:
         """Forget the swing in hand."""
         leg = self.leg

@@ -9,8 +9,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
+from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.layout import RING
 
 # Steps over which the rate of a steady source is judged: a rate that changes by 20 % shows in the
@@ -50,7 +50,7 @@ ON_TIME_SHARE: Final = 0.4
 PAUSE: Final = -1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def anchor(leg, t_ns, seq, ring):
     """The tick is on schedule, or begins one."""
     leg.at_ns, leg.due_ns = t_ns, t_ns + leg.period_ns
@@ -60,7 +60,7 @@ def anchor(leg, t_ns, seq, ring):
     leg.ring_n += 1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def note_jitter(leg, by):
     """Take in a deviation from the schedule, periods."""
     leg.jitter_mean += (by - leg.jitter_mean) / JITTER_MEMORY
@@ -71,7 +71,7 @@ def note_jitter(leg, by):
             leg.jitter_mean = leg.jitter_square = leg.spread = 0.0
 
 
-@njit(cache=True, inline="never")
+@compiled
 def off_schedule(leg, t_ns, seq, missed, periods, ring):
     """Follow a stamp that is off the schedule, its step so many periods a tick."""
     period = leg.period_ns
@@ -101,7 +101,7 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
     leg.ring_n += 1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def judge_rate(leg, ring):
     """Compare the mean of as many steps as their spread asks for with the period."""
     steps = RATE_STEPS
@@ -128,7 +128,7 @@ def judge_rate(leg, ring):
     leg.rate_off = off
 
 
-@njit(cache=True, inline="never")
+@compiled
 def restart_clock(leg):
     """The source began again."""
     leg.ring_n = 0
@@ -136,7 +136,7 @@ def restart_clock(leg):
     leg.found_ns = np.nan
 
 
-@njit(cache=True, inline="never")
+@compiled
 def follow_clock(leg, t_ns, seq, ring):
     """Take in time and number of an accepted sample.
 
@@ -168,7 +168,7 @@ def follow_clock(leg, t_ns, seq, ring):
     return missed
 
 
-@njit(cache=True, inline="never")
+@compiled
 def vote_late(leg, residual, moved, sigma):
     """Take in what a free tick off the schedule shows: did the leg move by the longer step?"""
     shown = power = 0.0
@@ -189,7 +189,7 @@ def vote_late(leg, residual, moved, sigma):
         leg.late = 1 if leg.shown > limit * leg.votes else 0
 
 
-@njit(cache=True)
+@compiled
 def follow_one(legs, ring, t_ns, seq, restart):
     """:func:`follow_clock` of the first leg, by itself."""
     if restart:

@@ -6,11 +6,9 @@ function takes the batch's arrays and the row of the leg.
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
-from numba import njit
-
+from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.layout import DEPTH, VALUES
 from adaptive_contact.detect.regressors import predict, regressors
 
@@ -29,7 +27,7 @@ UNSURE_TICKS: Final = 2
 UNSURE_VARIANCE: Final = 2.5
 
 
-@njit(cache=True, inline="never")
+@compiled
 def restart_history(leg, doubts):
     """Drop the past: what comes does not connect to it."""
     leg.filled = 0
@@ -40,7 +38,7 @@ def restart_history(leg, doubts):
     doubts[:] = False
 
 
-@njit(cache=True, inline="never")
+@compiled
 def foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
     """Predict the next movement if it is not, and can be without a preview; True if it is."""
     if not leg.predicted and leg.filled >= leg.length and preview == 0:
@@ -50,7 +48,7 @@ def foresee(leg, window, preview, table, xi0, coefficients, theta, increment, ro
     return leg.predicted
 
 
-@njit(cache=True, inline="never")
+@compiled
 def remember_refused(leg, measured, refused, values, counts):
     """Count refused readings and keep their values, the oldest least often refused goes first."""
     joints = len(measured)
@@ -87,7 +85,7 @@ def remember_refused(leg, measured, refused, values, counts):
         leg.values_n = n
 
 
-@njit(cache=True, inline="never")
+@compiled
 def beyond_reach(
     leg, measured, last, valid, has_valid, impossible, has_impossible,
     window, lags, preview, history, increment, reach, believed, doubts, values, counts,
@@ -174,7 +172,7 @@ def beyond_reach(
     return 1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def repair(
     leg, measured, valid, has_valid, reading,
     window, lags, preview, history, increment, reach, believed, last, doubts, stale, refused,
@@ -282,9 +280,7 @@ def repair(
         for j in range(joints):
             if not bad[j]:
                 leg.sound = True
-        foreseen = foresee(
-            leg, window, preview, table, xi0, coefficients, theta, increment, room
-        )
+        foreseen = foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room)
     for j in range(joints):
         if some_bad and bad[j]:
             reading[j] = window[j] + increment[j] if foreseen else window[j]
@@ -293,7 +289,7 @@ def repair(
         reading[j] = window[j] + (measured[j] - window[j]) * scale if late else measured[j]
 
 
-@njit(cache=True, inline="never")
+@compiled
 def take(leg, reading, window, lags, history, increment):
     """Shift a reading into the window, and what it leaves of the prediction into the history."""
     joints = len(reading)
@@ -310,7 +306,7 @@ def take(leg, reading, window, lags, history, increment):
         window[j] = reading[j]
 
 
-@njit(cache=True, inline="never")
+@compiled
 def judged(leg, theta, thetas):
     """True if the residual of the reading just taken can be judged; once per reading."""
     if leg.predicted:
@@ -330,7 +326,7 @@ def judged(leg, theta, thetas):
     return can
 
 
-@njit(cache=True, inline="never")
+@compiled
 def push_command(leg, desired, window, lags, preview):
     """Shift a command into the window; True if it is full."""
     joints = len(desired)

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
 __all__ = ["DEPTH", "LEG", "ROW", "new_legs"]
 
 DEPTH: Final = 3  # ticks of the longest window of the statistic
@@ -47,6 +48,7 @@ LEG: Final = np.dtype(
         ("found_ns", f8),  # NaN while unknown
         ("told_by", i4),
         ("ring_n", i8),
+        ("lacking", i4),  # samples for which the lack of a preview is still told
         ("missed", i8),  # ticks since the last sample; -1 after a pause
         ("accepted_n", i8),
         ("jitter_mean", f8),

@@ -11,9 +11,9 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from adaptive_contact.compiled import compiled
 from adaptive_contact.identify import ChangeLibrary, Library
 from adaptive_contact.identify.library import FORETOLD_KNEES_RAD_S
 
@@ -89,7 +89,7 @@ def term_table(library: Library) -> TermTable:
     )
 
 
-@njit(cache=True, inline="never")
+@compiled
 def regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room):
     """Fill (p,) theta from a flat (w,) window.
 
@@ -145,7 +145,7 @@ def regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room):
             at += 1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def predict(theta, coefficients, increment):
     """Fill (J,) increment; True if it is finite."""
     increment[:] = 0.0

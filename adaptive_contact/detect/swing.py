@@ -10,10 +10,10 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
-from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
+from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.history import LIFT_OFF_TICKS
+from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
 
 CLEARANCE_M: Final = 0.015
 SUNK_M: Final = 0.006
@@ -30,7 +30,7 @@ UNKNOWN: Final = -1  # phase
 SWING: Final = 1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def place_foot(angles, lengths, pitched, foot):
     """Fill (3,) m, the foot in its leg's frame."""
     pitch = yaw = x = y = z = 0.0
@@ -49,13 +49,13 @@ def place_foot(angles, lengths, pitched, foot):
     foot[0], foot[1], foot[2] = x, y, z
 
 
-@njit(cache=True, inline="never")
+@compiled
 def distance(a, b):
     """Distance of two places, m."""
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@njit(cache=True, inline="never")
+@compiled
 def infer_phase(leg, height, low):
     """Follow the commanded foot's height; True in a swing."""
     before = low[(leg.low_at - 1) % LOW_TICKS] if leg.low_n else height
@@ -79,7 +79,7 @@ def infer_phase(leg, height, low):
     return leg.swing_phase
 
 
-@njit(cache=True, inline="never")
+@compiled
 def forget_phase(leg):
     """Infer the phase from here on."""
     leg.swing_phase = False
@@ -87,7 +87,7 @@ def forget_phase(leg):
     leg.low_n = leg.low_at = leg.still = 0
 
 
-@njit(cache=True, inline="never")
+@compiled
 def half_swing(leg, lengths_ticks):
     """Half of the shortest of the last swings, ticks; 0 where none is known."""
     if leg.lengths_n == 0:
@@ -98,7 +98,7 @@ def half_swing(leg, lengths_ticks):
     return least // 2
 
 
-@njit(cache=True, inline="never")
+@compiled
 def follow_command(
     leg, phase, measured, desired, seq, lengths, pitched,
     low, lengths_ticks, last_desired, last_measured, path, asked, commanded, foot, start, now,
@@ -137,9 +137,7 @@ def follow_command(
             leg.rise = leg.moved = 0.0
             leg.asked_n = 1
             asked[0] = 0.0
-            leg.surface = (
-                leg.touch_before if start[2] < leg.touch_at - SUNK_M else -np.inf
-            )
+            leg.surface = leg.touch_before if start[2] < leg.touch_at - SUNK_M else -np.inf
             leg.touch_at = leg.touch_before = -np.inf
             leg.top = start[2]
             leg.fallen = np.nan
@@ -157,7 +155,7 @@ def follow_command(
         last_desired[j] = desired[j]
 
 
-@njit(cache=True, inline="never")
+@compiled
 def follow_foot(
     leg, reading, lengths, pitched, lengths_ticks, last_measured, heights, asked,
     commanded, foot, start, now,
@@ -188,7 +186,7 @@ def follow_foot(
     leg.asked_n += 1
 
 
-@njit(cache=True, inline="never")
+@compiled
 def descending(leg, lengths_ticks):
     """True if the command in force is past the lift; without geometry, the time says so."""
     if not leg.has_lengths:

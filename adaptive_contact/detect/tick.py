@@ -11,9 +11,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
-from adaptive_contact.detect.layout import DEPTH
+from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.clock import PAUSE, follow_clock, restart_clock, vote_late
 from adaptive_contact.detect.history import (
     UNSURE_TICKS,
@@ -24,8 +23,10 @@ from adaptive_contact.detect.history import (
     restart_history,
     take,
 )
+from adaptive_contact.detect.layout import DEPTH
 from adaptive_contact.detect.regressors import predict, regressors
 from adaptive_contact.detect.swing import (
+    RECENT_TICKS,
     descending,
     follow_command,
     follow_foot,
@@ -43,8 +44,7 @@ DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
 TOUCHING: Final = 256  # a tick of a contact in hand
 RATE_OFF: Final = 512
-LACKING: Final = 1024  # no preview
-OWES: Final = 2048  # a contact ended that no tick will decide
+OWES: Final = 1024  # a contact ended that no tick will decide
 
 CALM_SCORE: Final = 0.5
 CALM_TICKS: Final = 3
@@ -55,7 +55,7 @@ SPEED_EDGES: Final = (1.0, 4.0, 12.0)
 SPEEDS: Final = 4
 
 
-@njit(cache=True, inline="never")
+@compiled
 def begin_labels(leg):
     """A swing begins: no row is held back."""
     leg.hole_ns = -1
@@ -63,14 +63,14 @@ def begin_labels(leg):
     leg.topped = leg.closed = leg.broken = leg.top_seen = False
 
 
-@njit(cache=True, inline="never")
+@compiled
 def note_hole(leg, rows):
     """Readings were lost, or were none: what went on meanwhile shows in no residual."""
     if leg.row_n > leg.lift_n:
         leg.hole_ns = rows[leg.row_n - 1].t_ns
 
 
-@njit(cache=True, inline="never")
+@compiled
 def break_off(leg):
     """What comes does not connect: the swing cannot be resolved, and is not learned."""
     leg.flags |= BROKE_OFF
@@ -79,7 +79,7 @@ def break_off(leg):
     leg.broken = True
 
 
-@njit(cache=True, inline="never")
+@compiled
 def context_of(leg, command, before):
     """Context of a tick, from its command and the one before."""
     speed = 0.0
@@ -93,7 +93,7 @@ def context_of(leg, command, before):
     return at
 
 
-@njit(cache=True, inline="never")
+@compiled
 def model_doubt(theta, index, per_scale, root, size, joint):
     """Variance of a joint's prediction that comes from its coefficients, over the noise's."""
     total = 0.0
@@ -105,7 +105,7 @@ def model_doubt(theta, index, per_scale, root, size, joint):
     return total
 
 
-@njit(cache=True, inline="never")
+@compiled
 def leverage(theta, reach):
     """How far regressors lie outside of what the fit has seen."""
     total = 0.0
@@ -117,7 +117,7 @@ def leverage(theta, reach):
     return total
 
 
-@njit(cache=True, inline="never")
+@compiled
 def statistic(leg, history, whiten, shrink, limits, scores, sums):
     """Fill (windows,) statistic over threshold, NaN where it reaches too far back.
 
@@ -150,7 +150,7 @@ def statistic(leg, history, whiten, shrink, limits, scores, sums):
     return distance
 
 
-@njit(cache=True, inline="never")
+@compiled
 def onset(leg, history, width):
     """When a touch began that a window of so many ticks has shown, ns."""
     first = width - 1
@@ -162,7 +162,7 @@ def onset(leg, history, width):
     return leg.at_ns - first * leg.period_ns - np.int64(np.rint(share * leg.period_ns))
 
 
-@njit(cache=True, inline="never")
+@compiled
 def release(leg, t_ns, score):
     """End a contact, if there is one."""
     if not leg.contact:
@@ -173,7 +173,7 @@ def release(leg, t_ns, score):
     leg.score = score
 
 
-@njit(cache=True, inline="never")
+@compiled
 def swing_tick(leg, score, distance, onset_ns, past_lift):
     """Judge a swing tick; NaN changes nothing."""
     if score != score:
@@ -198,7 +198,7 @@ def swing_tick(leg, score, distance, onset_ns, past_lift):
     leg.onset_ns, leg.score = onset_ns, score
 
 
-@njit(cache=True, inline="never")
+@compiled
 def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, z):
     """Split a residual into a push from the ground and the rest."""
     joints = len(residual)
@@ -223,7 +223,7 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, 
         aside[j] = target[j] - gradient[j] * (row.sigma / length)
 
 
-@njit(cache=True, inline="never")
+@compiled
 def height_gradient(angles, lengths, pitched, gradient):
     """Fill (J,) m per rad, how the foot rises with each joint."""
     pitch = beyond = 0.0
@@ -236,7 +236,7 @@ def height_gradient(angles, lengths, pitched, gradient):
         gradient[j] = beyond if pitched[j] else 0.0
 
 
-@njit(cache=True, inline="never")
+@compiled
 def enter_row(
     leg, rows, thetas, targets, asides, theta, history, distance, value, free, past_top,
     whiten, unit, last_measured, lengths, pitched, gradient, target,
@@ -255,7 +255,9 @@ def enter_row(
         leg.topped = True
         return
     at = leg.row_n if leg.gated else 0  # ungated, each is learned at once
-    first, most = (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
+    first, most = (
+        (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
+    )
     if most >= MAX_ROWS:  # the oldest goes
         for k in range(first, at - 1):
             rows[k], thetas[k], targets[k], asides[k] = (
@@ -294,14 +296,14 @@ def enter_row(
     row.lift = False
 
 
-@njit(cache=True, inline="never")
+@compiled
 def let_go(leg):
     """Forget whether the leg touches: it cannot be known."""
     leg.owes_release |= leg.contact
     leg.contact, leg.loaded, leg.calm = False, True, 0
 
 
-@njit(cache=True, inline="never")
+@compiled
 def unwrap(leg, measured, desired, preview, last, restart):
     """Take the encoder's seam out of a sample's angles, in place."""
     joints = len(measured)
@@ -315,7 +317,7 @@ def unwrap(leg, measured, desired, preview, last, restart):
         near(preview[k], desired if k == 0 else preview[k - 1])
 
 
-@njit(cache=True, inline="never")
+@compiled
 def near(angles, origin):
     """Move angles into the turn nearest to others, if one is further than half a turn off."""
     for j in range(len(angles)):
@@ -326,7 +328,7 @@ def near(angles, origin):
             return
 
 
-@njit(cache=True, inline="never")
+@compiled
 def restart_leg(leg, command, before, desired, doubts):
     """The source began again: what came before does not connect."""
     leg.flags |= RESTARTED
@@ -345,7 +347,7 @@ def restart_leg(leg, command, before, desired, doubts):
     restart_history(leg, doubts)
 
 
-@njit(cache=True)
+@compiled
 def judge_tick(
     legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid, preview_in,
     ring, seam, command, before, lengths, pitched,
@@ -465,9 +467,7 @@ def judge_tick(
                     unit[i, j] += by * by
         for j in range(joints):
             floats[2, j] = 1.0 / math.sqrt(unit[i, j])
-        leg.distance = statistic(
-            leg, history[i], whiten[i], floats[2], limits[i], scores[i], sums
-        )
+        leg.distance = statistic(leg, history[i], whiten[i], floats[2], limits[i], scores[i], sums)
         # Free, loaded, or contact.
         past_lift = descending(leg, lengths_ticks[i])
         topped = leg.topped and not leg.broken if leg.gated else not leg.broken
@@ -513,13 +513,13 @@ def judge_tick(
                     leg.flags |= TOPPED
 
 
-@njit(cache=True, inline="never")
+@compiled
 def now_reading(floats):
     """Scratch that holds the repaired reading."""
     return floats[6]
 
 
-@njit(cache=True, inline="never")
+@compiled
 def bridge(
     leg, desired, missed, window, lags, preview, history, increment, theta, thetas, reach, believed,
     last, doubts, stale, refused, values, counts, table, xi0, coefficients, room, bools, floats,
@@ -552,7 +552,7 @@ def bridge(
     leg.unsure = UNSURE_TICKS
 
 
-@njit(cache=True)
+@compiled
 def finish_tick(
     legs, accepted, desired, preview_in, preview_n, command, before, window, lags, preview,
     increment, theta, kind, first, entry, weight, knee, law, xi0, coefficients, room,
@@ -577,11 +577,10 @@ def finish_tick(
             if preview_n[i] >= preview:
                 for k in range(preview):
                     for j in range(joints):
-                        window[i, len(window[i]) - preview * joints + k * joints + j] = (
-                            preview_in[i, k, j]
-                        )
-            if not ready and full:
-                leg.flags |= LACKING
+                        window[i, len(window[i]) - preview * joints + k * joints + j] = preview_in[
+                            i, k, j
+                        ]
+            leg.lacking = RECENT_TICKS if full and not ready else max(leg.lacking - 1, 0)
         leg.predicted = False
         if ready and leg.ticks:
             regressors(window[i], kind, first, entry, weight, knee, law, xi0[i], theta[i], room)

@@ -25,8 +25,9 @@ import math
 
 import numpy as np
 import scipy.linalg
-from numba import njit
 from numpy.typing import NDArray
+
+from adaptive_contact.compiled import compiled
 
 __all__ = ["RecursiveLeastSquares", "RlsSettings"]
 
@@ -259,7 +260,7 @@ class RecursiveLeastSquares:
             self._s *= shrink[:, :, None]
 
 
-@njit(cache=True)
+@compiled
 def learn_row(
     theta, target, index, per_scale, per_noise, xi, s, forgetting, huber, innovations, room
 ):  # fmt: skip

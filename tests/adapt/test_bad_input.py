@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner, ServoSample
 from adaptive_contact.adapt import Baseline
-from adaptive_contact.adapt.tally import RECENT_TICKS, Tally
+from adaptive_contact.detect.swing import RECENT_TICKS
+from adaptive_contact.identify import LegModel, Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import Reject
 
@@ -182,15 +185,23 @@ def test_rejects_are_told_by_reason(robot: Robot, baseline: Baseline) -> None:
     assert learner.status.rejects == {"malformed": 3, "time_backwards": 1, "wrong_joints": 1}
 
 
-def test_a_preview_that_lacks_is_told_of_while_it_does() -> None:
+def test_a_preview_that_lacks_is_told_of_while_it_does(robot: Robot, baseline: Baseline) -> None:
     """One sample without is no lack for good, nor does a restart of the service make it one."""
-    tally = Tally(3)
-    tally.preview(lacking=True)
-    assert "needs a preview" in str(tally.preview_note)
-    saved = tally.snapshot()
-    for _ in range(RECENT_TICKS):
-        tally.preview(lacking=False)
-    assert tally.preview_note is None
-    again = Tally(3)
-    again.restore(saved)
-    assert again.preview_note is None
+    library = leg_library(robot, robot.leg("rf"), "servo", Window(preview=2))
+    model = LegModel(library, np.zeros((library.size, 3)))
+    known = dataclasses.replace(
+        baseline.legs["rf"], model=model, scale=np.ones(library.size), domain=None
+    )
+    ahead = dataclasses.replace(baseline, legs={"rf": known})
+    stream = samples(*FakeLeg(seed=3).run(8)[:3])
+    learner = ContactLearner(robot, "rf", ahead)
+    first, count = 20, RECENT_TICKS + 1
+    for k, sample in enumerate(stream[: first + count]):
+        rows = None if k == first else [s.desired for s in stream[k + 1 : k + 3]]
+        learner.update(msgspec.structs.replace(sample, preview=rows))
+        if k == first:
+            assert "needs a preview" in str(learner.status.note)
+            again = ContactLearner(robot, "rf", ahead)
+            again.restore(learner.snapshot())
+            assert again.status.note is None
+    assert learner.status.note is None

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.belied import BEGIN, END, SWINGS, BeliedTouches
-from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.robot.geometry import inverse
 from adaptive_contact.wire import ServoSample
 
 from .conftest import LENGTHS, TOML, FakeLeg, samples
+from .drivers import Swings
 
 TOP, GROUND = -0.04, -0.10
 RISE = [GROUND + (TOP - GROUND) * k / 10 for k in range(11)]
@@ -52,21 +52,21 @@ def delayed(commanded: Sequence[float], lag: int = 3) -> list[float]:
 
 
 def belied(
-    watch: SwingWatch, heights: Sequence[float], commanded: Sequence[float], onset: int | None
+    watch: Swings, heights: Sequence[float], commanded: Sequence[float], onset: int | None
 ) -> bool | None:
     """Play a swing; a touch is told two ticks after its onset."""
-    told = False
+    told = whole = False
     for k, sample in enumerate(stream(heights, commanded)):
         watch.follow(sample)
         if k == len(heights) + STANCE:
             break
+        whole = bool(watch.place.leg["whole"])
         watch.observe(sample.measured)
-        watch.command()
         if onset is not None and k == STANCE + onset + 2:
-            watch.touched(2)
+            watch.judge.touched(2)
             told = True
     assert told == (onset is not None)
-    return watch.touch_belied()
+    return watch.judge.touch_belied(whole=whole)
 
 
 COMMANDED = [*RISE, *FALL]
@@ -94,23 +94,22 @@ def stopped(at: int) -> list[float]:
 def test_a_foot_belies_a_touch_where_it_has_hardly_begun_to_come_down(
     robot: Robot, heights: list[float], onset: int | None, expected: bool | None
 ) -> None:
-    assert belied(SwingWatch(robot.leg("rf")), heights, COMMANDED, onset) is expected
+    assert belied(Swings(robot), heights, COMMANDED, onset) is expected
 
 
 def test_the_first_touch_of_a_swing_counts(robot: Robot) -> None:
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     for k, sample in enumerate(stream(delayed(COMMANDED), COMMANDED)):
         watch.follow(sample)
         if sample.phase == "swing" or k < STANCE:
             watch.observe(sample.measured)
-        watch.command()
         if k in (STANCE + 17, STANCE + 23):
-            watch.touched(2)
-    assert watch.touch_belied() is True
+            watch.judge.touched(2)
+    assert watch.judge.touch_belied(whole=True) is True
 
 
 def test_a_touch_of_the_swing_before_says_nothing(robot: Robot) -> None:
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     assert belied(watch, delayed(COMMANDED), COMMANDED, 15) is True
     assert belied(watch, delayed(COMMANDED), COMMANDED, None) is False
 
@@ -119,7 +118,7 @@ def test_without_geometry_nobody_can_tell() -> None:
     blind = parse_robot(
         "\n".join(line for line in TOML.splitlines() if "lengths" not in line), source="blind"
     )
-    assert belied(SwingWatch(blind.leg("rf")), delayed(COMMANDED), COMMANDED, 15) is None
+    assert belied(Swings(blind), delayed(COMMANDED), COMMANDED, 15) is None
 
 
 SHARES = st.floats(0.3, 1.0).flatmap(

@@ -15,7 +15,7 @@ from adaptive_contact.adapt.coldstart import (
     ColdStart,
 )
 from adaptive_contact.adapt.refit import Job
-from adaptive_contact.adapt.stream import RATE_STEPS
+from adaptive_contact.detect.clock import RATE_STEPS
 from adaptive_contact.identify import leg_library
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import ServoSample

@@ -79,7 +79,7 @@ def test_a_reading_that_is_none_says_nothing_of_the_foots_height(
         for k, sample in enumerate(samples(measured, desired, swing)):
             learner.update(junk(sample) if k == TICKS * 20 + 2 else sample)
             if TICKS * 20 <= k < TICKS * 20 + 20:
-                cleared.append(learner._swing.cleared)
+                cleared.append(bool(learner.place.leg["cleared"]))
         seen.append(cleared.index(True))
     assert seen[1] >= seen[0] - 1
 
@@ -229,7 +229,7 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
         assert told == 20 * [("rf", "not positive definite")]
 
 
-@pytest.mark.parametrize("where", ["repair", "released", "observe", "decide"])
+@pytest.mark.parametrize("where", ["take", "event_of", "finish", "settle"])
 def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
@@ -251,18 +251,15 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
             def fail(*_: object) -> None:
                 raise ZeroDivisionError("division by zero")
 
-            assert learner.tracker is not None
-            if where == "released":
+            if where == "event_of":
                 learner.owe_release()
-            monkeypatch.setattr(learner.tracker if where == "repair" else learner, where, fail)
+            monkeypatch.setattr(learner, where, fail)
         told += bank.update({"rf": sample, "lf": sample})
         monkeypatch.undo()
     assert [(event.seq, event.contact) for event in told if event.leg == "lf"] == wanted
     faulty = bank.learner("rf")
     assert faulty is not None
-    # Begun anew, a leg has nothing to decide in the tick after.
-    faults = 2 if where == "decide" else 3
-    assert str(faulty.status.note).startswith(f"{faults} faults in learning")
+    assert str(faulty.status.note).startswith("3 faults in learning")
     assert any(event.leg == "rf" and event.seq > 200 for event in told), "it goes on"
 
 

@@ -369,7 +369,8 @@ def test_a_joint_that_reads_more_coarsely_raises_no_alarms(
     told = outcomes(play(learner, samples(measured, desired, swing)), range(120, 400), stops)
     assert told.count("alarm") <= 1
     assert told.count("hit") >= 0.97 * 140
-    assert learner.detector is not None
-    now, then = learner.detector.recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
+    recent = learner._knowledge.recent
+    assert recent is not None
+    now, then = recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
     coxa, femur = (np.diag(now) / np.diag(then))[:2]
     assert femur < 0.8 * coxa, "the femur has grown noisier, the coxa has not"

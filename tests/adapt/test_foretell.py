@@ -9,11 +9,11 @@ import numpy as np
 from adaptive_contact.adapt import Baseline
 from adaptive_contact.adapt.foretell import foretold
 from adaptive_contact.adapt.stream import MAX_ANGLE_RAD
-from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.identify import LegModel, leg_library
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Robot, foot_point
 
 from .conftest import FakeLeg
+from .drivers import Swings
 
 
 def test_a_good_model_takes_the_leg_where_it_goes(robot: Robot, baseline: Baseline) -> None:
@@ -44,11 +44,13 @@ def test_a_model_that_runs_away_is_not_followed(robot: Robot) -> None:
 
 
 def test_a_way_that_is_not_foretold_to_its_end_counts_for_nothing(robot: Robot) -> None:
-    watch = SwingWatch(robot.leg("rf"))
-    watch._asked.extend([0.06] * 8)
-    watch._path, watch._path_seq, watch._moved = [[0.0] * 3] * 8, (0, 7), 0.03
-    start = [0.0, 0.3, -0.9]
-    watch._start = watch._place(start)
+    watch = Swings(robot)
+    leg, batch = watch.place.leg, watch.place.batch
+    batch.asked[0] = 0.06
+    leg["asked_n"], leg["path_n"], leg["path_last"], leg["moved"] = 8, 8, 7, 0.03
+    at = robot.leg("rf")
+    assert at.lengths_m is not None
+    batch.start[0] = foot_point([0.0, 0.3, -0.9], at.lengths_m, at.joint_axes)
     near = np.array([0.0, 0.45, -0.9])
-    assert watch.judge_lift(lambda path: [near] * len(path)) is False
-    assert watch.judge_lift(lambda path: [near] * (len(path) - 1)) is True
+    assert watch.judge.judge_lift(lambda path: [near] * len(path)) is False
+    assert watch.judge.judge_lift(lambda path: [near] * (len(path) - 1)) is True

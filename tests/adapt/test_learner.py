@@ -411,12 +411,12 @@ def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tic
         run = FakeLeg(seed=8).run(240, touch=lambda n, t=touch: t if n >= 20 else None)
         learner = ContactLearner(robot, "rf", baseline)
         play(learner, samples(*run[:3]))
-        detector, follower = learner.detector, learner._knowledge.follower
-        assert detector is not None
+        recent, follower = learner._knowledge.recent, learner._knowledge.follower
+        assert recent is not None
         assert follower is not None
-        limits.append(detector.thresholds)
+        limits.append(recent.thresholds)
         levels.append(follower.level_in_force)
-        tails.append(detector.recent.tail_factors)
+        tails.append(recent.tail_factors)
     np.testing.assert_array_less(limits[1], 1.05 * limits[0])
     assert levels[1] <= 1.05 * levels[0]
     assert tails[1] <= tuple(1.05 * factor for factor in tails[0])

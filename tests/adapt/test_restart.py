@@ -52,7 +52,7 @@ def test_no_segment_spans_a_restart(
     begins: int,
 ) -> None:
     learner = ContactLearner(robot, "rf", baseline)
-    follower = learner._quarantine.follower
+    follower = learner._knowledge.follower
     assert follower is not None
     buffer, taken = follower.buffer, list[list[Row]]()
     add = buffer.add

@@ -9,19 +9,19 @@ from adaptive_contact.adapt.buffer import MAX_SEGMENTS, MOST_ROWS, SlidingBuffer
 from adaptive_contact.adapt.ground import Push
 from adaptive_contact.adapt.quarantine import _Regions
 from adaptive_contact.adapt.segments import (
-    FREE_LIFT_TICKS,
     GUARD_TICKS,
     HOLE_TICKS,
     LAST_TICKS,
-    MAX_ROWS,
     MISSED_LEVEL,
     PUSHED_SIGMA,
     TOUCHING_TICKS,
     Row,
-    SwingBook,
 )
+from adaptive_contact.detect.tick import FREE_LIFT_TICKS, MAX_ROWS
+from adaptive_contact.robot import Robot
 
 from .conftest import PERIOD
+from .drivers import Labels
 
 
 def row(
@@ -35,7 +35,7 @@ def ticks(rows: list[Row] | None) -> list[int]:
     return [] if rows is None else [r.t_ns // PERIOD for r in rows]
 
 
-def swing(book: SwingBook, *, up: int, down: int, **fields: object) -> list[int]:
+def swing(book: Labels, *, up: int, down: int, **fields: object) -> list[int]:
     """Enter a swing; the ticks of the lift it released."""
     book.begin()
     released: list[int] = []
@@ -48,16 +48,16 @@ def swing(book: SwingBook, *, up: int, down: int, **fields: object) -> list[int]
     return released
 
 
-def test_the_first_ticks_of_a_lift_are_kept_back() -> None:
-    assert swing(SwingBook(), up=12, down=2) == list(range(FREE_LIFT_TICKS, 13))
+def test_the_first_ticks_of_a_lift_are_kept_back(robot: Robot) -> None:
+    assert swing(Labels(robot), up=12, down=2) == list(range(FREE_LIFT_TICKS, 13))
 
 
-def test_a_calm_leg_confirms_its_whole_lift() -> None:
-    assert swing(SwingBook(), up=12, down=2, calm=True) == list(range(1, 13))
+def test_a_calm_leg_confirms_its_whole_lift(robot: Robot) -> None:
+    assert swing(Labels(robot), up=12, down=2, calm=True) == list(range(1, 13))
 
 
-def test_a_foot_that_lets_go_late_is_seen() -> None:
-    book = SwingBook()
+def test_a_foot_that_lets_go_late_is_seen(robot: Robot) -> None:
+    book = Labels(robot)
     book.begin()
     for tick in range(1, 15):
         level = 200.0 if tick < 11 else 1.0
@@ -66,20 +66,20 @@ def test_a_foot_that_lets_go_late_is_seen() -> None:
     assert ticks(book.take_lift()) == [11, 12, 13, 14]
 
 
-def test_a_changed_leg_is_not_taken_for_a_late_one() -> None:
-    released = swing(SwingBook(), up=14, down=1, level=30.0)
+def test_a_changed_leg_is_not_taken_for_a_late_one(robot: Robot) -> None:
+    released = swing(Labels(robot), up=14, down=1, level=30.0)
     assert released == list(range(FREE_LIFT_TICKS, 15))
 
 
-def test_a_free_descent_is_confirmed_but_for_its_end() -> None:
-    book = SwingBook()
+def test_a_free_descent_is_confirmed_but_for_its_end(robot: Robot) -> None:
+    book = Labels(robot)
     swing(book, up=10, down=12)
     assert ticks(book.resolve()) == list(range(11, 23 - LAST_TICKS))
     assert book.resolve() == []
 
 
-def test_an_alarm_confirms_what_came_well_before_its_onset() -> None:
-    book = SwingBook()
+def test_an_alarm_confirms_what_came_well_before_its_onset(robot: Robot) -> None:
+    book = Labels(robot)
     swing(book, up=10, down=12)
     assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 19 - GUARD_TICKS + 1))
     assert book.resolve() == []
@@ -88,9 +88,9 @@ def test_an_alarm_confirms_what_came_well_before_its_onset() -> None:
 ASIDE = np.array([7.0])
 
 
-def descent(levels: dict[int, float], pushes: dict[int, float | None]) -> SwingBook:
+def descent(robot: Robot, levels: dict[int, float], pushes: dict[int, float | None]) -> Labels:
     """A swing whose descent, ticks 11 to 22, misses by levels and shows pushes, 0 by default."""
-    book = SwingBook()
+    book = Labels(robot)
     swing(book, up=10, down=0)
     for tick in range(11, 23):
         sigma = pushes.get(tick, 0.0)
@@ -100,9 +100,9 @@ def descent(levels: dict[int, float], pushes: dict[int, float | None]) -> SwingB
     return book
 
 
-def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too() -> None:
+def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too(robot: Robot) -> None:
     """Nearer to the onset than the guard, but for the last tick, and only aside from a push."""
-    book = descent(levels={17: 0.9 * MISSED_LEVEL}, pushes={})
+    book = descent(robot, levels={17: 0.9 * MISSED_LEVEL}, pushes={})
     found = book.alarm(19 * PERIOD, PERIOD)
     assert ticks(found) == [*range(11, 19 - GUARD_TICKS + 1), 18]
     assert ticks(found)[-1] == 19 - TOUCHING_TICKS
@@ -112,16 +112,16 @@ def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too() -> None:
 
 
 @pytest.mark.parametrize("pushed", [1.01 * PUSHED_SIGMA, None])
-def test_from_the_first_tick_that_may_be_pushed_nothing_is(pushed: float | None) -> None:
-    book = descent(levels={}, pushes={17: pushed})
+def test_from_the_first_tick_that_may_be_pushed_nothing_is(robot: Robot, pushed: float | None) -> None:
+    book = descent(robot, levels={}, pushes={17: pushed})
     assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 17))
 
 
 @pytest.mark.parametrize("hole", [2, 12])
 @pytest.mark.parametrize("after", [0, HOLE_TICKS, HOLE_TICKS + 1])
-def test_after_a_hole_the_guard_counts_from_what_came_before_it(hole: int, after: int) -> None:
+def test_after_a_hole_the_guard_counts_from_what_came_before_it(robot: Robot, hole: int, after: int) -> None:
     """A touch that began before it is told after it, with an onset behind it."""
-    book = SwingBook()
+    book = Labels(robot)
     swing(book, up=10, down=6)
     book.hole()  # after tick 16
     first = 17 + hole
@@ -135,16 +135,16 @@ def test_after_a_hole_the_guard_counts_from_what_came_before_it(hole: int, after
         assert found == [*range(11, 17), *range(first, first + after - TOUCHING_TICKS + 1)]
 
 
-def test_what_rises_in_a_descent_is_no_lift() -> None:
-    book = SwingBook()
+def test_what_rises_in_a_descent_is_no_lift(robot: Robot) -> None:
+    book = Labels(robot)
     swing(book, up=10, down=0)
     for tick in range(11, 25):
         book.add(row(tick, lift=tick in (12, 13)), tick, descending=True)
     assert not any(one.lift for one in book.resolve())
 
 
-def test_an_alarm_in_the_lift_does_not_keep_the_lift_back() -> None:
-    book = SwingBook()
+def test_an_alarm_in_the_lift_does_not_keep_the_lift_back(robot: Robot) -> None:
+    book = Labels(robot)
     book.begin()
     for tick in range(1, 13):
         book.add(row(tick, lift=True), tick, descending=False)
@@ -155,8 +155,8 @@ def test_an_alarm_in_the_lift_does_not_keep_the_lift_back() -> None:
     assert book.resolve() == []
 
 
-def test_a_foot_that_is_held_confirms_nothing() -> None:
-    book = SwingBook()
+def test_a_foot_that_is_held_confirms_nothing(robot: Robot) -> None:
+    book = Labels(robot)
     book.begin()
     for tick in range(1, 12):  # commanded up, not moving up
         book.add(row(tick, lift=False), tick, descending=False)
@@ -164,8 +164,8 @@ def test_a_foot_that_is_held_confirms_nothing() -> None:
     assert book.resolve() == []
 
 
-def test_a_broken_stream_confirms_nothing() -> None:
-    book = SwingBook()
+def test_a_broken_stream_confirms_nothing(robot: Robot) -> None:
+    book = Labels(robot)
     swing(book, up=10, down=12)
     book.discard()
     assert book.resolve() == []
@@ -237,9 +237,9 @@ def test_an_empty_segment_is_none(n: int) -> None:
     assert len(buffer.segments) == n
 
 
-def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg() -> None:
+def test_a_foot_that_is_kicked_up_does_not_speak_of_the_leg(robot: Robot) -> None:
     """An obstacle hit on the way down throws the foot up again."""
-    book = SwingBook()
+    book = Labels(robot)
     book.begin()
     for tick in range(1, 16):
         level = 300.0 if tick > 13 else 3.0
@@ -271,14 +271,14 @@ def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
     assert places(60) == set(range(6))
 
 
-def test_a_lift_that_does_not_end_keeps_its_newest_ticks() -> None:
+def test_a_lift_that_does_not_end_keeps_its_newest_ticks(robot: Robot) -> None:
     """A leg held up for an hour, or a source that says "swing" for good."""
-    book = SwingBook()
+    book = Labels(robot)
     book.begin()
     for tick in range(1, 10 * MAX_ROWS):
         book.add(row(tick, lift=True, calm=True), tick, descending=False)
-        assert len(book._lift) <= MAX_ROWS
-    assert book._commanded == MAX_ROWS
+        assert book.place.leg["lift_n"] <= MAX_ROWS
+    assert book.place.leg["commanded_n"] == MAX_ROWS
     book.add(row(10 * MAX_ROWS, lift=False), 10 * MAX_ROWS, descending=True)
     assert ticks(book.take_lift()) == list(range(9 * MAX_ROWS, 10 * MAX_ROWS))
 

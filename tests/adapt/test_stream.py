@@ -18,6 +18,7 @@ from adaptive_contact.adapt.stream import (
     RateWatch,
     StreamGuard,
 )
+from adaptive_contact.detect.clock import vote_late
 from adaptive_contact.wire import Reject, ServoSample
 
 STEP = 20_000_000
@@ -332,13 +333,16 @@ def test_where_readings_are_known_to_be_late_a_late_tick_is_one_that_nobody_read
 def tell(rate: RateWatch, *, late: bool, ticks: int = 60) -> None:
     """Ticks late by up to a quarter of a period, and readings that are so, too, or are not."""
     rng = np.random.default_rng(0)
-    moved, sigma = [0.08, -0.05], [0.004, 0.004]
+    moved, sigma, leg = np.array([0.08, -0.05]), np.array([0.004, 0.004]), rate._leg
     for k in range(ticks):
         rate.follow(k * STEP + round(rng.uniform(0, STEP / 4)), k, restart=k == 0)
-        if rate.stretch:
-            share = rate.stretch if late else 0.0
-            shown = [share * step + rng.normal() * 0.004 for step in moved]
-            rate.vote(shown, moved, sigma)
+        stretch = float(leg["stretch"])
+        if stretch:
+            # Where readings are known to be late they are moved to their ticks, and leave nothing.
+            share = stretch if late else 0.0
+            moved_by = stretch if leg["late"] == 1 else 0.0
+            shown = (share - moved_by) * moved + rng.normal(size=2) * 0.004
+            vote_late(leg, shown, moved, sigma)
     assert rate.late is late
 
 

@@ -9,19 +9,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.swing import CLEARANCE_M, FORGET_SWINGS, PATH_TICKS, SwingWatch
-from adaptive_contact.adapt.tally import RECENT_TICKS
+from adaptive_contact.adapt.swing import FORGET_SWINGS
+from adaptive_contact.detect.layout import PATH_TICKS
+from adaptive_contact.detect.swing import CLEARANCE_M, RECENT_TICKS
 from adaptive_contact.robot import Robot
 from adaptive_contact.robot.geometry import inverse
 from adaptive_contact.wire import ServoSample
 
 from .conftest import LENGTHS
+from .drivers import Swings
 
 LOW, HIGH = np.array([0.16, 0.0, -0.10]), np.array([0.16, 0.02, -0.04])
 
 
 def swing(
-    watch: SwingWatch, follow: float, lag: int = 3, *, height: float = 0.06
+    watch: Swings, follow: float, lag: int = 3, *, height: float = 0.06
 ) -> list[tuple[float, bool]]:
     """A lift of ten ticks; the foot goes the given share of the way. Its rise, and if cleared."""
     up = (HIGH - LOW) * height / (HIGH - LOW)[2]
@@ -36,15 +38,13 @@ def swing(
             desired=inverse(LOW + command, LENGTHS).tolist(),
             phase="swing" if k >= 5 else "stance",
         )
-        watch.follow(sample)
-        watch.observe(sample.measured)
-        watch.command()
+        watch.take(sample)
         told.append((float(foot[2] - LOW[2]), watch.cleared))
     return told
 
 
 def test_a_foot_is_clear_the_tick_after_it_has_risen_enough(robot: Robot) -> None:
-    told = swing(SwingWatch(robot.leg("rf")), follow=1.0)
+    told = swing(Swings(robot), follow=1.0)
     assert told[-1][1]
     for (before, _), (_, cleared) in itertools.pairwise(told):
         assert cleared == (before > CLEARANCE_M)
@@ -52,53 +52,53 @@ def test_a_foot_is_clear_the_tick_after_it_has_risen_enough(robot: Robot) -> Non
 
 @pytest.mark.parametrize(("follow", "held"), [(1.0, False), (0.9, False), (0.5, True), (0, True)])
 def test_a_foot_that_does_not_come_along_is_held(robot: Robot, follow: float, held: bool) -> None:
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     swing(watch, follow)
-    assert watch.judge_lift() is held
+    assert watch.judge.judge_lift() is held
 
 
 def test_a_held_foot_has_to_come_further_to_be_free_again(robot: Robot) -> None:
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     for follow, held in ((0.8, False), (0.3, True), (0.8, True), (1.0, False), (0.8, False)):
         swing(watch, follow)
-        assert watch.judge_lift() is held
+        assert watch.judge.judge_lift() is held
 
 
 def test_a_hold_of_which_nothing_can_be_told_any_more_is_forgotten(robot: Robot) -> None:
     """The foot came free, and the gait takes steps too small to tell."""
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     told = []
     for height in (0.06, *[0.01] * (FORGET_SWINGS + 1)):
         swing(watch, 0.2, height=height)
-        watch.judge_lift()
-        told.append(watch.held)
+        watch.judge.judge_lift()
+        told.append(watch.judge.held)
     assert told == [True] * FORGET_SWINGS + [False] * 2
     swing(watch, 0.2)
-    assert watch.judge_lift()
-    watch.restart()
-    assert not watch.held
+    assert watch.judge.judge_lift()
+    watch.place.restart_swing()
+    assert not watch.judge.held
 
 
 def test_samples_without_phase_are_told_of_while_they_come(robot: Robot) -> None:
     unknown = msgspec.structs.replace(robot.leg("rf"), lengths_m=None)
-    watch = SwingWatch(unknown)
+    watch = Swings(robot, unknown)
 
     def feed(count: int, phase: Literal["swing"] | None) -> None:
         for k in range(count):
             watch.follow(ServoSample(t_ns=k, seq=k, measured=[0.0], desired=[0.0], phase=phase))
 
     feed(1, None)
-    assert "swings cannot be told" in str(watch.blind_note)
+    assert "swings cannot be told" in str(watch.judge.blind_note)
     feed(RECENT_TICKS, "swing")
-    assert watch.blind_note is None
+    assert watch.judge.blind_note is None
 
 
 def test_a_command_that_goes_nowhere_says_nothing(robot: Robot) -> None:
-    watch = SwingWatch(robot.leg("rf"))
-    assert watch.judge_lift() is None
+    watch = Swings(robot)
+    assert watch.judge.judge_lift() is None
 
 
-def lowered(watch: SwingWatch, depth: float, *, told_at: float) -> None:
+def lowered(watch: Swings, depth: float, *, told_at: float) -> None:
     """A descent and a stance; a touch is told 1 tick after its onset, the foot rests deeper."""
     heights = [HIGH[2] - 0.008 * k for k in range(8)]  # down to -0.096, by 8 mm a tick
     onset = min(range(8), key=lambda k: abs(heights[k] - told_at))
@@ -111,11 +111,9 @@ def lowered(watch: SwingWatch, depth: float, *, told_at: float) -> None:
             desired=inverse(place, LENGTHS).tolist(),
             phase="swing" if k < 10 else "stance",
         )
-        watch.follow(sample)
-        watch.observe(sample.measured)
-        watch.command()
+        watch.take(sample)
         if k == onset + 1:
-            watch.touched(1)
+            watch.judge.touched(1)
 
 
 @pytest.mark.parametrize(("depth", "soft"), [(0.004, False), (0.012, True)])
@@ -123,7 +121,7 @@ def test_a_foot_is_out_of_ground_that_gave_when_it_is_above_it(
     robot: Robot, depth: float, soft: bool
 ) -> None:
     """The same lift: after hard ground by the way it came, after soft by where the ground was."""
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     swing(watch, follow=1.0)
     lowered(watch, depth, told_at=LOW[2] + depth)
     told = swing(watch, follow=1.0)[5:]  # in stance nobody asks
@@ -137,17 +135,14 @@ def test_a_foot_is_out_of_ground_that_gave_when_it_is_above_it(
 
 def test_a_swing_without_end_takes_no_more_memory(robot: Robot) -> None:
     """A leg held up for an hour: it is followed, but no longer foretold."""
-    watch = SwingWatch(robot.leg("rf"))
+    watch = Swings(robot)
     swing(watch, follow=0.5)
     at = inverse(HIGH, LENGTHS).tolist()
     for k in range(100, 3 * PATH_TICKS):
         sample = ServoSample(t_ns=k, seq=k, measured=at, desired=at, phase="swing")
-        watch.follow(sample)
-        watch.observe(sample.measured)
-        watch.command()
-    assert len(watch._path) == PATH_TICKS
+        watch.take(sample)
+    assert watch.place.leg["path_n"] == PATH_TICKS
     asked: list[object] = []
-    watch.held = False
-    watch._moved = 0.01
-    assert watch.judge_lift(lambda path: asked.append(path) or []) is True  # type: ignore[func-returns-value]
+    watch.place.leg["held"], watch.place.leg["moved"] = False, 0.01
+    assert watch.judge.judge_lift(lambda path: asked.append(path) or []) is True  # type: ignore[func-returns-value]
     assert not asked

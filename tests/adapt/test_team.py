@@ -130,14 +130,12 @@ def test_a_leg_that_begins_anew_in_mid_tick_goes_no_further(
     team.judge([stream[40], stream[40]])
     learner.begin_anew(RuntimeError("on purpose"))
     team.finish()
-    begun, known = learner.tracker, other.tracker
-    assert begun is not None
-    assert known is not None
-    assert (begun.filled, begun.predicted) == (0, False)
-    assert known.full
+    begun, known = learner.place, other.place
+    assert (begun.leg["filled"], begun.leg["predicted"]) == (0, False)
+    assert known.leg["filled"] == known.leg["length"]
     for sample in stream[41:80]:
         team.advance([sample, sample])
-    assert begun.full
+    assert begun.leg["filled"] == begun.leg["length"]
     np.testing.assert_array_equal(begun.window, known.window)
 
 
@@ -171,14 +169,15 @@ def test_a_first_model_has_its_place_before_the_next_sample(
     cold, known = ContactLearner(robot, "rf", None), ContactLearner(robot, "rf", baseline)
     team = Team([cold, known])
     team.finish()
-    assert known.tracker is not None
-    assert known.tracker.home is not None, "before the first sample, too"
+    batch = known.place.batch
+    assert cold.place.batch is batch, "before the first sample, too"
     for sample in stream:
         team.advance([sample, sample])
-        if cold.tracker is not None:
+        if cold.model is not None:
             break
-    assert cold.tracker is not None
-    assert cold.tracker.home is not None
+    assert cold.model is not None
+    assert cold.place.batch is batch
+    np.testing.assert_array_equal(batch.coefficients[cold.place.row], cold.model.coefficients)
 
 
 def test_learners_leave_no_garbage_to_collect(robot: Robot, baseline: Baseline) -> None:

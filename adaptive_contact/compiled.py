@@ -1,0 +1,104 @@
+"""Compiles the arithmetic of a tick, once per installation, and keeps what was compiled.
+
+What is kept is machine code that later starts load: it lies in a folder that belongs to this user,
+that nobody else may write to, and whose name holds a digest of the sources it was made from.
+Without such a folder everything is compiled at each start.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numba
+
+__all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "is_cached"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+# Names a folder for what is compiled; empty for none.
+CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
+# What a change of any of them makes void.
+_SOURCES: Final = ("detect", "identify")
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder that keeps what was compiled, made if need be; None where there can be none.
+
+    The first of these that can be used: the one that :data:`CACHE_VARIABLE` names, systemd's
+    ``CacheDirectory=``, the user's cache, and one of this user in the folder for temporary files.
+    """
+    named = os.environ.get(CACHE_VARIABLE)
+    if named == "":
+        return None
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    candidates = [
+        named,
+        os.environ.get("CACHE_DIRECTORY", "").split(":")[0],
+        os.path.join(user, "adaptive-contact"),
+        os.path.join(tempfile.gettempdir(), f"adaptive-contact-{os.getuid()}"),
+    ]
+    for candidate in candidates:
+        if not candidate or not os.path.isabs(candidate):
+            continue
+        folder = _owned(Path(candidate))
+        if folder is not None:
+            folder = _owned(folder / f"compiled-{_digest()}")
+        if folder is not None:
+            return folder
+    return None
+
+
+def is_cached() -> bool:
+    """True if this installation has been compiled before."""
+    folder = cache_folder()
+    return folder is not None and any(folder.rglob("*.nbi"))
+
+
+def compiled(function: F) -> F:
+    """Compile a function of arrays when it is first called, or load what was compiled before."""
+    if numba.config.DISABLE_JIT:
+        return function
+    folder = cache_folder()
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = "" if folder is None else str(folder)
+    try:
+        # Other floating-point rules than IEEE's would make results depend on the machine.
+        made: F = numba.njit(
+            cache=folder is not None, inline="never", error_model="numpy", nogil=True
+        )(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return made
+
+
+def _owned(folder: Path) -> Path | None:
+    """The folder, made if need be, if it is this user's and nobody else may write to it."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = os.lstat(folder)
+    except OSError:
+        return None
+    others = stat.S_IWGRP | stat.S_IWOTH
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & others:
+        return None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _digest() -> str:
+    """Of what the machine code is made from: sources, numba, Python."""
+    found = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    here = Path(__file__).parent
+    for package in _SOURCES:
+        for source in sorted((here / package).glob("*.py")):
+            found.update(source.read_bytes())
+    return found.hexdigest()[:16]
