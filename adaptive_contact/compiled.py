@@ -18,9 +18,11 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numba
+from numba.core import config as _numba_config
 
 __all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "is_cached"]
 
+config: Any = _numba_config  # its settings are made at import, and have no types
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Names a folder for what is compiled; empty for none.
@@ -39,17 +41,16 @@ def cache_folder() -> Path | None:
     named = os.environ.get(CACHE_VARIABLE)
     if named == "":
         return None
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    user = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     candidates = [
         named,
         os.environ.get("CACHE_DIRECTORY", "").split(":")[0],
-        os.path.join(user, "adaptive-contact"),
-        os.path.join(tempfile.gettempdir(), f"adaptive-contact-{os.getuid()}"),
+        f"{user}/adaptive-contact",
+        f"{tempfile.gettempdir()}/adaptive-contact-{os.getuid()}",
     ]
     for candidate in candidates:
-        if not candidate or not os.path.isabs(candidate):
-            continue
-        folder = _owned(Path(candidate))
+        place = _expanded(candidate)
+        folder = None if place is None else _owned(place)
         if folder is not None:
             folder = _owned(folder / f"compiled-{_digest()}")
         if folder is not None:
@@ -65,19 +66,31 @@ def is_cached() -> bool:
 
 def compiled(function: F) -> F:
     """Compile a function of arrays when it is first called, or load what was compiled before."""
-    if numba.config.DISABLE_JIT:
+    if config.DISABLE_JIT:
         return function
     folder = cache_folder()
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = "" if folder is None else str(folder)
+    before = config.CACHE_DIR
+    config.CACHE_DIR = "" if folder is None else str(folder)
     try:
         # Other floating-point rules than IEEE's would make results depend on the machine.
-        made: F = numba.njit(
+        made: Any = numba.njit(
             cache=folder is not None, inline="never", error_model="numpy", nogil=True
         )(function)
     finally:
-        numba.config.CACHE_DIR = before
-    return made
+        config.CACHE_DIR = before
+    compiled_function: F = made
+    return compiled_function
+
+
+def _expanded(name: str | None) -> Path | None:
+    """An absolute path, or None: a user without a home has none of its own."""
+    if not name:
+        return None
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError:
+        return None
+    return path if path.is_absolute() else None
 
 
 def _owned(folder: Path) -> Path | None:

@@ -161,18 +161,23 @@ class Challenger:
         )
         self._pending = (self._jobs, REFIT_DUE_TICKS)
 
-    def tick(self) -> None:
-        """Collect a result that is due."""
+    def tick(self) -> bool:
+        """Collect a result that is due; True if one came."""
         self._ticks += 1
         if self._pending is None:
-            return
+            return False
         job, wait = self._pending
         if wait > 0:
             self._pending = (job, wait - 1)
-            return
+            return False
         result = self._refitter.collect(self._leg, job)
         if result is None:
-            return
+            return False
+        self._take(result)
+        return True
+
+    def _take(self, result: object) -> None:
+        """Try a refit's result, or refuse it."""
         self._pending = None
         assert isinstance(result, RefitResult)
         if result.status is not FitStatus.OK:

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptive_contact.adapt.refit import Refitter
 from adaptive_contact.robot import Leg, Robot
@@ -22,9 +23,11 @@ from adaptive_contact.robot.conventions import (
     Verdict,
     judge_motion,
 )
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire import Phase
 
 __all__ = ["ConventionJob", "ConventionWatch", "MotionTrack"]
+
+Array = NDArray[np.float64]
 
 # When the motion is judged, s of samples; a tripod's 20 swings take 28 s.  After the last, it is
 # every LATER_S, and with no leg left that could be told, or after ENOUGH_S, never.
@@ -84,16 +87,17 @@ class MotionTrack:
         axes = dict(zip(self._leg.joints, self._leg.joint_axes, strict=True))
         return any(axes[name] == "pitch" for name in self.finding.joints)
 
-    def take(self, sample: ServoSample) -> None:
-        """Take in an accepted sample, in the frame of the description."""
+    def take(self, measured: Array, desired: Array, t_ns: int, phase: Phase | None) -> None:
+        """Take in an accepted sample, (J,) rad in the frame of the description."""
         if self.settled:
             return
         if self._count == len(self._times):
             self._make_room()
-        self._angles[self._count] = sample.measured + sample.desired
-        self._times[self._count] = sample.t_ns
-        self._swing[self._count] = sample.phase == "swing"
-        self._untold += sample.phase is None
+        angles = self._angles[self._count]
+        angles[: self._joints], angles[self._joints :] = measured, desired
+        self._times[self._count] = t_ns
+        self._swing[self._count] = phase == "swing"
+        self._untold += phase is None
         self._count += 1
         self.total += 1
 

@@ -246,24 +246,31 @@ class Follower:
         if self.mode.refits:
             self._challenger.swing_done(self.model, self.buffer, self._era, learned=learned)
 
-    def tick(self, budget: int) -> None:
+    def tick(self, budget: int) -> bool:
         """Once per control tick: learn a few rows, collect a result that is due.
 
         Args:
             budget: rows at most.
+
+        Returns:
+            Whether what is known of free motion may be another.
         """
+        moved = bool(self._queue)
         if self._queue:
             for _ in range(self._share(budget)):
                 if not self._queue:  # a model that falls takes the rows that wait with it
                     break
                 self._learn(self._queue.popleft())
-        self._challenger.tick()
-        self._recent.domain = self._challenger.domain
-        self._recent.go_on()
+        if self._challenger.tick():
+            moved = True
+            self._recent.domain = self._challenger.domain
+        if self._recent.go_on():
+            moved = True
         if self._refresh_in is not None:
             self._refresh_in -= 1
             if self._refresh_in < 0:
                 self._refresh(at_once=False)
+        return moved
 
     def _share(self, budget: int) -> int:
         """Rows of a tick: a leg that is known can wait, one that has changed cannot.

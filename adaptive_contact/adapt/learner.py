@@ -127,7 +127,6 @@ class ContactLearner:
         self._assessed = False  # what this tick found, for its event
         self._begun = 0  # what the arrays hold of what is known
         self._shown: tuple[int, Domain | None] = (-1, None)
-        self._stale = True  # the model in force is newer than the arrays'
         self._begin()
 
     # -- public --------------------------------------------------------------------------------
@@ -291,7 +290,11 @@ class ContactLearner:
         """What a tick leaves to be learned, before the next is predicted."""
         knowledge, track = self._knowledge, self._track
         if track is not None and not track.settled:
-            self._keep_motion(track, restart=bool(flags & RESTARTED))
+            if flags & RESTARTED:
+                track.restart()
+            sample, (batch, row) = self._sample, self.place.at
+            assert sample is not None
+            track.take(batch.measured[row], batch.desired[row], sample.t_ns, sample.phase)
         if flags & RESTARTED:
             self._swing.restart()
             if knowledge.follower is not None:
@@ -311,13 +314,16 @@ class ContactLearner:
         follower = knowledge.follower
         if follower is None or not follower.learning or self._begun != knowledge.begun:
             return
-        follower.tick(ROWS_PER_TICK)
+        moved = follower.tick(ROWS_PER_TICK)
+        if not (moved or flags & _MOVES):
+            return
         if follower.monitor.unfit and self._swing.ticks:
             knowledge.forget()
             self._let_go()
             self._begin()
             return
-        self._publish()
+        if moved or flags & ~ENTERED or follower.monitor.watches:
+            self._publish()
 
     def settle(self) -> None:
         """After a tick: a model that has come is in force from the next one on."""
@@ -341,7 +347,7 @@ class ContactLearner:
         if knowledge.library != place.batch.library:
             place.move(self._batch(), 0)
         place.batch.forget_past(place.row)
-        self._begun, self._shown, self._stale = knowledge.begun, (-1, None), True
+        self._begun, self._shown = knowledge.begun, (-1, None)
         leg, follower = place.leg, knowledge.follower
         leg["known"] = follower is not None
         if follower is None:
@@ -389,12 +395,6 @@ class ContactLearner:
             broken=bool(flags & RESTARTED) or bool(leg["missed"]),
             off=rate.told_by - 1 if rate.off else 0,
         )
-
-    def _keep_motion(self, track: MotionTrack, *, restart: bool) -> None:
-        if restart:
-            track.restart()
-        assert self._sample is not None
-        track.take(self.place.sample(self._sample))
 
     def _follow_convention(self, track: MotionTrack) -> None:
         """Stop judging a leg whose angles are not counted as described, or go on."""

@@ -202,6 +202,11 @@ class DriftMonitor:
         """The leg is again what it was before any change."""
         self.level, self._since_ns, self.kind = 1.0, None, None
 
+    @property
+    def watches(self) -> bool:
+        """Whether the levels of this swing's ticks may change how it is judged."""
+        return self._swing_level is not None or bool(self._swings_adapting)
+
     def look(self, level: float) -> None:
         """Take in the level of a tick, which may belie what was told of this swing or the last.
 

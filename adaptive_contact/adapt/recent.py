@@ -131,11 +131,11 @@ class RecentNoise:
         """What was begun is of ticks that were dropped since."""
         self._under_way = None
 
-    def go_on(self) -> None:
-        """A tick's share of what was begun, if anything was."""
+    def go_on(self) -> bool:
+        """A tick's share of what was begun, if anything was; True if it is done."""
         shaping = self._under_way
         if shaping is None or not shaping.advance(SEGMENTS_PER_TICK):
-            return
+            return False
         self._under_way = None
         self.whiten = shaping.turned()
         often, wide = self.tail_factors
@@ -146,6 +146,7 @@ class RecentNoise:
         self.thresholds = np.maximum(self._least, thresholds_of(tails, self._aim))
         self.limits = self.thresholds.tolist()
         self.revision += 1
+        return True
 
     @property
     def tail_factors(self) -> tuple[float, float]:

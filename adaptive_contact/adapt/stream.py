@@ -308,7 +308,8 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        missed = follow_one(self._own, self._own_ring, t_ns, seq, restart)
+        own, ring = self._own, self._own_ring
+        missed = follow_one(own, ring, t_ns, seq, restart)  # type: ignore[no-untyped-call]
         return None if missed == PAUSE else int(missed)
 
     @property
@@ -317,7 +318,8 @@ class RateWatch:
 
     @property
     def _ring(self) -> NDArray[np.int64]:
-        return self._own_ring[0] if self._place is None else self._place.batch.ring[self._place.row]
+        ring: NDArray[np.int64] = self._own_ring[0]
+        return ring if self._place is None else np.asarray(self._place.batch.ring[self._place.row])
 
 
 _CAUSES: Final[dict[bool | None, str]] = {

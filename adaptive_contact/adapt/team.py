@@ -39,7 +39,7 @@ class Team:
     ) -> None:
         self.learners = tuple(learners)
         self._on_fault = on_fault
-        self._batches: list[LegBatch] = []
+        self._batches: list[tuple[LegBatch, list[int]]] = []  # with the places of their rows
         self._homes: list[LegBatch | None] = [None] * len(self.learners)
         self._open: set[int] = set()  # judged, and not finished
 
@@ -73,7 +73,7 @@ class Team:
         self._settle()
         events: list[ContactEvent | None] = [None] * len(self.learners)
         here: list[int] = []
-        for batch in self._batches:
+        for batch, _ in self._batches:
             batch.accepted[:] = False
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
             if sample is None:
@@ -85,13 +85,17 @@ class Team:
                 self._fault(learner, fault)
         if not here:
             return events
-        for batch in self._batches:
+        for batch, _ in self._batches:
             batch.judge()
         self._open.update(here)
-        for i in here:
-            learner = self.learners[i]
-            flags = int(learner.place.leg["flags"])
-            if flags & (DECIDED | OWES):
+        for batch, members in self._batches:
+            flags_of = batch.flags
+            if not any(flags & (DECIDED | OWES) for flags in flags_of):  # as in nearly every tick
+                continue
+            for i, flags in zip(members, flags_of, strict=True):
+                learner = self.learners[i]
+                if not flags & (DECIDED | OWES) or not batch.accepted[learner.place.row]:
+                    continue
                 try:
                     events[i] = learner.event_of(flags)
                 except Exception as fault:
@@ -104,14 +108,15 @@ class Team:
         Who has got, changed or lost a model takes its place among the others here, too: no event
         waits for that.
         """
-        for i in sorted(self._open):
-            learner = self.learners[i]
-            try:
-                learner.finish(int(learner.place.leg["flags"]))
-            except Exception as fault:
-                self._fault(learner, fault)
         if self._open:
-            for batch in self._batches:
+            for batch, members in self._batches:
+                for i, flags in zip(members, batch.flags, strict=True):
+                    if i not in self._open:
+                        continue
+                    try:
+                        self.learners[i].finish(flags)
+                    except Exception as fault:
+                        self._fault(self.learners[i], fault)
                 batch.finish()
             for i in self._open:
                 self.learners[i].settle()
@@ -140,5 +145,9 @@ class Team:
                     break
             else:
                 groups.append([learner])
-        self._batches = [LegBatch.of([learner.place for learner in group]) for group in groups]
+        places = {id(learner): i for i, learner in enumerate(self.learners)}
+        self._batches = [
+            (LegBatch.of([learner.place for learner in group]), [places[id(o)] for o in group])
+            for group in groups
+        ]
         self._homes = [learner.place.batch for learner in self.learners]

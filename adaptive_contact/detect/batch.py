@@ -121,10 +121,16 @@ class LegBatch:
                 self.lengths[row] = leg.lengths_m
             self.pitched[row] = [axis == "pitch" for axis in leg.joint_axes]
 
+    @property
+    def flags(self) -> list[int]:
+        """What the last tick of each leg has found."""
+        found: list[int] = self.legs["flags"].tolist()
+        return found
+
     def judge(self) -> None:
         """The first half of a tick."""
         self.open |= self.accepted
-        judge_tick(
+        judge_tick(  # type: ignore[no-untyped-call]
             self.legs, self.accepted, self.restart, self.lost, self.t_ns, self.seq, self.phase,
             self.measured, self.desired, self.valid, self.has_valid, self.preview_in, self.ring,
             self.seam, self.command, self.before, self.lengths, self.pitched, self.low,
@@ -140,7 +146,7 @@ class LegBatch:
 
     def finish(self) -> None:
         """The second half."""
-        finish_tick(
+        finish_tick(  # type: ignore[no-untyped-call]
             self.legs, self.open, self.desired, self.preview_in, self.preview_n, self.command,
             self.before, self.window, self.lags, self.preview, self.increment, self.theta,
             *self.table, self.xi0, self.coefficients, self.room,
@@ -249,6 +255,11 @@ class LegPlace:
             count = batch.preview_n[row] = min(len(ahead), batch.preview)
             batch.preview_in[row, :count] = ahead[:count] if count else 0.0
 
+    @property
+    def at(self) -> tuple[LegBatch, int]:
+        """The batch and the row."""
+        return self.batch, self.row
+
     def sample(self, taken: ServoSample) -> ServoSample:
         """The sample that was taken, with its angles in one turn."""
         measured = self.batch.measured[self.row].tolist()
@@ -294,14 +305,14 @@ class LegPlace:
     def window(self) -> Array:
         """(lags, J) rad, measured, desired and preview, as a prediction is made from."""
         joints = self.batch.measured.shape[1]
-        return self.batch.window[self.row].reshape(-1, joints)
+        return np.asarray(self.batch.window[self.row].reshape(-1, joints))
 
     @property
     def residuals(self) -> Array:
         """(3, J) rad, the newest first."""
-        return self.batch.history[self.row, 0]
+        return np.asarray(self.batch.history[self.row, 0])
 
     @property
     def increments(self) -> Array:
         """(3, J) rad that were predicted, the newest first."""
-        return self.batch.history[self.row, 1]
+        return np.asarray(self.batch.history[self.row, 1])

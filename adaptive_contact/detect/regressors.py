@@ -8,7 +8,7 @@ friction and softness against the movement that the first model predicts.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +54,9 @@ def term_table(library: Library) -> TermTable:
     """Tabulate a library's terms."""
     terms: list[tuple[int, list[tuple[int, float]]]] = []
     law = [0, 0]
+    functions: dict[Any, int] = {np.tanh: TANH, np.cos: COS, np.sin: SIN}
     if library.name == "servo":
         shape = library._servo_shape
-        functions = {np.tanh: TANH, np.cos: COS, np.sin: SIN}
         size = shape.linear.shape[1]
         kinds = np.full(size, LINEAR)
         kinds[0] = ONE
@@ -91,14 +91,10 @@ def term_table(library: Library) -> TermTable:
 
 @compiled
 def regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room):
-    """Fill (p,) theta from a flat (w,) window.
+    """Fill (p,) theta from a flat (w,) window, by a :class:`TermTable`.
 
-    Args:
-        window: (w,) rad.
-        kind, first, entry, weight, knee, law: the :class:`TermTable`.
-        xi0: (q, J) coefficients that the first model has of the terms without changes.
-        theta: (p,) to be filled.
-        room: (2 J,) scratch.
+    ``xi0`` is (q, J), the first model's coefficients of the terms without changes; ``room`` is
+    (2 J,) scratch.
     """
     terms, joints = len(kind), len(room) // 2
     at = terms

@@ -349,7 +349,8 @@ def restart_leg(leg, command, before, desired, doubts):
 
 @compiled
 def judge_tick(
-    legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid, preview_in,
+    legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid,
+    preview_in,
     ring, seam, command, before, lengths, pitched,
     low, lengths_ticks, last_desired, last_measured, path, asked, commanded, foot, start, heights,
     window, lags, preview, history, increment, theta, thetas, began_window,

@@ -121,7 +121,7 @@ class Domain:
 
     @property
     def reach(self) -> Array:
-        """(p, p) G with :math:`h = |G \\theta|^2`, without the terms beyond."""
+        """(p, p) G of which h is the square of G θ, without the terms beyond."""
         return self._reach
 
     def leverage(self, theta: Array) -> Array:

@@ -266,16 +266,9 @@ def learn_row(
 ):  # fmt: skip
     """Take in one row, in place; one whose innovations are not finite leaves all as it is.
 
-    Args:
-        theta: (p,) regressors.
-        target: (J,) rad.
-        index, per_scale: (J, n) places in theta, and the reciprocal of their scale.
-        per_noise: (J,) reciprocal of the noise.
-        xi: (J, n) coefficients in units of scale and noise.
-        s: (J, n, n) square roots of their covariances.
-        forgetting, huber: settings.
-        innovations: (J,) to be filled.
-        room: (3, J, n) scratch.
+    Of (p,) theta, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
+    coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
+    (J,) ``innovations`` are filled, (3, J, n) ``room`` is scratch.
     """
     joints, size = index.shape
     sound = True

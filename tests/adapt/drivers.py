@@ -167,7 +167,7 @@ class Labels:
             b.unit[0], b.last_measured[0], b.lengths[0], b.pitched[0], b.floats[0], b.floats[1],
         )  # fmt: skip
         if int(leg["row_n"]) > before:
-            self._seen = [*self._seen[: before], row]
+            self._seen = [*self._seen[:before], row]
         elif int(leg["row_n"]) == before and before and b.rows[0, before - 1]["t_ns"] == row.t_ns:
             self._seen = [*self._seen[1:], row]
         if leg["row_n"] + 2 > b.rows.shape[1]:

@@ -100,7 +100,9 @@ def descent(robot: Robot, levels: dict[int, float], pushes: dict[int, float | No
     return book
 
 
-def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too(robot: Robot) -> None:
+def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too(
+    robot: Robot,
+) -> None:
     """Nearer to the onset than the guard, but for the last tick, and only aside from a push."""
     book = descent(robot, levels={17: 0.9 * MISSED_LEVEL}, pushes={})
     found = book.alarm(19 * PERIOD, PERIOD)
@@ -112,14 +114,18 @@ def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too(robot: Rob
 
 
 @pytest.mark.parametrize("pushed", [1.01 * PUSHED_SIGMA, None])
-def test_from_the_first_tick_that_may_be_pushed_nothing_is(robot: Robot, pushed: float | None) -> None:
+def test_from_the_first_tick_that_may_be_pushed_nothing_is(
+    robot: Robot, pushed: float | None
+) -> None:
     book = descent(robot, levels={}, pushes={17: pushed})
     assert ticks(book.alarm(19 * PERIOD, PERIOD)) == list(range(11, 17))
 
 
 @pytest.mark.parametrize("hole", [2, 12])
 @pytest.mark.parametrize("after", [0, HOLE_TICKS, HOLE_TICKS + 1])
-def test_after_a_hole_the_guard_counts_from_what_came_before_it(robot: Robot, hole: int, after: int) -> None:
+def test_after_a_hole_the_guard_counts_from_what_came_before_it(
+    robot: Robot, hole: int, after: int
+) -> None:
     """A touch that began before it is told after it, with an onset behind it."""
     book = Labels(robot)
     swing(book, up=10, down=6)

@@ -64,6 +64,11 @@ class Learners:
 
         No decision rests on them; None of a revision that cannot be asked.
         """
+        if hasattr(self[leg], "judged"):
+            judged = self[leg].judged()
+            if judged is None:
+                return None
+            return {"scores": judged.scores.tolist(), "thresholds": judged.thresholds.tolist()}
         detector = getattr(self[leg], "detector", None)
         if detector is None:
             report = self[leg].model_report

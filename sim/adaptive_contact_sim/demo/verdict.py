@@ -208,9 +208,9 @@ def _replay(
         decided = team.advance([tick.get(leg) for leg in learners])
         events += [event for event in decided if event is not None]
         for leg, sample in tick.items():
-            at, tracker = row[leg].get(sample.t_ns), learners[leg].tracker
-            if at is not None and tracker is not None and tracker.usable:
-                residual[leg][at] = tracker.residuals[0]
+            at, judged = row[leg].get(sample.t_ns), learners[leg].judged()
+            if at is not None and judged is not None:
+                residual[leg][at] = judged.residual
     return _Replayed(events, residual, floor)
 
 

@@ -22,7 +22,6 @@ from adaptive_contact.adapt import ContactLearner
 from adaptive_contact.adapt.baseline import dump_baseline
 from adaptive_contact.adapt.kinds import KINDS
 from adaptive_contact.adapt.team import Team
-from adaptive_contact.detect import statistic
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
 from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
@@ -139,16 +138,11 @@ class _Watch:
 
     def tick(self, k: int) -> None:
         """After the learner has taken a tick in, if it is traced."""
-        detector = self.learner.detector
-        if self._residual is None or detector is None or detector.tracker.usable == 0:
+        if self._residual is None or (judged := self.learner.judged()) is None:
             return
-        tracker = detector.tracker
-        self._residual[k] = tracker.residuals[0]
-        said = statistic(
-            tracker.residuals, tracker.increments, detector.whitening, np.array(tracker.usable)
-        )
-        self._score[k] = np.nanmax(said.value / detector.thresholds)
-        self._threshold[k] = detector.thresholds[0] * float(np.mean(detector.unit))
+        self._residual[k] = judged.residual
+        self._score[k] = np.nanmax(judged.scores)
+        self._threshold[k] = judged.thresholds[0]
 
     def swing_over(self) -> None:
         """At the first sample after a swing."""
