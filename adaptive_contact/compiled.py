@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numba
+import numpy as np
 from numba.core import config as _numba_config
 
-__all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "is_cached"]
+__all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "is_cached", "records"]
 
 config: Any = _numba_config  # its settings are made at import, and have no types
 F = TypeVar("F", bound=Callable[..., Any])
@@ -62,6 +63,11 @@ def is_cached() -> bool:
     """True if this installation has been compiled before."""
     folder = cache_folder()
     return folder is not None and any(folder.rglob("*.nbi"))
+
+
+def records(scalars: Any) -> Any:
+    """Rows of scalars as compiled code takes them; uncompiled, with names that Python finds."""
+    return scalars.view(np.recarray) if config.DISABLE_JIT else scalars
 
 
 def compiled(function: F) -> F:

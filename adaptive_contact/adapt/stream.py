@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.compiled import records
 from adaptive_contact.detect.batch import LegPlace
 from adaptive_contact.detect.clock import PAUSE, follow_one
 from adaptive_contact.detect.layout import RING, new_legs
@@ -308,7 +309,7 @@ class RateWatch:
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
-        own, ring = self._own, self._own_ring
+        own, ring = records(self._own), self._own_ring
         missed = follow_one(own, ring, t_ns, seq, restart)  # type: ignore[no-untyped-call]
         return None if missed == PAUSE else int(missed)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._options import (
     BaselineOption,
     ConfigOption,
@@ -139,6 +140,7 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
         )
     if str(out) != "-":
         check_output(out, "--events")
+    compile_tick()
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()
     written = 0

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import typer
 
+from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._options import (
     BaselineOption,
     ConfigOption,
@@ -106,6 +107,7 @@ def serve(
         if refused is not None:
             typer.echo(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
+        compile_tick()
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
         try:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.compiled import records
 from adaptive_contact.detect.layout import (
     ASKED,
     DEPTH,
@@ -25,10 +26,12 @@ from adaptive_contact.detect.noise import CONTEXTS
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.tick import finish_tick, judge_tick
 from adaptive_contact.identify import Domain, Library
+from adaptive_contact.identify.library import with_changes
+from adaptive_contact.identify.recursive import RecursiveLeastSquares
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["LegBatch", "LegPlace"]
+__all__ = ["LegBatch", "LegPlace", "compile_ahead"]
 
 Array = NDArray[np.float64]
 
@@ -124,14 +127,15 @@ class LegBatch:
     @property
     def flags(self) -> list[int]:
         """What the last tick of each leg has found."""
-        found: list[int] = self.legs["flags"].tolist()
+        found: list[int] = self.legs["found"].tolist()
         return found
 
     def judge(self) -> None:
         """The first half of a tick."""
         self.open |= self.accepted
         judge_tick(  # type: ignore[no-untyped-call]
-            self.legs, self.accepted, self.restart, self.lost, self.t_ns, self.seq, self.phase,
+            records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
+            self.phase,
             self.measured, self.desired, self.valid, self.has_valid, self.preview_in, self.ring,
             self.seam, self.command, self.before, self.lengths, self.pitched, self.low,
             self.lengths_ticks, self.last_desired, self.last_measured, self.path, self.asked,
@@ -140,15 +144,15 @@ class LegBatch:
             self.reach, self.believed, self.last, self.doubts, self.stale, self.refused,
             self.values, self.counts, *self.table, self.xi0, self.coefficients, self.whiten,
             self.limits, self.sigma, self.unit, self.index, self.per_scale, self.root, self.sizes,
-            self.domain, self.rows, self.row_thetas, self.row_targets, self.row_asides,
+            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
             self.free_ring, self.scores, self.bools, self.floats, self.room, self.now, self.sums,
         )  # fmt: skip
 
     def finish(self) -> None:
         """The second half."""
         finish_tick(  # type: ignore[no-untyped-call]
-            self.legs, self.open, self.desired, self.preview_in, self.preview_n, self.command,
-            self.before, self.window, self.lags, self.preview, self.increment, self.theta,
+            records(self.legs), self.open, self.desired, self.preview_in, self.preview_n,
+            self.command, self.before, self.window, self.lags, self.preview, self.increment, self.theta,
             *self.table, self.xi0, self.coefficients, self.room,
         )  # fmt: skip
         self.open[:] = False
@@ -269,7 +273,7 @@ class LegPlace:
     def drop_tick(self) -> None:
         """Go no further with the tick in hand."""
         self.batch.accepted[self.row] = self.batch.open[self.row] = False
-        self.leg["flags"] = 0
+        self.leg["found"] = 0
 
     def restart_swing(self) -> None:
         """Forget the swing in hand."""
@@ -316,3 +320,18 @@ class LegPlace:
     def increments(self) -> Array:
         """(3, J) rad that were predicted, the newest first."""
         return np.asarray(self.batch.history[self.row, 1])
+
+
+def compile_ahead() -> None:
+    """Compile what a tick needs, or load it, before the first one; safe to call again."""
+    joints = ("coxa", "femur", "tibia")
+    leg = Leg(id="any", joints=joints)
+    plain = Library("servo", joints, leg.joint_axes)
+    library = with_changes(plain, np.zeros((plain.size, len(joints))))
+    batch = LegBatch([leg], library, [0.005], 20_000_000, max_step=0.5)
+    batch.judge()
+    batch.finish()
+    every = np.ones((library.size, len(joints)), dtype=np.bool_)
+    coefficients, scale = np.zeros(every.shape), np.ones(library.size)
+    recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
+    recursion.update(np.zeros(library.size), np.zeros(len(joints)))

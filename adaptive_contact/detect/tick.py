@@ -73,7 +73,7 @@ def note_hole(leg, rows):
 @compiled
 def break_off(leg):
     """What comes does not connect: the swing cannot be resolved, and is not learned."""
-    leg.flags |= BROKE_OFF
+    leg.found |= BROKE_OFF
     leg.whole = leg.stood = leg.touching = False
     begin_labels(leg)
     leg.broken = True
@@ -168,7 +168,7 @@ def release(leg, t_ns, score):
     if not leg.contact:
         return
     leg.contact = False
-    leg.flags |= DECIDED
+    leg.found |= DECIDED
     leg.onset_ns = leg.calm_since if leg.calm else t_ns
     leg.score = score
 
@@ -194,7 +194,7 @@ def swing_tick(leg, score, distance, onset_ns, past_lift):
     if score <= 1.0:
         return
     leg.contact, leg.calm = True, 0
-    leg.flags |= DECIDED | TOUCHED
+    leg.found |= DECIDED | TOUCHED
     leg.onset_ns, leg.score = onset_ns, score
 
 
@@ -243,7 +243,7 @@ def enter_row(
 ):  # fmt: skip
     """Hold a judged tick back until its swing is resolved."""
     joints = history.shape[2]
-    leg.flags |= ENTERED
+    leg.found |= ENTERED
     if not leg.gated:
         pass
     elif leg.broken or not (leg.topped or leg.rising or past_top):
@@ -331,7 +331,7 @@ def near(angles, origin):
 @compiled
 def restart_leg(leg, command, before, desired, doubts):
     """The source began again: what came before does not connect."""
-    leg.flags |= RESTARTED
+    leg.found |= RESTARTED
     let_go(leg)
     leg.whole = leg.stood = False
     leg.ticks = 0
@@ -367,7 +367,7 @@ def judge_tick(
         if not accepted[i]:
             continue
         leg = legs[i]
-        leg.flags = 0
+        leg.found = 0
         leg.t_ns, leg.seq = t_ns[i], seq[i]
         # The sample, as it connects to the stream.
         unwrap(leg, measured[i], desired[i], preview_in[i], seam[i], restart[i])
@@ -394,7 +394,7 @@ def judge_tick(
                 break_off(leg)
                 leg.loaded, leg.calm = True, 0
         if leg.owes_release:
-            leg.flags |= OWES
+            leg.found |= OWES
         # The swing, by the command.
         follow_command(
             leg, phase[i], measured[i], desired[i], seq[i], lengths[i], pitched[i], low[i],
@@ -404,13 +404,13 @@ def judge_tick(
         if leg.ticks == 0:
             if leg.open and leg.known:
                 leg.open = False
-                leg.flags |= RESOLVED
+                leg.found |= RESOLVED
                 leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
                 leg.resolved_whole = leg.whole
                 leg.row_n = leg.lift_n
                 leg.closed = True
         elif leg.ticks == 1:
-            leg.flags |= BEGAN
+            leg.found |= BEGAN
             leg.open = True
             leg.touching = False
             begin_labels(leg)
@@ -438,7 +438,7 @@ def judge_tick(
         if leg.rate_off:
             restart_history(leg, doubts[i])
             break_off(leg)
-            leg.flags |= RATE_OFF
+            leg.found |= RATE_OFF
             continue
         if leg.misread:
             break_off(leg)
@@ -501,7 +501,7 @@ def judge_tick(
         # What is learned from it, later.
         if leg.learning:
             if leg.touching:
-                leg.flags |= TOUCHING
+                leg.found |= TOUCHING
             if not leg.bad:
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
@@ -511,7 +511,7 @@ def judge_tick(
                 )  # fmt: skip
                 if leg.topped and not leg.broken and not leg.top_seen:
                     leg.top_seen = True
-                    leg.flags |= TOPPED
+                    leg.found |= TOPPED
 
 
 @compiled

@@ -1,0 +1,117 @@
+"""Where compiled code is kept, and that it says the same uncompiled."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from adaptive_contact import compiled
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """An environment in which only this folder is named."""
+    for name in (compiled.CACHE_VARIABLE, "CACHE_DIRECTORY", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(compiled.tempfile, "gettempdir", lambda: str(tmp_path / "tmp"))
+    compiled.cache_folder.cache_clear()
+    yield tmp_path
+    compiled.cache_folder.cache_clear()
+
+
+def test_what_is_compiled_is_kept_in_a_folder_of_the_users_own(folder: Path) -> None:
+    found = compiled.cache_folder()
+    assert found is not None
+    assert found.parent == folder / "home" / ".cache" / "adaptive-contact"
+    assert found.stat().st_mode & 0o777 == 0o700
+    assert found.parent.stat().st_mode & 0o777 == 0o700
+    assert not compiled.is_cached()
+
+
+@pytest.mark.parametrize("variable", [compiled.CACHE_VARIABLE, "CACHE_DIRECTORY"])
+def test_a_named_folder_comes_first(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, variable: str
+) -> None:
+    monkeypatch.setenv(variable, str(folder / "named"))
+    assert compiled.cache_folder() is not None
+    assert compiled.cache_folder().parent == folder / "named"  # type: ignore[union-attr]
+
+
+def test_a_folder_that_others_may_write_to_holds_no_code(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What lies there is executed."""
+    theirs = folder / "theirs"
+    theirs.mkdir()
+    theirs.chmod(0o777)
+    monkeypatch.setenv(compiled.CACHE_VARIABLE, str(theirs))
+    found = compiled.cache_folder()
+    assert found is not None
+    assert theirs not in found.parents
+    assert not list(theirs.iterdir())
+
+
+def test_a_link_is_no_folder_of_the_users_own(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "elsewhere").mkdir()
+    (folder / "link").symlink_to(folder / "elsewhere")
+    monkeypatch.setenv(compiled.CACHE_VARIABLE, str(folder / "link"))
+    assert compiled.cache_folder() is not None
+    assert not list((folder / "elsewhere").iterdir())
+
+
+def test_without_a_home_the_folder_for_temporary_files_serves(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", "/proc/nobody")  # as of a system user
+    found = compiled.cache_folder()
+    assert found is not None
+    assert found.parent == folder / "tmp" / f"adaptive-contact-{os.getuid()}"
+
+
+def test_no_folder_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(compiled.CACHE_VARIABLE, "")
+    assert compiled.cache_folder() is None
+    assert not compiled.is_cached()
+
+
+_RUN = """
+import json, sys
+sys.path.insert(0, {tests!r})
+from adapt import conftest as made
+from adaptive_contact import ContactLearner
+from adaptive_contact.robot import parse_robot
+robot = parse_robot(made.TOML, source="test")
+baseline = made.baseline.__wrapped__(robot)
+learner = ContactLearner(robot, "rf", baseline)
+events = []
+stream = made.samples(*made.FakeLeg(seed=2).run(9, touch=lambda n: 16 if n % 2 else None)[:3])
+for k, sample in enumerate(stream):
+    if 100 < k < 104 or k == 130:
+        continue
+    event = learner.update(sample)
+    if event is not None:
+        events.append([event.seq, event.contact, event.onset_ns, round(event.score, 9)])
+status = learner.status
+print(json.dumps([events, status.ticks, status.missed, status.buffer.lift_ticks]))
+"""
+
+
+def test_the_tick_says_the_same_uncompiled() -> None:
+    """So a debugger and coverage see what runs; a gap, a hole and touches are in it."""
+    said = []
+    for disabled in ("0", "1"):
+        ran = subprocess.run(
+            [sys.executable, "-c", _RUN.format(tests=str(Path(__file__).parents[1]))],
+            env={**os.environ, "NUMBA_DISABLE_JIT": disabled},
+            capture_output=True, text=True, timeout=200, check=True,
+        )  # fmt: skip
+        said.append(ran.stdout)
+    assert said[0] == said[1]
+    assert said[0].count("true") >= 3
