@@ -203,6 +203,7 @@ class ContactLearner:
         """How the learner is."""
         follower = self._follower
         self._collect_counts()
+        untouched_ns = int(self.place.leg["untouched_ns"])
         return LearnerStatus(
             leg=self.leg.id,
             t_ns=int(self.place.leg["t_ns"]),
@@ -220,6 +221,8 @@ class ContactLearner:
             contact=self.contact,
             contacts=self._tally.counts["contacts"],
             jitter_ms=self._rate.jitter_ms,
+            untouched=int(self.place.leg["untouched"]),
+            untouched_ns=None if untouched_ns < 0 else untouched_ns,
             note=self._ailment(),
         )
 
@@ -299,6 +302,8 @@ class ContactLearner:
             self._swing.restart()
             if knowledge.follower is not None:
                 knowledge.follower.new_source()
+        if flags & RESOLVED:
+            self._quarantine.resolve()
         if flags & _MOVES:
             if not self._assessed:
                 self._assess(flags)
@@ -368,12 +373,13 @@ class ContactLearner:
         batch, row, leg = place.batch, place.row, place.leg
         leg["level"] = follower.level_in_force
         leg["inflated"] = inflated = follower.loosened
-        leg["changed"] = follower.changed
+        leg["changed"] = changed = follower.changed
+        leg["sure"] = follower.status == "valid" and not changed
         revision, domain = self._shown
         if revision != recent.revision or domain is not recent.domain:
             self._shown = (recent.revision, recent.domain)
             batch.whiten[row] = recent.whiten
-            batch.limits[row] = recent.limits
+            batch.limits[row], batch.limits_awaited[row] = recent.thresholds, recent.awaited
             place.show_domain(recent.domain)
         if inflated:
             follower.show_doubt(batch, row)
@@ -473,6 +479,7 @@ class ContactLearner:
             self._knowledge.note_now,
             None if follower is None else follower.note,
             self._quarantine.deaf_note,
+            self._quarantine.landings.note,
             _NO_PREVIEW if self.place.leg["lacking"] else None,
         )
         return next((note for note in notes if note is not None), None)

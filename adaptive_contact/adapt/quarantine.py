@@ -17,13 +17,12 @@ from adaptive_contact.adapt.foretell import foretold
 from adaptive_contact.adapt.ground import Push
 from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.segments import Row, confirmed_before, confirmed_of, let_go_rows
-from adaptive_contact.adapt.swing import Foretell, SwingJudge
+from adaptive_contact.adapt.swing import Foretell, Landings, SwingJudge
 from adaptive_contact.detect.batch import LegPlace
 from adaptive_contact.detect.tick import (
     BEGAN,
     BROKE_OFF,
     ENTERED,
-    RESOLVED,
     RESTARTED,
     TOPPED,
     TOUCHED,
@@ -43,12 +42,16 @@ class Quarantine:
         place: the leg's arrays.
         swing: judges it.
         knowledge: who learns, if anybody does.
+
+    Attributes:
+        landings: how late touches come.
     """
 
     def __init__(self, place: LegPlace, swing: SwingJudge, knowledge: Knowledge) -> None:
         self._place = place
         self._knowledge = knowledge
         self._swing = swing
+        self.landings = Landings()
         self._region = 0
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
@@ -106,23 +109,29 @@ class Quarantine:
             self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
             follower.lift(lift, self._region, int(leg["at_ns"]))
 
-    def hand_over(self, flags: int) -> None:
-        """Let the follower have the descent that this tick has confirmed, and a touch."""
+    def resolve(self) -> None:
+        """Let the follower have the swing that has ended."""
         follower, leg = self._knowledge.follower, self._place.leg
         if follower is None:
             return
-        if flags & RESOLVED:
-            self._unheard += bool(leg["resolved_whole"])
-            self._hand_touch()
-            first, last = int(leg["resolved_first"]), int(leg["resolved_last"])
-            self._confirm(confirmed_of(self._rows(first, last)))
-            follower.swing_done(self._swing.touch_belied(whole=bool(leg["resolved_whole"])))
+        self._unheard += bool(leg["resolved_whole"])
+        self._hand_touch()
+        first, last = int(leg["resolved_first"]), int(leg["resolved_last"])
+        self._confirm(confirmed_of(self._rows(first, last)), lifted=self._swing.had_lifted)
+        follower.swing_done(self._swing.touch_belied())
+
+    def hand_over(self, flags: int) -> None:
+        """Let the follower have what a touch that began has confirmed, and its first tick."""
+        follower, leg = self._knowledge.follower, self._place.leg
+        if follower is None:
+            return
         if flags & TOUCHED:
             onset_ns, now_ns, period_ns = (
                 int(leg[name]) for name in ("onset_ns", "at_ns", "period_ns")
             )
             self._swing.touched(round((now_ns - onset_ns) / period_ns))
-            self._confirm(self._alarm(onset_ns, period_ns))
+            self.landings.touched(int(leg["after"]) - (now_ns - onset_ns) // period_ns)
+            self._confirm(self._alarm(onset_ns, period_ns), lifted=self._swing.lifted)
             self._touching = [self._touch()]
             leg["touching"] = True
 
@@ -182,7 +191,8 @@ class Quarantine:
         whiten = recent.whiten[int(leg["context"])] / batch.unit[row] ** 0.5
         thetas = batch.thetas[row, : int(leg["thetas_n"])]
         target = place.residuals + place.increments
-        return Touch.of(thetas, target, whiten, recent.thresholds, int(leg["usable"]))
+        limits = recent.awaited if leg["after"] else recent.thresholds
+        return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
     def _hand_touch(self) -> None:
         """The first ticks of a contact, for candidate models to be tried on."""
@@ -192,9 +202,9 @@ class Quarantine:
         if ticks and follower is not None and follower.learning:
             follower.touched(ticks)
 
-    def _confirm(self, rows: list[Row]) -> None:
-        swing, follower = self._swing, self._knowledge.follower
-        if follower is not None and rows and swing.lifted and not swing.held:
+    def _confirm(self, rows: list[Row], *, lifted: bool) -> None:
+        follower = self._knowledge.follower
+        if follower is not None and rows and lifted and not self._swing.held:
             follower.descent(rows, self._region)
 
 

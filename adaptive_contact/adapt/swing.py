@@ -7,6 +7,7 @@ here are made once a swing, from what it has kept.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -18,7 +19,7 @@ from adaptive_contact.detect.layout import ASKED, HEIGHTS, SWINGS
 from adaptive_contact.detect.swing import LIFT_TICKS, LIFTED_M
 from adaptive_contact.robot import Leg, foot_point
 
-__all__ = ["Foretell", "SwingJudge"]
+__all__ = ["Foretell", "Landings", "SwingJudge"]
 
 _Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Foretell = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
@@ -37,6 +38,30 @@ FORGET_SWINGS: Final = 5
 SURFACE_TICKS: Final = 3
 # A touch told where the foot has come down by less than this share of its rise is told early.
 EARLY_SHARE: Final = 1 / 3
+# Touches come late where most of the last so many begin after the turn.
+LANDINGS: Final = 20
+
+
+class Landings:
+    """Counts how late the touches of one leg come."""
+
+    def __init__(self) -> None:
+        self._late: deque[int] = deque(maxlen=LANDINGS)  # ticks after the turn, 0 for before it
+
+    def touched(self, after: int) -> None:
+        """A touch was reported that began so many ticks after the turn, 0 or less for before it."""
+        self._late.append(max(after, 0))
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person when most touches come after the turn."""
+        late = sorted(ticks for ticks in self._late if ticks)
+        if 2 * len(late) <= LANDINGS:
+            return None
+        return (
+            f"{len(late)} of the last {len(self._late)} touches came after phase had turned to "
+            f"stance, by {late[len(late) // 2]} ticks: send swing until the foot can have arrived"
+        )
 
 
 class SwingJudge:
@@ -76,6 +101,11 @@ class SwingJudge:
     def lifted(self) -> bool:
         """Whether the foot has come up at all; without geometry, its command's word is taken."""
         return self._leg.lengths_m is None or float(self._place.leg["rise"]) > LIFTED_M
+
+    @property
+    def had_lifted(self) -> bool:
+        """The same of the swing that has ended last."""
+        return self._leg.lengths_m is None or float(self._place.leg["resolved_rise"]) > LIFTED_M
 
     @property
     def blind_note(self) -> str | None:
@@ -152,20 +182,17 @@ class SwingJudge:
         if math.isnan(leg["fallen"]):
             leg["fallen"] = leg["top"] - at
 
-    def touch_belied(self, *, whole: bool) -> bool | None:
-        """Whether the swing that ends told a touch where its foot had hardly begun to come down.
-
-        Args:
-            whole: it began after a stance that was seen, and went on without a break.
+    def touch_belied(self) -> bool | None:
+        """Whether the swing that has ended told a touch where its foot had hardly come down.
 
         Returns:
             None where it cannot be told; False also where no touch was told.
         """
         leg = self._place.leg
-        if not (self.measures and whole and self.lifted) or leg["held"]:
+        if not (self.measures and leg["resolved_whole"] and self.had_lifted) or leg["held"]:
             return None
-        fallen = float(leg["fallen"])
-        return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["rise"])
+        fallen = float(leg["resolved_fallen"])
+        return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["resolved_rise"])
 
     def restart(self) -> None:
         """The source started anew."""

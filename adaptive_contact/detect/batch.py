@@ -83,6 +83,7 @@ class LegBatch:
         self.lengths, self.pitched = zeros(joints), zeros(joints, dtype=b)
         self.low, self.lengths_ticks = zeros(LOW_TICKS), zeros(SWINGS, dtype=i)
         self.last_desired, self.last_measured = zeros(joints), zeros(joints)
+        self.last_read = zeros(joints)
         self.path, self.asked = zeros(PATH_TICKS, joints), zeros(ASKED)
         self.commanded, self.foot, self.start = zeros(3), zeros(3), zeros(3)
         self.heights = zeros(HEIGHTS)
@@ -99,7 +100,8 @@ class LegBatch:
         # What is known of free motion.
         self.xi0, self.coefficients = zeros(q, joints), zeros(p, joints)
         self.whiten = zeros(CONTEXTS, DEPTH, joints, joints)
-        self.limits, self.sigma, self.unit = zeros(DEPTH), zeros(joints), zeros(joints)
+        self.limits, self.limits_awaited = zeros(DEPTH), zeros(DEPTH)
+        self.sigma, self.unit = zeros(joints), zeros(joints)
         self.index = zeros(joints, n, dtype=i)
         self.per_scale, self.root = zeros(joints, n), zeros(joints, n, n)
         self.sizes = zeros(dtype=i)
@@ -135,16 +137,16 @@ class LegBatch:
         self.open |= self.accepted
         judge_tick(  # type: ignore[no-untyped-call]
             records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
-            self.phase,
-            self.measured, self.desired, self.valid, self.has_valid, self.preview_in, self.ring,
-            self.seam, self.command, self.before, self.lengths, self.pitched, self.low,
-            self.lengths_ticks, self.last_desired, self.last_measured, self.path, self.asked,
-            self.commanded, self.foot, self.start, self.heights, self.window, self.lags,
-            self.preview, self.history, self.increment, self.theta, self.thetas, self.began_window,
-            self.reach, self.believed, self.last, self.doubts, self.stale, self.refused,
-            self.values, self.counts, *self.table, self.xi0, self.coefficients, self.whiten,
-            self.limits, self.sigma, self.unit, self.index, self.per_scale, self.root, self.sizes,
-            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
+            self.phase, self.measured, self.desired, self.valid, self.has_valid, self.preview_in,
+            self.ring, self.seam, self.command, self.before, self.lengths, self.pitched,
+            self.low, self.lengths_ticks, self.last_desired, self.last_measured, self.last_read,
+            self.path, self.asked, self.commanded, self.foot, self.start, self.heights,
+            self.window, self.lags, self.preview, self.history, self.increment, self.theta,
+            self.thetas, self.began_window, self.reach, self.believed, self.last, self.doubts,
+            self.stale, self.refused, self.values, self.counts, *self.table, self.xi0,
+            self.coefficients, self.whiten, self.limits, self.limits_awaited, self.sigma,
+            self.unit, self.index, self.per_scale, self.root, self.sizes, self.domain,
+            records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
             self.free_ring, self.scores, self.bools, self.floats, self.room, self.now, self.sums,
         )  # fmt: skip
 
@@ -152,8 +154,8 @@ class LegBatch:
         """The second half."""
         finish_tick(  # type: ignore[no-untyped-call]
             records(self.legs), self.open, self.desired, self.preview_in, self.preview_n,
-            self.command, self.before, self.window, self.lags, self.preview, self.increment, self.theta,
-            *self.table, self.xi0, self.coefficients, self.room,
+            self.command, self.before, self.window, self.lags, self.preview, self.increment,
+            self.theta, *self.table, self.xi0, self.coefficients, self.room,
         )  # fmt: skip
         self.open[:] = False
         if self.legs["row_n"].max() + 2 > self.rows.shape[1]:
@@ -282,7 +284,7 @@ class LegPlace:
             leg[name] = False
         for name in ("surface", "touch_at", "touch_before"):
             leg[name] = -np.inf
-        for name in ("ticks", "heights_n", "low_n", "low_at", "still", "lift_n", "row_n"):
+        for name in ("ticks", "after", "heights_n", "low_n", "low_at", "still", "lift_n", "row_n"):
             leg[name] = 0
         leg["commanded_n"], leg["hole_ns"], leg["apex"] = 0, -1, -np.inf
         for name in ("swing_phase", "topped", "closed", "top_seen", "touching"):

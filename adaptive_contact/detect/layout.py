@@ -59,6 +59,8 @@ LEG: Final = np.dtype(
         ("misread", b1),
         # Swing: the command.
         ("ticks", i4),
+        ("after", i4),  # of these after the turn to stance, while a touch is awaited
+        ("same", i4),  # samples in a row that repeat the one before
         ("swing_phase", b1),  # as inferred
         ("told", b1),
         ("untold", i4),
@@ -88,6 +90,7 @@ LEG: Final = np.dtype(
         ("touch_at", f8),
         ("touch_before", f8),
         ("top", f8),
+        ("low_at_m", f8),
         ("fallen", f8),
         # History.
         ("filled", i4),
@@ -127,6 +130,30 @@ LEG: Final = np.dtype(
         ("resolved_first", i4),
         ("resolved_last", i4),
         ("resolved_whole", b1),
+        ("resolved_rise", f8),
+        ("resolved_fallen", f8),
+        # Swings without a touch.
+        ("sure", b1),  # the leg is judged by a model that fits it
+        ("quiet", i4),  # ticks in a row after the turn without a sign of a touch
+        ("untouched", i8),
+        ("untouched_ns", i8),  # -1 before the first
+        # What the source sends.
+        ("phase_part", i4),  # -1 unknown, 0 stance, 1 swing
+        ("part_whole", b1),
+        ("swapped", b1),
+        ("slow_swings", i4),
+        ("has_before", b1),
+        ("echo_n", i4),  # commands known
+        ("echoes", b1),
+        ("suspected", b1),
+        ("cause", i4),  # 0 none, 1 echo, 2 phase
+        ("began_ns", i8),  # of the last swing but one
+        ("began_n", i8),
+        ("began_next_ns", i8),  # and of the last
+        ("began_next_n", i8),
+        ("began_count", i4),
+        ("reported", b1),  # the contact by the last event
+        ("withholds", b1),
         ("began_full", b1),
         ("has_seam", b1),
         ("has_theta", b1),
@@ -173,5 +200,6 @@ _BEGINNING: Final = {
     "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
     "sound": True, "level": 1.0, "loaded": True, "hole_ns": -1, "surface": -np.inf,
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
-    "apex": -np.inf, "asked_n": 1,
+    "apex": -np.inf, "asked_n": 1, "low_at_m": np.inf, "untouched_ns": -1, "phase_part": -1,
+    "resolved_fallen": np.nan, "began_count": 1,
 }  # fmt: skip

@@ -26,6 +26,16 @@ RISE_M: Final = 0.004
 STILL_TICKS: Final = 2
 STILL_M: Final = 0.0008
 
+# Ticks after the turn to stance in which a foot that has not touched may still do so: a servo is
+# three or four behind its command, and on rough ground the last feet touch when others lift off.
+AFTER_TICKS: Final = 16
+# Samples in a row after which a leg whose command and readings all stay as they are is not on its
+# way any more: a foot that comes down moves at least one joint's reading by a step.
+SAME_TICKS: Final = 2
+# A swing is told to have ended without a touch where no tick after its turn reaches this share of
+# the threshold: of 200 such swings two had a touch that lasted 40 ms (decision 27).
+QUIET_SCORE: Final = 0.3
+
 UNKNOWN: Final = -1  # phase
 SWING: Final = 1
 
@@ -99,11 +109,42 @@ def half_swing(leg, lengths_ticks):
 
 
 @compiled
+def stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaited):
+    """The gait says stance: the swing is over, or waits for the touch."""
+    same = leg.has_desired
+    for j in range(len(desired)):
+        same &= desired[j] == last_desired[j] and measured[j] == last_read[j]
+    leg.same = leg.same + 1 if same else 0
+    leg.stood = True
+    if leg.ticks and leg.whole and not leg.after:
+        lengths_ticks[leg.lengths_n % SWINGS] = leg.ticks
+        leg.lengths_n += 1
+    expired = leg.after == AFTER_TICKS and awaited
+    if leg.ticks and awaited and leg.after < AFTER_TICKS and leg.same < SAME_TICKS:
+        leg.ticks += 1
+        leg.after += 1
+        leg.commanded_up = False  # wherever the body goes, the foot comes down
+        return
+    leg.ticks = leg.after = 0
+    if expired and leg.quiet >= AFTER_TICKS:
+        leg.untouched += 1
+        leg.untouched_ns = leg.t_ns
+    leg.quiet = 0
+
+
+@compiled
 def follow_command(
     leg, phase, measured, desired, seq, lengths, pitched,
-    low, lengths_ticks, last_desired, last_measured, path, asked, commanded, foot, start, now,
+    low, lengths_ticks, last_desired, last_measured, last_read, path, asked, commanded, foot,
+    start, now, awaited,
 ):  # fmt: skip
-    """Take in a sample's phase, and in a swing the place that its command sends the foot to."""
+    """Take in a sample's phase, and in a swing the place that its command sends the foot to.
+
+    Where the foot is ``awaited`` to touch, a swing goes on in stance for up to 16 ticks.
+
+    Returns:
+        True where the swing in hand ends, as the next one begins before these are over.
+    """
     joints = len(desired)
     placed = False
     if phase == UNKNOWN and leg.has_lengths:
@@ -118,15 +159,19 @@ def follow_command(
         leg.told = phase != UNKNOWN
         swinging = phase == SWING
         leg.untold = RECENT_TICKS if phase == UNKNOWN else max(leg.untold - 1, 0)
-    if not swinging:
-        leg.stood = True
-        if leg.ticks and leg.whole:
-            lengths_ticks[leg.lengths_n % SWINGS] = leg.ticks
-            leg.lengths_n += 1
-    leg.ticks = leg.ticks + 1 if swinging else 0
+    ends = False
+    if swinging:
+        if leg.after:
+            ends = True
+            leg.resolved_rise, leg.resolved_fallen = leg.rise, leg.fallen
+            leg.ticks = leg.after = 0
+        leg.ticks += 1
+        leg.same = 0
+    else:
+        stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaited)
     if leg.ticks == 1:
         leg.whole = leg.stood
-    if leg.ticks and leg.has_lengths:
+    if swinging and leg.has_lengths:
         if leg.ticks == 1:
             leg.path_n = 0
             leg.path_first = seq
@@ -139,7 +184,7 @@ def follow_command(
             asked[0] = 0.0
             leg.surface = leg.touch_before if start[2] < leg.touch_at - SUNK_M else -np.inf
             leg.touch_at = leg.touch_before = -np.inf
-            leg.top = start[2]
+            leg.top = leg.low_at_m = start[2]
             leg.fallen = np.nan
         if leg.path_n < PATH_TICKS:
             path[leg.path_n] = desired
@@ -152,7 +197,8 @@ def follow_command(
             commanded[k] = now[k]
     leg.has_desired = True
     for j in range(joints):
-        last_desired[j] = desired[j]
+        last_desired[j], last_read[j] = desired[j], measured[j]
+    return ends
 
 
 @compiled
@@ -179,7 +225,10 @@ def follow_foot(
         foot[k] = now[k]
     heights[leg.heights_n % HEIGHTS] = now[2]
     leg.heights_n += 1
+    if leg.after:
+        return  # where the stance takes the foot says nothing of whether it lifted or is held
     leg.top = max(leg.top, now[2])
+    leg.low_at_m = min(leg.low_at_m, now[2])
     leg.rise = max(leg.rise, now[2] - start[2])
     leg.moved = max(leg.moved, distance(now, start))
     asked[leg.asked_n % ASKED] = distance(commanded, start)

@@ -26,6 +26,7 @@ from adaptive_contact.detect.history import (
 from adaptive_contact.detect.layout import DEPTH
 from adaptive_contact.detect.regressors import predict, regressors
 from adaptive_contact.detect.swing import (
+    QUIET_SCORE,
     RECENT_TICKS,
     descending,
     follow_command,
@@ -118,8 +119,12 @@ def leverage(theta, reach):
 
 
 @compiled
-def statistic(leg, history, whiten, shrink, limits, scores, sums):
+def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, against):
     """Fill (windows,) statistic over threshold, NaN where it reaches too far back.
+
+    A foot about to stand has arrived, and what it is predicted to do says nothing of where the
+    ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
+    the foot's height.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -138,7 +143,7 @@ def statistic(leg, history, whiten, shrink, limits, scores, sums):
             for c in range(joints):
                 w = whiten[leg.context, width, r, c] * shrink[c]
                 of_residual += w * sums[0, c]
-                of_increment += w * sums[1, c]
+                of_increment += w * (-gradient[c] if against else sums[1, c])
             square += of_residual * of_residual
             product += of_residual * of_increment
         if width == 0:
@@ -334,7 +339,7 @@ def restart_leg(leg, command, before, desired, doubts):
     leg.found |= RESTARTED
     let_go(leg)
     leg.whole = leg.stood = False
-    leg.ticks = 0
+    leg.ticks = leg.after = 0
     leg.held = False
     leg.surface = leg.touch_at = leg.touch_before = -np.inf
     leg.heights_n = 0
@@ -350,15 +355,12 @@ def restart_leg(leg, command, before, desired, doubts):
 @compiled
 def judge_tick(
     legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid,
-    preview_in,
-    ring, seam, command, before, lengths, pitched,
-    low, lengths_ticks, last_desired, last_measured, path, asked, commanded, foot, start, heights,
-    window, lags, preview, history, increment, theta, thetas, began_window,
-    reach, believed, last, doubts, stale, refused, values, counts,
-    kind, first, entry, weight, knee, law, xi0, coefficients,
-    whiten, limits, sigma, unit, index, per_scale, root, sizes, domain,
-    rows, row_thetas, row_targets, row_asides, free_ring, scores,
-    bools, floats, room, now, sums,
+    preview_in, ring, seam, command, before, lengths, pitched, low, lengths_ticks, last_desired,
+    last_measured, last_read, path, asked, commanded, foot, start, heights, window, lags,
+    preview, history, increment, theta, thetas, began_window, reach, believed, last, doubts,
+    stale, refused, values, counts, kind, first, entry, weight, knee, law, xi0, coefficients,
+    whiten, limits, limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows,
+    row_thetas, row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
 ):  # fmt: skip
     """The first half of a tick of every leg that has an accepted sample."""
     joints = measured.shape[1]
@@ -396,20 +398,23 @@ def judge_tick(
         if leg.owes_release:
             leg.found |= OWES
         # The swing, by the command.
-        follow_command(
+        awaited = leg.known and not (leg.loaded or leg.contact)
+        whole = leg.whole
+        ends = follow_command(
             leg, phase[i], measured[i], desired[i], seq[i], lengths[i], pitched[i], low[i],
-            lengths_ticks[i], last_desired[i], last_measured[i], path[i], asked[i], commanded[i],
-            foot[i], start[i], now,
+            lengths_ticks[i], last_desired[i], last_measured[i], last_read[i], path[i], asked[i],
+            commanded[i], foot[i], start[i], now, awaited,
         )  # fmt: skip
-        if leg.ticks == 0:
-            if leg.open and leg.known:
-                leg.open = False
-                leg.found |= RESOLVED
-                leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
-                leg.resolved_whole = leg.whole
-                leg.row_n = leg.lift_n
-                leg.closed = True
-        elif leg.ticks == 1:
+        if (ends or leg.ticks == 0) and leg.open and leg.known:
+            leg.open = False
+            leg.found |= RESOLVED
+            leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
+            leg.resolved_whole = whole
+            if not ends:
+                leg.resolved_rise, leg.resolved_fallen = leg.rise, leg.fallen
+            leg.row_n = leg.lift_n
+            leg.closed = True
+        if leg.ticks == 1:
             leg.found |= BEGAN
             leg.open = True
             leg.touching = False
@@ -460,7 +465,7 @@ def judge_tick(
             if leg.stretch:
                 leg.clock_most, leg.clock_left = abs(leg.stretch), UNSURE_TICKS + 1
             leg.clock_left -= 1
-            if leg.stretch and not (leg.loaded or leg.contact):
+            if leg.stretch and not (leg.loaded or leg.contact or leg.after):
                 vote_late(leg, history[i, 0, 0], history[i, 1, 0], sigma[i])
             if leg.late < 0:
                 for j in range(joints):
@@ -468,7 +473,13 @@ def judge_tick(
                     unit[i, j] += by * by
         for j in range(joints):
             floats[2, j] = 1.0 / math.sqrt(unit[i, j])
-        leg.distance = statistic(leg, history[i], whiten[i], floats[2], limits[i], scores[i], sums)
+        against = leg.after > 0 and leg.has_lengths
+        if against:
+            height_gradient(last_measured[i], lengths[i], pitched[i], floats[3])
+        of_tick = limits_awaited[i] if leg.after else limits[i]
+        leg.distance = statistic(
+            leg, history[i], whiten[i], floats[2], of_tick, scores[i], sums, floats[3], against
+        )
         # Free, loaded, or contact.
         past_lift = descending(leg, lengths_ticks[i])
         topped = leg.topped and not leg.broken if leg.gated else not leg.broken
@@ -477,6 +488,8 @@ def judge_tick(
         for width in range(1, DEPTH):
             if scores[i, width] > score:
                 score = scores[i, width]
+        if leg.after:
+            leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0
         if score > 1.0:
             up = leg.rising or not past_lift
             if leg.gated and up and not (leg.topped or leg.broken):
@@ -494,7 +507,7 @@ def judge_tick(
         free = not (loaded or leg.contact)
         if loaded and not leg.loaded:
             leg.usable = 0
-        elif free:
+        elif free and not leg.after:
             for j in range(joints):
                 free_ring[i, leg.free_n % len(free_ring[i]), j] = history[i, 0, 0, j]
             leg.free_n += 1
@@ -502,10 +515,10 @@ def judge_tick(
         if leg.learning:
             if leg.touching:
                 leg.found |= TOUCHING
-            if not leg.bad:
+            if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
-                    history[i], leg.distance, scores[i, 0] * limits[i, 0], free, past_lift,
+                    history[i], leg.distance, scores[i, 0] * of_tick[0], free, past_lift,
                     whiten[i], unit[i], last_measured[i], lengths[i], pitched[i], floats[0],
                     floats[1],
                 )  # fmt: skip

@@ -45,16 +45,18 @@ class Swings:
         self.place = place_of(robot, leg)
         self.judge = SwingJudge(leg, self.place)
 
-    def follow(self, sample: ServoSample) -> None:
-        """A sample's phase and command."""
+    def follow(self, sample: ServoSample, *, awaited: bool = False) -> bool:
+        """A sample's phase and command; True where the next swing ends one that was awaited."""
         b, joints = self.place.batch, len(self.place.batch.desired[0])
         angles = [(list(v) * joints)[:joints] for v in (sample.measured, sample.desired)]
         b.measured[0], b.desired[0] = angles
-        follow_command(
+        ended: bool = follow_command(
             self.place.leg, _PHASES[sample.phase], b.measured[0], b.desired[0], sample.seq,
             b.lengths[0], b.pitched[0], b.low[0], b.lengths_ticks[0], b.last_desired[0],
-            b.last_measured[0], b.path[0], b.asked[0], b.commanded[0], b.foot[0], b.start[0], b.now,
+            b.last_measured[0], b.last_read[0], b.path[0], b.asked[0], b.commanded[0], b.foot[0],
+            b.start[0], b.now, awaited,
         )  # fmt: skip
+        return ended
 
     def observe(self, measured: Sequence[float]) -> None:
         """Where the leg is."""
