@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
+from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import why_not_writable
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
 __all__ = [
     "BaselineOption",
+    "Commands",
     "ConfigOption",
     "ConnectOption",
     "InsecureOption",
@@ -30,7 +35,75 @@ __all__ = [
     "ZenohConfigOption",
     "check_output",
     "client",
+    "seconds_option",
 ]
+
+
+def _without_types_of_flags(params: list[Any]) -> list[Any]:
+    """Options whose help shows no ``<bool>`` behind a flag, which takes no value."""
+    for param in params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+    return params
+
+
+class _Command(TyperCommand):
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _without_types_of_flags(super().get_params(ctx))
+
+
+class _Group(TyperGroup):
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _without_types_of_flags(super().get_params(ctx))
+
+
+class Commands(typer.Typer):
+    """A group of commands whose help shows flags without a type.
+
+    Args:
+        settings: as of :class:`typer.Typer`.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(cls=_Group, **settings)
+
+    def command(self, name: str | None = None, **settings: Any) -> Callable[[Any], Any]:
+        """Add a command, as :meth:`typer.Typer.command` does."""
+        return super().command(name, cls=_Command, **settings)
+
+
+def seconds_option(
+    *names: str,
+    help: str,  # noqa: A002 - typer's name
+    least: float = 0.0,
+    most: float = math.inf,
+    **settings: Any,
+) -> Any:
+    """An option that is a duration, in seconds.
+
+    Args:
+        names: as of :func:`typer.Option`.
+        help: likewise.
+        least: s.
+        most: s; what lies outside is refused in one line.
+        settings: further ones of :func:`typer.Option`.
+
+    Returns:
+        The option; its value is a float.
+    """
+
+    def parse(given: str | float) -> float:
+        seconds = seconds_of(str(given))
+        if seconds is None:
+            raise typer.BadParameter(f"'{given}' is no duration; expected {DURATIONS}")
+        if not least <= seconds <= most:
+            between = f"{least:g} s or more" if most == math.inf else f"{least:g} to {most:g} s"
+            raise typer.BadParameter(f"'{given}' is {seconds:g} s; expected {between}")
+        return seconds
+
+    if most < math.inf:
+        help = f"{help.rstrip('.')}, {least:g} to {most:g} s."  # noqa: A001
+    return typer.Option(*names, metavar="DURATION", parser=parse, help=help, **settings)
 
 
 class LogLevel(StrEnum):

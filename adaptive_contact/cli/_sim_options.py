@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import typer
 
+from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -70,7 +71,9 @@ ScenarioOption = Annotated[
 ]
 SecondsOption = Annotated[
     float | None,
-    typer.Option("--seconds", help="Simulated time; otherwise until Ctrl-C.", rich_help_panel=_RUN),
+    seconds_option(
+        "--seconds", help="Simulated time; otherwise until Ctrl-C.", rich_help_panel=_RUN
+    ),
 ]
 SpeedOption = Annotated[
     str | None,

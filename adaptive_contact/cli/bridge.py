@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from adaptive_contact.cli._options import (
+    Commands,
     ConfigOption,
     ConnectOption,
     JsonPayloadOption,
@@ -25,6 +26,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     check_output,
     client,
+    seconds_option,
 )
 from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.cli._sim_options import needs_simulator, stoppable
@@ -44,7 +46,7 @@ __all__ = [
     "robot_of",
 ]
 
-app = typer.Typer(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
+app = Commands(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
@@ -290,7 +292,8 @@ def virtual(
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     robot_seed: Annotated[int, typer.Option("--robot-seed", min=0)] = 0,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", help="Otherwise until Ctrl-C.", show_default=False)
+        float | None,
+        seconds_option("--seconds", help="Otherwise until Ctrl-C.", show_default=False),
     ] = None,
     record: Annotated[
         Path | None,

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.cli._sim_options import given, needs_simulator
 
 __all__ = ["demo"]
@@ -24,7 +25,7 @@ def demo(
     ] = Path("out/demo"),
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Of walking, in real time. [60]", show_default=False),
+        seconds_option("--seconds", help="Of walking, in real time. [60]", show_default=False),
     ] = None,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)

@@ -13,6 +13,7 @@ from adaptive_contact.cli._options import (
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
 from adaptive_contact.printable import printable, printable_json
 
@@ -32,7 +33,9 @@ def doctor(
     connect: ConnectOption = None,
     namespace: NamespaceOption = None,
     zenoh_config: ZenohConfigOption = None,
-    seconds: Annotated[float, typer.Option(min=0.5, max=600.0, help="How long to listen.")] = 3.0,
+    seconds: Annotated[
+        float, seconds_option("--seconds", least=0.5, most=600.0, help="How long to listen.")
+    ] = 3.0,
     json: JsonOption = False,
 ) -> None:
     """Find out who publishes what, which legs look wrong, and why.

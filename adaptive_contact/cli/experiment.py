@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._sim_options import needs_simulator
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Single experiments on data of one's own.", no_args_is_help=True)
+app = Commands(help="Single experiments on data of one's own.", no_args_is_help=True)
 
 
 @app.callback()

@@ -13,13 +13,14 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from adaptive_contact.cli._options import Commands
 from adaptive_contact.cli._output import OutputLost, make_stdout_optional, protect_output
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.printable import printable
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
+app = Commands(
     name="adaptive-contact",
     help="Foot contacts from servo positions alone.",
     no_args_is_help=True,

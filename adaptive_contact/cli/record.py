@@ -18,6 +18,7 @@ from adaptive_contact.cli._options import (
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
 from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.errors import ConfigurationError, LinkError
@@ -39,9 +40,8 @@ def record(
     ] = "robot/**",
     seconds: Annotated[
         float | None,
-        typer.Option(
+        seconds_option(
             "--seconds",
-            min=0.0,
             help="Stop after so long; otherwise at Ctrl-C.",
             show_default=False,
         ),

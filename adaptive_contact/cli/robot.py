@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, RealtimeOption, check_output
+from adaptive_contact.cli._options import (
+    Commands,
+    ConfigOption,
+    RealtimeOption,
+    check_output,
+    seconds_option,
+)
 from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.cli.bridge import (
     DeviceOption,
@@ -31,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
+app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
@@ -185,7 +191,7 @@ def check(
         ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=0.2, max=600.0, help="How long to look.")
+        float, seconds_option("--seconds", least=0.2, most=600.0, help="How long to look.")
     ] = 1.0,
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
@@ -251,7 +257,7 @@ def learn_(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=3600.0, help="How long to swing.")
+        float, seconds_option("--seconds", least=1.0, most=3600.0, help="How long to swing.")
     ] = 60.0,
     amplitude: Annotated[
         float,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(
+app = Commands(
     help="Drifts, contacts and trouble, replayed through the learner and lesser ones.",
     no_args_is_help=True,
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption
+from adaptive_contact.cli._options import ConfigOption, JsonOption, seconds_option
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
@@ -37,12 +37,10 @@ def score(
     ] = None,
     json: JsonOption = False,
     config: ConfigOption = None,
-    from_s: Annotated[
-        float, typer.Option("--from", metavar="S", min=0.0, help="Judge swings from here on, s.")
-    ] = 0.0,
+    from_s: Annotated[float, seconds_option("--from", help="Judge swings from here on.")] = 0.0,
     to_s: Annotated[
         float | None,
-        typer.Option("--to", metavar="S", help="And up to here, s.", show_default=False),
+        seconds_option("--to", help="And up to here.", show_default=False),
     ] = None,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""

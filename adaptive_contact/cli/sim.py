@@ -9,12 +9,14 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli._options import (
+    Commands,
     ConnectOption,
     JsonOption,
     JsonPayloadOption,
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
 from adaptive_contact.cli._output import make_stdout_optional
 from adaptive_contact.cli._sim_options import (
@@ -47,7 +49,7 @@ from adaptive_contact.errors import ConfigurationError, LinkError
 
 __all__ = ["app"]
 
-app = typer.Typer(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
+app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 
 
 @app.command()
@@ -192,7 +194,7 @@ def inject(
     leg: Annotated[str, typer.Option("--leg", metavar="LEG|all")] = "all",
     joint: Annotated[str, typer.Option("--joint", metavar="JOINT|all")] = "all",
     shape: Annotated[str, typer.Option("--shape", metavar="step|ramp|pulse|walk")] = "step",
-    duration: Annotated[float, typer.Option("--duration", help="Of a shape, s.")] = 0.0,
+    duration: Annotated[float, seconds_option("--duration", help="Of a shape.")] = 0.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of a random walk.")] = 0,
     connect: ConnectOption = None,
     namespace: NamespaceOption = None,

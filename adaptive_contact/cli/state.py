@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption, StateOption
+from adaptive_contact.cli._options import Commands, JsonOption, StateOption
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.printable import printable
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(
+app = Commands(
     help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
 )
 

@@ -17,6 +17,7 @@ from adaptive_contact.cli._options import (
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
 from adaptive_contact.printable import printable_json
 
@@ -45,16 +46,17 @@ def watch(
     ] = False,
     seconds: Annotated[
         float,
-        typer.Option(
-            min=0.1,
-            max=3600.0,
+        seconds_option(
+            "--seconds",
+            least=0.1,
+            most=3600.0,
             help="How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
         ),
     ] = 2.0,
     wait: Annotated[
         float,
-        typer.Option(
-            min=0.0, max=3600.0, help="How long --once waits for a router before it gives up."
+        seconds_option(
+            "--wait", most=3600.0, help="How long --once waits for a router before it gives up."
         ),
     ] = 10.0,
     json: JsonOption = False,
