@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -15,7 +14,8 @@ from adaptive_contact.cli._options import (
     client,
     seconds_option,
 )
-from adaptive_contact.printable import printable, printable_json
+from adaptive_contact.cli._output import say_json
+from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,18 +54,18 @@ def doctor(
     if json:
         import msgspec
 
-        print(printable_json(msgspec.json.encode(diagnosis)))
+        say_json(msgspec.json.encode(diagnosis))
     else:
         _print(diagnosis)
     raise typer.Exit(diagnosis.exit_code)
 
 
 def _print(diagnosis: Diagnosis) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    # Into a pipe, rich would take 80 columns and fold every line.
-    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console(pipe_width=_PIPE_WIDTH)
     if diagnosis.router != "connected":
         console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))
         return

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 import typer
 
 from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output
+from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def fit(
     check_output(out, "--out")
     robot = shipped_robot() if config is None else load_robot(config)
     if config is None:
-        typer.echo(
+        say(
             f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
             f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
             err=True,
@@ -88,13 +89,13 @@ def fit(
             origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
             library=library,
             threshold=threshold,
-            progress=lambda leg: typer.echo(f"fitting leg {leg}", err=True),
+            progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
     for reason in training.skipped.values():
-        typer.echo(f"adaptive-contact: left out: {reason}", err=True)
+        say(f"adaptive-contact: left out: {reason}", err=True)
     for leg_id, known in training.figures.items():
         if known.touched:
-            typer.echo(
+            say(
                 f"adaptive-contact: leg '{leg_id}': the foot seems to have touched in "
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
                 "record free swings, or with truth, to learn from all of them",
@@ -102,7 +103,7 @@ def fit(
             )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
-        typer.echo(
+        say(
             f"adaptive-contact: the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings",
             err=True,
@@ -111,8 +112,8 @@ def fit(
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json, equations=equations)
     for line in verdict(robot, training):
-        typer.echo(line, err=json)
-    typer.echo(f"baseline written to {out}", err=True)
+        say(line, err=json)
+    say(f"baseline written to {out}", err=True)
 
 
 def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
@@ -145,12 +146,12 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
         if recording.damage is not None:
-            typer.echo(f"adaptive-contact: {path}: {recording.damage}", err=True)
+            say(f"adaptive-contact: {path}: {recording.damage}", err=True)
         if refused:
-            typer.echo(f"adaptive-contact: {path}: {refused} samples not used", err=True)
+            say(f"adaptive-contact: {path}: {refused} samples not used", err=True)
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
-        typer.echo(
+        say(
             f"adaptive-contact: not used: {of_legs(sorted(strangers))}, which robot "
             f"'{robot.name}' lacks"
             + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
@@ -160,9 +161,9 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     for name, leg in legs.items():
         if leg.rejects:
             reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))
-            typer.echo(f"adaptive-contact: leg '{name}': samples not used: {reasons}", err=True)
+            say(f"adaptive-contact: leg '{name}': samples not used: {reasons}", err=True)
         if leg.off_rate:
-            typer.echo(
+            say(
                 f"adaptive-contact: leg '{name}': {leg.off_rate} samples not used: further apart "
                 f"or closer than the {1e3 * robot.period_s:.1f} ms of robot.toml (period_s)",
                 err=True,
@@ -190,7 +191,7 @@ def check_conventions(
     for finding in judge_conventions(robot, gathered).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
-        typer.echo(f"adaptive-contact: {line}", err=True)
+        say(f"adaptive-contact: {line}", err=True)
         axes = dict(
             zip(robot.leg(finding.leg).joints, robot.leg(finding.leg).joint_axes, strict=True)
         )
@@ -211,8 +212,8 @@ def refuse_useless(robot: Robot, training: Training) -> None:
     if not refused:
         return
     for line in refused:
-        typer.echo(f"adaptive-contact: {line}", err=True)
-    typer.echo("adaptive-contact: no baseline was written", err=True)
+        say(f"adaptive-contact: {line}", err=True)
+    say("adaptive-contact: no baseline was written", err=True)
     raise typer.Exit(1)
 
 
@@ -231,18 +232,17 @@ def print_training(training: Training, robot: Robot, *, json: bool, equations: b
             },
         }
         encoded = msgspec.json.encode(text, enc_hook=str)
-        typer.echo(msgspec.json.format(encoded, indent=2))
+        say_json(msgspec.json.format(encoded, indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console()
     for leg, entry in training.baseline.legs.items() if equations else ():
-        console.print(f"[bold]{leg}[/bold] (rad)")
+        console.print(f"{leg} (rad)", style="bold")
         for line in entry.model.equations():
-            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)
+            console.print("  " + line, soft_wrap=True)
         console.print()
     table = Table(title="Held-out one-step error, degrees (per joint)")
     for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):

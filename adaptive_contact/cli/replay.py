@@ -24,16 +24,15 @@ from adaptive_contact.cli._options import (
     check_output,
     client,
 )
+from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
 from adaptive_contact.files import write_file
-from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.bank import LearnerBank
     from adaptive_contact.adapt.baseline import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts
 
@@ -132,7 +131,7 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
 
     robot, learned = _load(config, baseline)
     if config is None:
-        typer.echo(
+        say(
             f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
             f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
             err=True,
@@ -157,7 +156,7 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     else:
         write_file(out, kept.getvalue(), error=RecordingError)
     elapsed_s = time.perf_counter() - started_s
-    typer.echo(
+    say(
         f"{written} events from {counts.samples} samples in {counts.ticks} ticks "
         f"({counts.span_s:.1f} s recorded) in {elapsed_s:.2f} s, "
         f"{counts.samples / max(elapsed_s, 1e-9):.0f} leg-ticks/s",
@@ -188,7 +187,7 @@ def _tell_legs(bank: LearnerBank) -> None:
         if status.note:
             words.append(status.note)
         if words:
-            typer.echo(printable(f"adaptive-contact: leg '{leg}': {', '.join(words)}"), err=True)
+            say(f"adaptive-contact: leg '{leg}': {', '.join(words)}", err=True)
 
 
 def _to_wire(
@@ -206,7 +205,7 @@ def _to_wire(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: _on_signal(stop))
     try:
-        link = Link.open(settings, on_wait=_say, stop=stop)
+        link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
         if stop.is_set():
             return
@@ -221,7 +220,7 @@ def _to_wire(
     finally:
         closed = link.close()
     behind = f", up to {player.behind_s:.2f} s behind" if player.behind_s > 0.1 else ""
-    typer.echo(
+    say(
         f"{player.sent.total()} of {player.counts.messages} messages published on "
         f"{len(player.sent)} keys in {elapsed_s:.1f} s "
         f"({player.counts.span_s:.1f} s recorded{behind})",
@@ -259,14 +258,8 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
 def _warn(recording: Recording, counts: Counts) -> None:
     """One line each for what was cut off and for what could not be used."""
     if recording.damage is not None:
-        typer.echo(f"adaptive-contact: {recording.path}: {recording.damage}", err=True)
+        say(f"adaptive-contact: {recording.path}: {recording.damage}", err=True)
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))
-        typer.echo(
-            f"adaptive-contact: {recording.path}: {rejected} samples not used: {reasons}", err=True
-        )
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)
+        say(f"adaptive-contact: {recording.path}: {rejected} samples not used: {reasons}", err=True)

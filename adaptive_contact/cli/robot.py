@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -17,6 +16,7 @@ from adaptive_contact.cli._options import (
     check_output,
     seconds_option,
 )
+from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.cli.bridge import (
     DeviceOption,
@@ -111,7 +111,7 @@ def init(
         find_servos(port, path, *((bauds,) if bauds else ())) for port, path in devices.items()
     ]
     for line in describe(found):
-        typer.echo(line)
+        say(line)
     robot = group(found, joints, ids)
     robot = msgspec.structs.replace(robot, name=name)
     if lengths is not None:
@@ -121,12 +121,12 @@ def init(
     slopes = steepness(found)
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
         told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
-        typer.echo(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
+        say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
     text = write_robot(robot)
     parse_robot(text, source=f"{out} would not be read back, so it is not written")
     write_file(out, text, advice="give another --out")
     todo = "" if lengths is not None else "fill in lengths_m, then "
-    typer.echo(
+    say(
         f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
         f"`adaptive-contact robot check --config {out}`"
     )
@@ -203,14 +203,15 @@ def check(
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
 
-    from rich.console import Console
     from rich.live import Live
+
+    from adaptive_contact.cli._console import table_console
 
     if picture is not None:
         check_output(picture, "--picture")
     robot, plans = _planned(config, device)
     _shake_hands(plans)
-    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    console = table_console(pipe_width=_PIPE_WIDTH)
     with Live(console=console, refresh_per_second=10, transient=True) as live:
 
         def look(so_far: dict[str, list[ServoSample]]) -> None:
@@ -234,10 +235,10 @@ def check(
             )
         last = {leg: rows[-1].measured for leg, rows in samples.items()}
         write_file(picture, draw(robot, last), advice="give another --picture")
-        typer.echo(f"drew {picture}")
+        say(f"drew {picture}")
     blank = [leg.id for leg in robot.legs if leg.lengths_m is None]
     if blank:
-        typer.echo(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)
+        say(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)
 
 
 @app.command("learn")
@@ -357,8 +358,8 @@ def learn_(
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
     for line in verdict(robot, training):
-        typer.echo(line, err=json)
-    typer.echo(f"baseline written to {out}, the recording to {kept}", err=True)
+        say(line, err=json)
+    say(f"baseline written to {out}, the recording to {kept}", err=True)
 
 
 def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:
@@ -408,4 +409,4 @@ def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]])
 
 
 def _say(line: str) -> None:
-    typer.echo(f"adaptive-contact: {line}", err=True)
+    say(f"adaptive-contact: {line}", err=True)

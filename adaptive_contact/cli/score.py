@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from adaptive_contact.cli._options import ConfigOption, JsonOption, seconds_option
+from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.wire import ContactEvent
 
 __all__ = ["score"]
-
-_PIPE_WIDTH: Final = 120
 
 
 def score(
@@ -61,19 +60,16 @@ def score(
         cut = f" ({source.damage})" if source.damage is not None else ""
         raise RecordingError(f"{recording}: {error}{cut}") from error
     if source.damage is not None:
-        typer.echo(f"adaptive-contact: {recording}: {source.damage}", err=True)
+        say(f"adaptive-contact: {recording}: {source.damage}", err=True)
     if json:
         import msgspec
 
         text = {"recording": str(recording), "truncated": source.truncated, **as_json(result)}
-        typer.echo(msgspec.json.format(msgspec.json.encode(text), indent=2))
+        say_json(msgspec.json.format(msgspec.json.encode(text), indent=2))
         return
-    from rich.console import Console
+    from adaptive_contact.cli._console import table_console
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_PIPE_WIDTH)
-    console.print(as_table(result))
+    table_console().print(as_table(result))
 
 
 def _read_events(path: Path) -> list[ContactEvent]:

@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import typer
-
 from adaptive_contact.cli._options import (
     BaselineOption,
     ConfigOption,
@@ -32,7 +30,7 @@ from adaptive_contact.cli._options import (
     StateOption,
     ZenohConfigOption,
 )
-from adaptive_contact.cli._output import make_stdout_optional
+from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
 from adaptive_contact.priority import cores, take_priority
 
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.state import StateKeeper
 
 __all__ = ["serve"]
@@ -104,12 +101,12 @@ def serve(
         # Before Zenoh makes its threads: an event passes through them.
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
-            typer.echo(f"adaptive-contact: {refused}", err=True)
+            say(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
         refitter = ProcessRefitter(process=process)
         bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
         try:
-            link = Link.open(settings, on_wait=_say, stop=stop)
+            link = Link.open(settings, on_wait=say_waiting, stop=stop)
         except LinkError:
             if stop.is_set():
                 return
@@ -127,7 +124,7 @@ def serve(
                 sweeper=sweeper,
             )
             sweeper.start(time.monotonic_ns())
-            typer.echo(_ready_line(link, robot, origin))
+            say(_ready_line(link, robot, origin))
             refitter.start()
             service.run(stop)
             service.log_figures()
@@ -161,7 +158,7 @@ def _leave(fault: BaseException | None) -> None:
     expected = isinstance(fault, AdaptiveContactError)
     try:
         if expected:
-            print(f"adaptive-contact: {fault}", file=sys.stderr)
+            say(f"adaptive-contact: {fault}", err=True)
         elif fault is not None:
             traceback.print_exception(fault)
         sys.stdout.flush()
@@ -234,7 +231,3 @@ def _ready_line(link: Link, robot: Robot, origin: str | None) -> str:
         f"legs {' '.join(robot.leg_ids)}; "
         f"baseline {origin or 'none (`adaptive-contact fit` makes one)'}; stop with Ctrl-C"
     )
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

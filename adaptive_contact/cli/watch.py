@@ -19,13 +19,12 @@ from adaptive_contact.cli._options import (
     client,
     seconds_option,
 )
-from adaptive_contact.printable import printable_json
+from adaptive_contact.cli._output import say_json, say_waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.service.watch import View
 
@@ -88,12 +87,12 @@ def _join(settings: LinkSettings, patience_s: float | None) -> Link:
     from adaptive_contact.service.link import Link, NoRouterError
 
     if patience_s is None:
-        return Link.open(settings, on_wait=_say)
+        return Link.open(settings, on_wait=say_waiting)
     stop = threading.Event()
     timer = threading.Timer(patience_s, stop.set)
     timer.start()
     try:
-        return Link.open(settings, on_wait=_say, stop=stop)
+        return Link.open(settings, on_wait=say_waiting, stop=stop)
     except NoRouterError as error:
         raise NoRouterError(error.finding, f"no router within {patience_s:g} s: ") from error
     finally:
@@ -102,12 +101,12 @@ def _join(settings: LinkSettings, patience_s: float | None) -> Link:
 
 def _live(look: Look) -> None:
     """Redraw until Ctrl-C."""
-    from rich.console import Console
     from rich.live import Live
 
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
-    console = Console()
+    console = table_console()
     try:
         with Live(table(look()), console=console, auto_refresh=False) as live:
             while True:
@@ -121,15 +120,9 @@ def _print(view: View, json: bool) -> None:
     if json:
         import msgspec
 
-        print(printable_json(msgspec.json.encode(view)), flush=True)
+        say_json(msgspec.json.encode(view))
         return
-    from rich.console import Console
-
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
-    # Into a pipe, rich would take 80 columns and cut the table to pieces.
-    Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table(view))
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)
+    table_console(pipe_width=_PIPE_WIDTH).print(table(view))
