@@ -24,6 +24,8 @@ from adaptive_contact.cli._output import say_json, say_waiting
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rich.console import Group
+
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.service.watch import View
@@ -76,10 +78,18 @@ def watch(
         if not once and not json and sys.stdout.isatty():
             _live(look)
         while True:
-            time.sleep(seconds)  # the period of the output: nothing is waited for
+            _look_for(seconds, look)
             _print(look(), json)
             if once:
                 break
+
+
+def _look_for(seconds: float, look: Look) -> None:
+    """Take in what arrives until the next output is due."""
+    until = time.monotonic() + seconds
+    while (left := until - time.monotonic()) > 0:
+        time.sleep(min(left, _REFRESH_S))
+        look()
 
 
 def _join(settings: LinkSettings, patience_s: float | None) -> Link:
@@ -108,9 +118,13 @@ def _live(look: Look) -> None:
 
     console = table_console()
     try:
-        with Live(table(look()), console=console, auto_refresh=False) as live:
+
+        def drawn() -> Group:  # the terminal may change its size
+            return table(look(), console.width, console.height)
+
+        with Live(drawn(), console=console, auto_refresh=False) as live:
             while True:
-                live.update(table(look()), refresh=True)
+                live.update(drawn(), refresh=True)
                 time.sleep(_REFRESH_S)  # the period of the picture
     finally:
         console.show_cursor()  # of a stop while it begins, too
@@ -125,4 +139,5 @@ def _print(view: View, json: bool) -> None:
     from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
-    table_console(pipe_width=_PIPE_WIDTH).print(table(view))
+    console = table_console(pipe_width=_PIPE_WIDTH)
+    console.print(table(view, console.width))
