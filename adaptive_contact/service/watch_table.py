@@ -140,7 +140,7 @@ def _drawn(
         for column, of in cells.items()
     }
     room = width + len(_GAP)
-    kept = []
+    kept: list[_Column] = []
     for column in sorted(columns, key=lambda column: column.rank):
         if not kept or widths[column] + len(_GAP) <= room:
             kept.append(column)
@@ -157,7 +157,9 @@ def _drawn(
         grid.add_row(*(cells[column][i] for column in fits), style="dim" if leg.stale else "")
     below = [line for leg in legs for line in remarks.get(leg.leg, ())]
     if hidden:
-        counts = Counter("silent" if leg.stale else leg.status or "unknown" for leg in hidden)
+        counts: Counter[str] = Counter(
+            "silent" if leg.stale else leg.status or "unknown" for leg in hidden
+        )
         names = "leg" if len(hidden) == 1 else "legs"
         below.append(Text(f"{len(hidden)} more {names}: {_counts(counts)}", style="bold yellow"))
     if len(fits) < len(columns):
