@@ -120,6 +120,7 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     """Every leg's samples and truth of several recordings, one after the other."""
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.service.findings import of_legs
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
@@ -128,7 +129,8 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
     for path in recordings:
         recording = read_recording(path)
         refused = 0
-        for record in recording:
+        robots = OneRobot(recording)
+        for record in robots:
             leg_id = leg_of_key(record.key)
             leg = legs.get(leg_id or "")
             if leg is None:
@@ -149,6 +151,8 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
             say(f"adaptive-contact: {path}: {recording.damage}", err=True)
         if refused:
             say(f"adaptive-contact: {path}: {refused} samples not used", err=True)
+        for line in robots.trouble(robot):
+            say(f"adaptive-contact: {path}: {line}", err=True)
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
         say(

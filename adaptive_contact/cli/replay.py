@@ -125,6 +125,7 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.adapt.bank import LearnerBank
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, replay_events
     from adaptive_contact.wire import JSON, encode
@@ -148,7 +149,8 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     file = sys.stdout.buffer if to_stdout else kept
     with closing(WaitingRefitter()) as refitter:
         bank = LearnerBank(robot, learned, refitter=refitter)
-        for event in replay_events(recording, bank, counts):
+        robots = OneRobot(recording)
+        for event in replay_events(robots, bank, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1
     if to_stdout:
@@ -164,10 +166,15 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     )
     _warn(recording, counts)
     _tell_legs(bank)
+    for line in robots.trouble(robot):
+        say(f"adaptive-contact: {recording.path}: {line}", err=True)
     if counts.samples == 0:
-        raise RecordingError(f"{recording.path}: no servo sample (robot/leg/*/servo) in it")
+        usable = "usable " if counts.rejects else ""
+        raise RecordingError(f"{recording.path}: no {usable}servo sample (robot/leg/*/servo) in it")
     known = [bank.learner(leg) for leg in robot.leg_ids]
     if not any(learner is not None and learner.status.ticks for learner in known):
+        if set(bank.legs) & set(robot.leg_ids) & robots.legs:
+            raise RecordingError(f"{recording.path}: none of its samples could be used (see above)")
         raise RecordingError(
             f"{recording.path}: its legs are not those of robot '{robot.name}' "
             f"({', '.join(robot.leg_ids)}); give the --config of the robot that was recorded"
@@ -199,6 +206,7 @@ def _to_wire(
     keep_run: bool,
 ) -> None:
     from adaptive_contact.service.link import Link
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.replay import WirePlayer
 
     stop = threading.Event()
@@ -215,7 +223,8 @@ def _to_wire(
         run = time.time_ns() // 1_000_000
         player = WirePlayer(link, speed, everything=everything, keep_run=keep_run, run=run)
         started_s = time.perf_counter()
-        player.play(recording, stop)
+        robots = OneRobot(recording)
+        player.play(robots, stop)
         elapsed_s = time.perf_counter() - started_s
     finally:
         closed = link.close()
@@ -227,6 +236,8 @@ def _to_wire(
         err=True,
     )
     _warn(recording, player.counts)
+    for line in robots.trouble(None):
+        say(f"adaptive-contact: {recording.path}: {line}", err=True)
     if player.sent.total() == 0 and not stop.is_set():
         raise RecordingError(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"

@@ -46,6 +46,7 @@ def score(
     from adaptive_contact.robot import load_robot, shipped_robot
     from adaptive_contact.score import score_messages
     from adaptive_contact.score.tables import as_json, as_table
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
 
     end_s = math.inf if to_s is None else to_s
@@ -54,11 +55,15 @@ def score(
     robot = shipped_robot() if config is None else load_robot(config)
     given = None if events is None else _read_events(events)
     source = read_recording(recording)
+    robots = OneRobot(source)
     try:
-        result = score_messages(source, robot, given, from_s=from_s, to_s=end_s)
+        result = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
     except RecordingError as error:
         cut = f" ({source.damage})" if source.damage is not None else ""
         raise RecordingError(f"{recording}: {error}{cut}") from error
+    finally:
+        for line in robots.trouble(robot):
+            say(f"adaptive-contact: {recording}: {line}", err=True)
     if source.damage is not None:
         say(f"adaptive-contact: {recording}: {source.damage}", err=True)
     if json:

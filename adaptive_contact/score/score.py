@@ -71,9 +71,10 @@ def score_messages(
     for message in messages:
         gathered.take(message)
     if not gathered.legs:
+        usable = "usable " if gathered.rejects else ""
         raise RecordingError(
-            "no servo samples (robot/leg/*/servo) in the recording; record with "
-            "--key 'robot/**' while the source runs"
+            f"no {usable}servo samples (robot/leg/*/servo) in the recording; record while the "
+            "source runs, and look at it with `adaptive-contact doctor`"
         )
     if not set(gathered.legs) & set(robot.leg_ids):
         raise RecordingError(

@@ -6,7 +6,6 @@ knows the network: :func:`examine` does.
 
 from __future__ import annotations
 
-import difflib
 import re
 import threading
 import time
@@ -36,8 +35,10 @@ from adaptive_contact.wire import (
     Rejected,
     ServoSample,
     decode,
-    is_leg_id,
+    is_json,
     leg_of_key,
+    meant_key,
+    namespace_of,
 )
 
 __all__ = ["Diagnosis", "Examination", "KeyTraffic", "diagnose", "examine"]
@@ -48,11 +49,8 @@ _KEYS_KEPT: Final = 400
 _BACKLOG: Final = 50_000
 _POLL_S: Final = 0.05
 
-_LEG_KINDS: Final = ("servo", "contact", "learner", "model", "truth", "command")
 _OTHER_KEYS: Final = (SERVICE_STATUS, "robot/sim/drift")
 _ENCODINGS: Final = ("application/msgpack", "application/json")
-# Keys with more slashes, such as those of a camera, are not taken for misspelt ones of ours.
-_OWN_DEPTH: Final = 3
 # Legs that fail together have one cause; one leg alone has its own.
 _SEVERAL_LEGS: Final = 2
 _FIGURES: Final = re.compile(r"[0-9.]+")
@@ -92,6 +90,7 @@ class _Meter:
     count: int = 0
     size: int = 0
     encodings: Counter[str] = field(default_factory=Counter)
+    odd: Counter[str] = field(default_factory=Counter)  # of payloads that nothing says are JSON
 
 
 @dataclass(slots=True)
@@ -116,6 +115,10 @@ class Examination:
         meter.count += 1
         meter.size += len(received.payload)
         meter.encodings[received.encoding] += 1
+        if not received.encoding.startswith(_ENCODINGS) and not is_json(
+            received.payload, received.encoding
+        ):
+            meter.odd[received.encoding] += 1
         if received.key == SERVICE_STATUS:
             status = decode(received.payload, ServiceStatus, received.encoding)
             if isinstance(status, ServiceStatus):
@@ -324,7 +327,7 @@ def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
 def _about_keys(heard: Examination, seconds: float) -> _Faults:
     for key, meter in sorted(heard.meters.items()):
         leg = leg_of_key(key)
-        odd = [encoding for encoding in meter.encodings if not encoding.startswith(_ENCODINGS)]
+        odd = list(meter.odd)
         if odd and leg is not None:
             yield (
                 leg,
@@ -356,22 +359,20 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
     """What is wrong with a key outside the contract, and what to do."""
     if leg_of_key(key) is not None or key in _OTHER_KEYS or key.startswith("robot/bridge/"):
         return None
-    head, robot, _ = key.partition("robot/leg/")
-    if robot and head:
-        namespace = head.rstrip("/")
+    namespace = namespace_of(key)
+    if namespace:
         what = f"keys lie under '{namespace}'"
         remedy = f"look there with --namespace {namespace}"
         return None, Fault("warning", Cause.NAMESPACE, what, remedy, shown, key=namespace)
-    leg, kind = ["", *key.split("/")][-2:]
-    near = difflib.get_close_matches(kind.lower(), _LEG_KINDS, n=1)
-    # A word of other robots' keys, such as camera/command, is no misspelling of ours.
-    ours = bool(robot) or bool(near and near[0] == "servo" and key.count("/") <= _OWN_DEPTH)
-    if not ours:
+    meant = meant_key(key)
+    if meant is not None:
+        cause = Cause.KEY if meant.endswith("/servo") else Cause.OTHER_KEY
+        leg = leg_of_key(meant) or ""
+        what, remedy = "a key is read by nobody", f"did you mean {meant}?"
+        # One entry for all legs whose keys are misspelt in the same way.
+        return leg, Fault("warning", cause, what, remedy, shown, key=key.replace(leg, "LEG"))
+    if "robot/leg/" not in key:
         return None
-    if near and is_leg_id(leg) and (kind not in _LEG_KINDS or not robot):
-        remedy = f"did you mean robot/leg/{leg}/{near[0]}?"
-        cause = Cause.KEY if near[0] == "servo" else Cause.OTHER_KEY
-        return leg, Fault("warning", cause, "a key is read by nobody", remedy, shown, key=kind)
     remedy = "a leg id has 1 to 32 letters, digits, '_', '.' or '-'"
     what = "a key names no usable leg"
     return None, Fault("warning", Cause.OTHER_KEY, what, remedy, shown, key="leg")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -27,6 +28,7 @@ from adaptive_contact.wire import (
     decode,
     is_json,
     is_leg_id,
+    json_text,
     leg_of_key,
 )
 
@@ -37,6 +39,8 @@ __all__ = ["Counts", "LegBank", "WirePlayer", "control_ticks", "replay_events"]
 SOURCE_KINDS: Final = frozenset({"servo", "truth"})
 # Zenoh panics on an encoding whose text is longer than 255 bytes.
 MAX_ENCODING_BYTES: Final = 255
+# What a concrete key of Zenoh does not have.
+_NO_KEY: Final = re.compile(r"[*$?#]|^/|/$|//")
 _NS_PER_S: Final = 1_000_000_000
 
 
@@ -218,8 +222,8 @@ class WirePlayer:
             self.sent[record.key] += 1
 
     def _wanted(self, key: str) -> bool:
-        if "*" in key or "$" in key or not key:
-            return False  # a put on wildcards would reach every leg
+        if not key or _NO_KEY.search(key):
+            return False  # a put on wildcards would reach every leg; others are no keys of Zenoh
         if self._everything:
             return True
         head, _, kind = key.rpartition("/")
@@ -236,7 +240,7 @@ class WirePlayer:
         """The same sample with another ``run``; bytes that are no sample stay as they are."""
         json = is_json(payload, encoding)
         try:
-            fields = msgspec.json.decode(payload) if json else msgpack.unpackb(payload)
+            fields = msgspec.json.decode(json_text(payload)) if json else msgpack.unpackb(payload)
         except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError):
             return payload
         if not isinstance(fields, dict):

@@ -27,7 +27,7 @@ from adaptive_contact.service.ports import Bank, Question
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
-from adaptive_contact.service.surroundings import Surroundings
+from adaptive_contact.service.surroundings import Strays, Surroundings
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import (
     ALL_SERVO,
@@ -109,6 +109,8 @@ class Service:
         )
         link.drop_what_holds_up(self._outbox.busy_ns, self._outbox.dropped)
         self._surroundings = Surroundings(link, now_ns)
+        self._strays = Strays(link)
+        self._stray_keys: dict[str, str] = {}
         self._status = link.publisher(SERVICE_STATUS, history=1)
         self._look_ns = self._status_ns = now_ns
         self._latency_ns = now_ns + _LATENCY_LOG_NS
@@ -201,6 +203,9 @@ class Service:
         self._surroundings.look(now_ns)
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
+            desks = (self._desks.get(leg) for leg in self._robot.leg_ids)
+            lonely = any(desk is not None and not desk.ever_heard for desk in desks)
+            self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
             self._status.put(self.status(now_ns))
         if now_ns >= self._latency_ns:
             self._latency_ns = now_ns + _LATENCY_LOG_NS
@@ -241,6 +246,7 @@ class Service:
             samples=self._samples,
             events=self._events,
             rejects=dict(self._rejects),
+            strays=self._stray_keys,
             callback_faults=self._link.callback_faults,
             tick_latency=self._ticks_latency.quantiles(),
             event_latency=self._event_latency.quantiles(),

@@ -54,6 +54,8 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         cut_off: links dropped because their subscribers took no events: they hang, or were cut.
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
+        strays: keys of samples that nobody reads, each with a question to the person who chose it;
+            looked for while a leg has no samples.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
         tick_latency: arrival of a sample to the end of its processing, learning included.
         event_latency: arrival of the deciding sample to its event being published.
@@ -75,6 +77,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     cut_off: int = 0
     stalls: int = 0
     state: StateFacts | None = None
+    strays: dict[str, str] = msgspec.field(default_factory=dict)
     callback_faults: int = 0
     tick_latency: LatencyMs | None = None
     event_latency: LatencyMs | None = None

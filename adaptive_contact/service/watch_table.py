@@ -71,6 +71,8 @@ def headline(view: View) -> Text:
         line.append(f"  {service.callback_faults} callback faults", style="bold red")
     if service.note is not None:
         line.append(f"\n{printable(service.note)}", style="bold red")
+    for key, question in service.strays.items():
+        line.append(f"\nnobody reads {printable(key)}: {printable(question)}", style="bold red")
     for refused in [] if service.state is None else service.state.refused:
         line.append(f"\nstate refused: {printable(refused)}", style="yellow")
     if service.state is not None and service.state.exposed is not None:
