@@ -11,7 +11,7 @@ from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
-from adaptive_contact.adapt.team import OnFault, Team
+from adaptive_contact.adapt.team import OnFault, Team, check_sample
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
@@ -97,7 +97,12 @@ class LearnerBank:
 
         Returns:
             The events they decide, in the order of ``samples``.
+
+        Raises:
+            TypeError: one is no sample, such as the map of a payload.
         """
+        for sample in samples.values():
+            check_sample(sample)
         events = self.judge(samples)
         self.finish()
         return events

@@ -23,7 +23,7 @@ from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.adapt.team import Team, check_sample
 from adaptive_contact.adapt.tracker import UNSURE_TICKS, Tracker
 from adaptive_contact.detect import ContactState, Decision
 from adaptive_contact.identify import LegModel
@@ -112,7 +112,11 @@ class ContactLearner:
 
         Returns:
             The change of contact that this sample decides, if it does.
+
+        Raises:
+            TypeError: it is no sample, such as the map of a payload.
         """
+        check_sample(sample)
         if self._alone is None:
             self._alone = Team([self])
         event = self._alone.advance([sample])[0]

@@ -19,12 +19,26 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt.detector import LegDetector
     from adaptive_contact.adapt.learner import ContactLearner
 
-__all__ = ["OnFault", "Team"]
+__all__ = ["OnFault", "Team", "check_sample"]
 
 # Is told the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
 # A learner's row in its block and place in its team, and itself with the sample of the tick.
 _Seat = tuple[int, int, "ContactLearner", ServoSample]
+
+
+def check_sample(sample: object) -> None:
+    """Refuse what is no sample; bad values in one are counted, never raised.
+
+    Raises:
+        TypeError: such as for the map of a payload.
+    """
+    if not isinstance(sample, ServoSample):
+        raise TypeError(
+            f"expected a ServoSample, found {type(sample).__name__}; pass ServoSample(t_ns=..., "
+            "seq=..., measured=[...], desired=[...]) of adaptive_contact.wire, or what its "
+            "decode() makes of a payload"
+        )
 
 
 class _Half(NamedTuple):
