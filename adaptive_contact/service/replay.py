@@ -37,8 +37,10 @@ __all__ = ["Counts", "LegBank", "WirePlayer", "control_ticks", "replay_events"]
 # What a source sends.  Events and status are the service's own to send, and a command would move
 # whatever robot listens.
 SOURCE_KINDS: Final = frozenset({"servo", "truth"})
-# Zenoh panics on an encoding whose text is longer than 255 bytes.
+# Zenoh 1.10 panics where a put that leaves the process has an encoding of 256 bytes (measured; one
+# that begins with a type it knows may be longer), or a key of 64 kB, the namespace with it.
 MAX_ENCODING_BYTES: Final = 255
+MAX_KEY_BYTES: Final = 32_768
 # What a concrete key of Zenoh does not have.
 _NO_KEY: Final = re.compile(r"[*$?#]|^/|/$|//")
 _NS_PER_S: Final = 1_000_000_000
@@ -198,7 +200,10 @@ class WirePlayer:
             self.counts.messages += 1
             if not self._wanted(record.key):
                 continue
-            if len(record.encoding.encode()) > MAX_ENCODING_BYTES:
+            if (
+                len(record.encoding.encode()) > MAX_ENCODING_BYTES
+                or len(record.key.encode()) > MAX_KEY_BYTES
+            ):
                 self.counts.rejects[Reject.MALFORMED] += 1
                 continue
             publisher = self._publisher(record.key)
