@@ -116,8 +116,9 @@ def check_readings(
             " and ".join(f"{names[i]} follows the command of {names[order[i]]}" for i in moved),
         )
         return
+    commanded = bool((np.ptp(desired, axis=0) > 0.0).any())
     for j, name in enumerate(names):
-        yield from _joint(measured[:, j], desired[:, j], name, quantum_rad)
+        yield from _joint(measured[:, j], desired[:, j], name, quantum_rad, commanded)
 
 
 def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | None:
@@ -201,7 +202,7 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
 
 
 def _joint(
-    measured: Array, desired: Array, name: str, quantum_rad: float | None
+    measured: Array, desired: Array, name: str, quantum_rad: float | None, commanded: bool
 ) -> Iterator[Fault]:
     told = float(np.ptp(desired))
     if told > _COMMANDED_RAD and np.ptp(measured) == 0.0 and len(measured) >= _FROZEN_SAMPLES:
@@ -223,6 +224,18 @@ def _joint(
             "turn the sign of one of the two: servos.directions in robot.toml for the bridge",
             name,
             float(np.ptp(measured)),
+        )
+    elif off > _FAR_RAD and not commanded:
+        yield Fault(
+            "warning",
+            Cause.FAR,
+            "a joint is far from its command, and no command of the leg changes: nobody commands "
+            "it, and servos without torque hang where they are",
+            "command the leg, or look again while it moves; if it stays so, check zero and "
+            "direction of the servo (servos.offsets_rad, servos.directions)",
+            f"{name} by {off:.2f} rad",
+            off,
+            "still",
         )
     elif off > _FAR_RAD:
         yield Fault(
