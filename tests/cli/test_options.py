@@ -64,6 +64,7 @@ def test_every_option_in_seconds_is_a_duration(program: Any) -> None:
         ("10m", 600.0),
         ("10 min", 600.0),
         ("1h", 3600.0),
+        ("2d12h", 216000.0),
         ("1h30m", 5400.0),
         ("1 h 30 m 5 s", 5405.0),
         ("500ms", 0.5),
