@@ -35,7 +35,7 @@ from adaptive_contact.robot.description import Leg, Mount, Robot
 from adaptive_contact.robot.geometry import foot, height_gradients
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["ConventionFinding", "LegMotion", "Verdict", "judge_motion"]
+__all__ = ["ConventionFinding", "LegMotion", "Verdict", "control_ticks", "judge_motion"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -70,6 +70,10 @@ LEAST_RISE_M: Final = 0.004
 # A tick is slow below this speed, rad/s: there a servo's lag is no longer that of motion.
 SLOW_RAD_S: Final = 1.0
 LEAST_SLOW: Final = 50
+# Where stamps and seq grow by amounts this far apart, s, another run of the source begins: no loop
+# is as late.
+MOST_ADRIFT_S: Final = 1.0
+MOST_SEQ: Final = 2**60
 # rho² beyond which a pair is as bad as can be.
 MOST: Final = 4.0
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
@@ -121,18 +125,22 @@ class LegMotion:
         measured: (n, J) rad.
         desired: (n, J) rad.
         swing: (n,) the source's word; None where it does not tell.
+        seq: (n,) the source's count of control ticks, from any number on; None where only stamps
+            tell them apart.
     """
 
     t_ns: NDArray[np.int64]
     measured: Array
     desired: Array
     swing: Mask | None = None
+    seq: NDArray[np.int64] | None = None
 
     def between(self, first_ns: int, last_ns: int) -> LegMotion:
         """The samples from one time up to another."""
         rows = (self.t_ns >= first_ns) & (self.t_ns < last_ns)
         swing = None if self.swing is None else self.swing[rows]
-        return LegMotion(self.t_ns[rows], self.measured[rows], self.desired[rows], swing)
+        seq = None if self.seq is None else self.seq[rows]
+        return LegMotion(self.t_ns[rows], self.measured[rows], self.desired[rows], swing, seq)
 
     @staticmethod
     def of_samples(samples: Sequence[ServoSample]) -> LegMotion:
@@ -143,6 +151,7 @@ class LegMotion:
             np.array([sample.measured for sample in samples], dtype=np.float64),
             np.array([sample.desired for sample in samples], dtype=np.float64),
             np.array([sample.phase == "swing" for sample in samples]) if told else None,
+            np.array([_counted(sample.seq, samples[0].seq) for sample in samples], dtype=np.int64),
         )
 
 
@@ -166,10 +175,11 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         robot: its description, as the samples were turned by.
         motions: by leg.
     """
+    ticks = control_ticks(motions, robot.period_s)
     legs = [
-        _Signs(leg, motions[leg.id], robot.period_s)
+        _Signs(leg, motions[leg.id], ticks[leg.id], robot.period_s)
         for leg in robot.legs
-        if leg.id in motions and leg.lengths_m is not None and len(motions[leg.id].t_ns) > 1
+        if leg.id in ticks and leg.lengths_m is not None and len(ticks[leg.id]) > 1
     ]
     legs = [leg for leg in legs if len(leg.flips) > 1]
     if not legs:
@@ -195,6 +205,84 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     return Verdict(tuple(findings), tuple(fits))
 
 
+def control_ticks(
+    motions: Mapping[str, LegMotion], period_s: float
+) -> dict[str, NDArray[np.int64]]:
+    """Number the control tick of every sample, alike for all legs.
+
+    Within a run of the source a leg's ticks are counted by ``seq``, so that stamps that jitter
+    shift none.  How the counts of two legs lie against each other is told by the median of their
+    stamps over the time that both have.
+
+    Args:
+        motions: by leg.
+        period_s: the control tick.
+
+    Returns:
+        (n,) per leg.
+    """
+    runs = {leg: _runs(motion, period_s) for leg, motion in motions.items() if len(motion.t_ns)}
+    if not runs:
+        return {}
+    first = max(runs, key=lambda leg: len(motions[leg].t_ns))
+    for run in runs[first]:
+        run.ticks = run.count + round(run.phase(*run.span))
+    for leg, own in runs.items():
+        for run in own if leg != first else ():
+            shared = max(runs[first], key=lambda other: other.overlap(run))
+            low, high = max(run.span[0], shared.span[0]), min(run.span[1], shared.span[1])
+            if shared.overlap(run) > 0:
+                between = run.phase(low, high) - shared.phase(low, high)
+                run.ticks = run.count + int(shared.ticks[0] - shared.count[0]) + round(between)
+            else:
+                run.ticks = run.count + round(run.phase(*run.span))
+    return {leg: np.concatenate([run.ticks for run in own]) for leg, own in runs.items()}
+
+
+class _Run:
+    """Samples of one leg that one count goes through.
+
+    Attributes:
+        count: (n,) ticks from any number on.
+        span: first and last stamp, ticks.
+        ticks: (n,) ticks, alike for all legs, once they are known.
+    """
+
+    def __init__(self, stamps: Array, count: NDArray[np.int64]) -> None:
+        self.count, self.ticks = count, count
+        self._stamps = stamps
+        self.span = float(stamps[0]), float(stamps[-1])
+
+    def overlap(self, other: _Run) -> float:
+        """Time that both have, ticks."""
+        return min(self.span[1], other.span[1]) - max(self.span[0], other.span[0])
+
+    def phase(self, low: float, high: float) -> float:
+        """By how much the stamps of a time are ahead of the count, median, ticks."""
+        rows = (self._stamps >= low) & (self._stamps <= high)
+        rows = rows if rows.any() else np.ones_like(rows)
+        return float(np.median(self._stamps[rows] - self.count[rows]))
+
+
+def _runs(motion: LegMotion, period_s: float) -> list[_Run]:
+    """A leg's samples, cut where its count begins anew."""
+    stamps = motion.t_ns / (period_s * 1e9)
+    if motion.seq is None:
+        return [_Run(stamps, np.rint(stamps).astype(np.int64))]
+    steps = np.diff(motion.seq)
+    lost = np.abs(np.diff(stamps) - steps) > MOST_ADRIFT_S / period_s
+    cuts = np.flatnonzero((steps <= 0) | lost) + 1
+    return [
+        _Run(part, count)
+        for part, count in zip(np.split(stamps, cuts), np.split(motion.seq, cuts), strict=True)
+    ]
+
+
+def _counted(seq: int, first: int) -> int:
+    """``seq`` from the first one on, within what an array holds."""
+    return max(-MOST_SEQ, min(seq - first, MOST_SEQ))
+
+
 def _mounts_told(robot: Robot) -> bool:
     return sum(leg.mount != Mount() for leg in robot.legs) >= 2
 
@@ -207,8 +295,10 @@ class _Signs:
         grid: (n,) number of every sample's control tick.
     """
 
-    def __init__(self, leg: Leg, motion: LegMotion, period_s: float) -> None:
-        self.leg, self.motion = leg, motion
+    def __init__(
+        self, leg: Leg, motion: LegMotion, grid: NDArray[np.int64], period_s: float
+    ) -> None:
+        self.leg, self.motion, self.grid = leg, motion, grid
         self.pitch = np.array([axis == "pitch" for axis in leg.joint_axes])
         told = self.pitch.copy()
         if len(told) <= MOST_FLIPS:
@@ -219,7 +309,6 @@ class _Signs:
             self.flips, itertools.product((1.0, -1.0), repeat=len(free)), strict=True
         ):
             row[free] = signs
-        self.grid = np.rint(motion.t_ns / (period_s * 1e9)).astype(np.int64)
         self._settle = round(SETTLE_S / period_s)
         self._leave = round(BEFORE_LIFT_S / period_s)
         self._slow = SLOW_RAD_S * period_s
@@ -429,7 +518,7 @@ class _Pairs:
         the weight is the square of the number of ticks.
         """
         (p, mine), (q, theirs) = self._stands(i, a), self._stands(j, b)
-        _, rows, columns = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        _, rows, columns = np.intersect1d(mine, theirs, return_indices=True)
         count = len(rows)
         if count < LEAST_ROWS:
             return 0.0, np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Mapping
 
@@ -160,3 +161,23 @@ def test_with_what_it_advises_every_event_is_that_of_the_right_source() -> None:
         assert all(bank.learner(leg).status.note is None for leg in LEGS)
     assert len(told[0]) > 100
     assert told[0] == told[1]
+
+
+@pytest.mark.parametrize("phase", [True, False])
+def test_stamps_that_jitter_hide_no_wrong_sign(phase: bool) -> None:
+    run = walk("tripod", "rough", 901)
+    rng = np.random.default_rng(5)
+    turn = np.array(DOWN, dtype=float)
+    seq = np.arange(len(run.t_ns))
+    motions = {}
+    for name, leg in run.legs.items():
+        t_ns = run.t_ns + rng.normal(0.0, 0.4 * 20_000_000, len(seq)).astype(np.int64)
+        swing = leg.swing.copy() if phase else None
+        motions[name] = LegMotion(t_ns, leg.measured * turn, leg.desired * turn, swing, seq)
+    clean = verdict(run, dict.fromkeys(LEGS, DOWN), phase=phase, mounts=True)
+    assert judge_motion(robot(mounts=True), motions) == clean
+    assert [one.leg for one in clean.findings] == list(LEGS)
+    for name, motion in motions.items():  # without seq less is found, and nothing else
+        motions[name] = dataclasses.replace(motion, seq=None)
+    found = judge_motion(robot(mounts=True), motions).findings
+    assert {one.directions for one in found} <= {DOWN}
