@@ -80,11 +80,8 @@ class MotionTrack:
 
     @property
     def spoils(self) -> bool:
-        """Whether what is found makes heights of the foot wrong; a yaw alone does not."""
-        if self.finding is None:
-            return False
-        axes = dict(zip(self._leg.joints, self._leg.joint_axes, strict=True))
-        return any(axes[name] == "pitch" for name in self.finding.joints)
+        """Whether what is found makes heights of the foot wrong."""
+        return self.finding is not None and self.finding.grave
 
     def take(self, sample: ServoSample) -> None:
         """Take in an accepted sample, in the frame of the description."""
@@ -211,7 +208,7 @@ class ConventionWatch:
                 track.finding = track.suspected = None
                 continue
             finding = found.get(leg)
-            if finding is not None and finding == track.suspected:
+            if finding is not None and finding.agrees(track.suspected):
                 track.finding = finding
             track.suspected = finding
         # Legs are judged by each other: none is let go before all are confirmed.

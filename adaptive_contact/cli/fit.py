@@ -181,8 +181,8 @@ def check_conventions(
         bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``.
 
     Raises:
-        ConfigurationError: there is such a leg; a wrong yaw alone is said only, as no model and no
-            height depends on it.
+        ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
+            said only.
     """
     from adaptive_contact.adapt.gather import judge_conventions
 
@@ -191,10 +191,7 @@ def check_conventions(
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
         typer.echo(f"adaptive-contact: {line}", err=True)
-        axes = dict(
-            zip(robot.leg(finding.leg).joints, robot.leg(finding.leg).joint_axes, strict=True)
-        )
-        if any(axes[name] == "pitch" for name in finding.joints):
+        if finding.grave:
             grave.append(finding.leg)
     if grave:
         raise ConfigurationError(
