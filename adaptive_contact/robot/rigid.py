@@ -25,9 +25,12 @@ from adaptive_contact.robot.description import Leg
 from adaptive_contact.robot.geometry import foot
 
 __all__ = [
+    "FLOOR",
     "MOST",
+    "SURE_RAD",
     "Feet",
     "Reading",
+    "Refined",
     "Stream",
     "fit_readings",
     "on_body",
@@ -56,7 +59,7 @@ LEAST_WAY_M: Final = 0.002
 MOST: Final = 4.0
 # Starts of a search: steps of an offset, rad, by the number of pitch joints; more are not searched.
 START_STEPS_RAD: Final = {1: math.pi / 8, 2: math.pi / 4, 3: math.pi / 2}
-REFINED: Final = 12
+REFINED: Final = 6
 # Rows of a leg that tell whether a start is worth looking at, and the share that must be below the
 # axis there; a start is not yet the answer.
 GLANCED: Final = 60
@@ -65,6 +68,12 @@ BELOW_SHARE: Final = 0.8
 RIGID: Final = 0.1
 # How many times better (in squares) the right reading must be than any other.
 BETTER: Final = 4.0
+# Below this rho nothing but rounding and slip is left: what is below is as good.
+FLOOR: Final = 0.03
+# Errors of rows are not independent: their mean square is as sure as that of so many.
+SWINGS: Final = 30
+# Zeros are told where their standard deviation is within this, rad.
+SURE_RAD: Final = 0.05
 # Two fits whose zeros are closer are the same, rad.
 ALIKE_RAD: Final = 0.15
 MOST_STEPS: Final = 12
@@ -276,7 +285,20 @@ class Feet:
         return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int]]) -> Array:
+class Refined(NamedTuple):
+    """Zeros near a start for which the feet are most rigid.
+
+    Attributes:
+        moved_rad: (n, J) rad by which the zeros of every leg have moved.
+        spread_rad: the largest standard deviation of a parameter, rad: where the motion does not
+            show a zero, as that of feet that go to and fro in a line, it is large.
+    """
+
+    moved_rad: Array
+    spread_rad: float
+
+
+def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int]]) -> Refined:
     """Find the zeros near a start for which the feet are most rigid, by Gauss-Newton.
 
     Args:
@@ -284,9 +306,6 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
         readings: (n,) of the legs, to start from.
         moved: of every leg, the parameter that shifts each joint's zero, -1 for none; legs that
             share a parameter are shifted alike.
-
-    Returns:
-        (n, J) rad by which zeros have moved.
     """
     count = 1 + max(max(own) for own in moved)
 
@@ -295,18 +314,22 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
         return [r.shifted(padded[list(own)]) for r, own in zip(readings, moved, strict=True)]
 
     def cost(x: Array) -> float:
-        readings = at(x)
-        return float(np.square(feet.errors(readings, feet.kept(readings))).sum())
+        read = at(x)
+        return float(np.square(feet.errors(read, feet.kept(read))).sum())
 
-    x, least, damping = np.zeros(count), cost(np.zeros(count)), _DAMPING
-    for _ in range(MOST_STEPS):
+    def linear(x: Array) -> tuple[Array, Array]:
         kept = feet.kept(at(x))
         base = feet.errors(at(x), kept)
         slopes = [feet.errors(at(x + nudge), kept) - base for nudge in _NUDGE_RAD * np.eye(count)]
         jacobian = np.stack(slopes, axis=1) / _NUDGE_RAD
-        normal = jacobian.T @ jacobian
+        return jacobian.T @ jacobian, jacobian.T @ base
+
+    x, damping = np.zeros(count), _DAMPING
+    least = cost(x)
+    for _ in range(MOST_STEPS):
+        normal, slope = linear(x)
         scale = damping * (np.trace(normal) / count + _DAMPING)
-        step = -np.linalg.solve(normal + scale * np.eye(count), jacobian.T @ base)
+        step = -np.linalg.solve(normal + scale * np.eye(count), slope)
         tried = cost(x + step)
         if tried >= least:
             if damping > _MOST_DAMPING:
@@ -316,8 +339,14 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
         x, least, damping = x + step, tried, damping / 10
         if np.abs(step).max() < _SETTLED_RAD:
             break
+    normal, _ = linear(x)
+    weakest = float(np.linalg.eigvalsh(normal)[0])
+    floor = max(least, FLOOR**2) / SWINGS
     padded = np.append(x, 0.0)
-    return np.stack([padded[list(own)] for own in moved])
+    return Refined(
+        np.stack([padded[list(own)] for own in moved]),
+        math.sqrt(floor / weakest) if weakest > 0 else math.inf,
+    )
 
 
 def fit_readings(
@@ -364,21 +393,22 @@ def fit_readings(
             cost = float(np.minimum(feet.costs([reading] * legs), MOST).mean())
             starts.append((cost, reading, feet))
     starts.sort(key=lambda start: start[0])
-    found: list[tuple[float, Reading]] = []
+    found: list[tuple[float, float, Reading]] = []
     for _, reading, feet in starts[:REFINED]:
-        moved = refine(feet, [reading] * legs, [range(len(axes))] * legs)[0]
-        best = _near_zero(reading.shifted(moved))
+        refined = refine(feet, [reading] * legs, [range(len(axes))] * legs)
+        best = _near_zero(reading.shifted(refined.moved_rad[0]))
         if not all(sane(k, best) for k in range(legs)):
             continue
         if not told:
             feet = Feet(streams, lag, period_s, [best] * legs)
-        found.append((float(np.minimum(feet.costs([best] * legs), MOST).max()), best))
+        cost = float(np.minimum(feet.costs([best] * legs), MOST).max())
+        found.append((max(cost, FLOOR**2), refined.spread_rad, best))
     if not found:
         return None
     found.sort(key=lambda each: each[0])
-    least, best = found[0]
-    rivals = [cost for cost, reading in found[1:] if not _alike(reading, best)]
-    if least >= RIGID**2 or any(cost < BETTER * least for cost in rivals):
+    least, spread, best = found[0]
+    rivals = [cost for cost, _, reading in found[1:] if not _alike(reading, best)]
+    if spread > SURE_RAD or least >= RIGID**2 or any(cost < BETTER * least for cost in rivals):
         return None
     return best
 

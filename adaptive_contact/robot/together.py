@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from adaptive_contact.robot.choices import LegChoices
 from adaptive_contact.robot.rigid import (
     BETTER,
+    FLOOR,
     LEAST_ROWS,
     MOST,
     MOST_ROWS,
     RIGID,
+    SURE_RAD,
     Feet,
     Reading,
     fit_readings,
@@ -51,6 +53,7 @@ ZERO_RIVAL: Final = 1.5
 OPEN_RAD: Final = 0.1
 # Zeros of one joint are sought from these on, rad.
 ZERO_STARTS: Final = (0.0, -0.5, 0.5, -1.0, 1.0, -math.pi / 2, math.pi / 2)
+REFINED_STARTS: Final = 2
 # A search over all signs and zeros takes a second or more: it is made with so much motion, s.
 SEARCH_S: Final = 15.0
 # Orders of so many joints are tried.
@@ -213,8 +216,9 @@ class _Others:
         choices = []
         if self._of_a_kind():
             joints = len(self._plain[0].order)
-            moved = refine(self._feet(), self._plain, [range(joints)] * len(self._legs))[0]
-            choices.append([self._plain[0].shifted(moved)] * len(self._legs))
+            found = refine(self._feet(), self._plain, [range(joints)] * len(self._legs))
+            if found.spread_rad <= SURE_RAD:
+                choices.append([self._plain[0].shifted(found.moved_rad[0])] * len(self._legs))
         alone = self._one_leg(zeros_only=True, starts=ZERO_STARTS[:1])
         if alone is not None:
             choices.append(alone)
@@ -296,7 +300,9 @@ class _Others:
         joints = len(self._plain[worst].order)
         tried = []
         for joint in range(joints):
-            found = [self._refined(worst, joint, start) for start in starts]
+            shifts = [np.eye(joints)[joint] * start for start in starts]
+            shifts.sort(key=lambda by: self._cost_with(worst, self._plain[worst].shifted(by)))
+            found = [self._refined(worst, joint, by) for by in shifts[:REFINED_STARTS]]
             tried.append(min(found, key=lambda each: each[0]))
         tried.sort(key=lambda each: each[0])
         (least, best), *rivals = tried
@@ -315,16 +321,15 @@ class _Others:
             return best
         return None
 
-    def _refined(self, worst: int, joint: int, start: float) -> tuple[float, Reading]:
+    def _refined(self, worst: int, joint: int, by_rad: Array) -> tuple[float, Reading]:
         moved = [[-1] * len(plain.order) for plain in self._plain]
         moved[worst][joint] = 0
-        first = np.zeros(len(self._plain[worst].order))
-        first[joint] = start
         readings = list(self._plain)
-        readings[worst] = self._plain[worst].shifted(first)
-        shift = refine(self._feet(readings), readings, moved)[worst]
-        best = readings[worst].shifted(shift)
-        return self._cost_with(worst, best), best
+        readings[worst] = self._plain[worst].shifted(by_rad)
+        found = refine(self._feet(readings), readings, moved)
+        best = readings[worst].shifted(found.moved_rad[worst])
+        sure = found.spread_rad <= SURE_RAD
+        return self._cost_with(worst, best) if sure else MOST, best
 
     def _cost_with(self, worst: int, reading: Reading) -> float:
         readings = list(self._plain)
@@ -358,7 +363,7 @@ class _Others:
         return feet
 
     def _costs(self, readings: Sequence[Reading]) -> Array:
-        return np.minimum(self._feet(readings).costs(readings), MOST)
+        return np.clip(self._feet(readings).costs(readings), FLOOR**2, MOST)
 
     def _patterns(self, readings: Sequence[Reading]) -> dict[str, int]:
         return {
