@@ -30,6 +30,8 @@ _POLL_S: Final = 0.05
 _REDRAW_S: Final = 0.2
 _PIPE_WIDTH: Final = 120
 _MOVES_SHOWN: Final = 6
+# What a leg at rest gives way by, mm; less is friction and rounding.
+_LEAST_SAG_MM: Final = 1.0
 _HINT: Final = (
     "Move one joint after the other by hand.  Another joint is named: the order of joints, or of "
     "ids, is wrong.  The foot goes the other way: that joint's sign is wrong."
@@ -133,6 +135,17 @@ def _told(report: LiveReport) -> list[str]:
             f"signs, order and zeros: not told by the motion of leg {' '.join(report.open)} (it "
             "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
         )
+    for sign, where in (
+        (-1, "below their commands: so it is where they hang"),
+        (1, "above their commands: so it is where they stand"),
+    ):
+        sags = {leg.leg: 1e3 * sign * (leg.above_m or 0.0) for leg in report.legs}
+        given = {leg: sag for leg, sag in sags.items() if sag >= _LEAST_SAG_MM}
+        if given:
+            lines.append(
+                f"at rest, by the description, feet of leg {' '.join(given)} are "
+                f"{min(given.values()):.0f} to {max(given.values()):.0f} mm {where}"
+            )
     if report.flatness is not None:
         off = 1e3 * abs(report.flatness.off_m)
         whose = report.flatness.leg

@@ -178,7 +178,8 @@ def check_conventions(
     Args:
         robot: its description.
         gathered: by leg.
-        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``.
+        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``, and whose
+            robot hangs free.
 
     Raises:
         ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
@@ -187,7 +188,7 @@ def check_conventions(
     from adaptive_contact.adapt.gather import judge_conventions
 
     grave = []
-    for finding in judge_conventions(robot, gathered).findings:
+    for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
         typer.echo(f"adaptive-contact: {line}", err=True)

@@ -7,6 +7,7 @@ pushes it up.  Where that is turned round, all its pitch angles are.
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from adaptive_contact.robot.geometry import height_gradients
 from adaptive_contact.robot.motion import LegMotion
 from adaptive_contact.robot.rigid import Reading, Stream, standing
 
-__all__ = ["Alone", "LegChoices"]
+__all__ = ["HOLD_S", "SURE_SHARE", "Alone", "LegChoices"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,6 +31,11 @@ LEAST_RISE_M: Final = 0.004
 # A tick is slow below this speed, rad/s: there a servo's lag is no longer that of motion.
 SLOW_RAD_S: Final = 1.0
 LEAST_SLOW: Final = 50
+# A servo rests when its command has not changed for this long, s; the last part of it is looked at.
+HOLD_S: Final = 0.36
+REST_S: Final = 0.16
+# Gravity pulls at a joint where its foot is this share of its links' reach away from it.
+LEVER: Final = 0.3
 # Patterns of signs grow as powers of two.
 MOST_FLIPS: Final = 5
 
@@ -161,6 +167,32 @@ class LegChoices:
         rise = height_gradients(at, leg.lengths_m, leg.joint_axes)
         first = int(np.flatnonzero(self.pitch)[0])
         return float(np.median(rise[:, first] * ahead[:, first]))
+
+    def sags_rad(self) -> Array:
+        """By how much the first pitch joint gives way to gravity in each hold, (m,) rad.
+
+        Plus is down, by the description; holds in which the foot is under the joint are left out.
+        """
+        motion, leg = self.motion, self.leg
+        assert leg.lengths_m is not None
+        grid = self.stream.grid
+        same = (np.diff(motion.desired, axis=0) == 0.0).all(axis=1) & (np.diff(grid) == 1)
+        hold, rest = round(HOLD_S / self._period_s), round(REST_S / self._period_s)
+        # The last tick of every stretch of unchanged commands.
+        ends = np.flatnonzero(same & np.append(~same[1:], True)) + 1
+        begins = np.flatnonzero(same & np.append(True, ~same[:-1]))
+        first = int(np.flatnonzero(self.pitch)[0])
+        least = LEVER * sum(leg.lengths_m[first:])
+        sags = []
+        for begin, end in zip(begins, ends, strict=True):
+            if end - begin < hold:
+                continue
+            command = motion.desired[end]
+            lever = height_gradients(command, leg.lengths_m, leg.joint_axes)[first]
+            off = float(np.mean(motion.measured[end - rest : end + 1, first]) - command[first])
+            if abs(lever) >= least:
+                sags.append(-math.copysign(off, off * lever))
+        return np.array(sags)
 
     def alone(self) -> Alone | None:
         """What this leg shows by itself; None for nothing that is sure."""

@@ -21,18 +21,31 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from adaptive_contact.robot.angles import AngleFrame, angles_text
-from adaptive_contact.robot.choices import Alone, LegChoices
+from adaptive_contact.robot.choices import SURE_SHARE, Alone, LegChoices
 from adaptive_contact.robot.description import Leg, Mount, Robot
 from adaptive_contact.robot.motion import LegMotion, control_ticks
 from adaptive_contact.robot.rigid import Reading
 from adaptive_contact.robot.together import OPEN_RAD, choose
 
-__all__ = ["ConventionFinding", "LegMotion", "Verdict", "judge_motion", "speaks_of_angles"]
+__all__ = [
+    "ConventionFinding",
+    "LegMotion",
+    "Verdict",
+    "judge_hanging",
+    "judge_motion",
+    "speaks_of_angles",
+]
 
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
 _PUSHED: Final = "the foot is above its axis, and the ground pushes it down"
+_PULLED: Final = "the foot hangs above its command at rest, and gravity pulls it down"
 _AGAINST: Final = "feet that stand move against each other, as they are described"
+# Holds of a leg that hangs before their sag counts, and how far it must be, steps of the servo.
+LEAST_HOLDS: Final = 4
+SAG_QUANTA: Final = 1.5
 # What every message of a finding has one of.
 _WRONG_WAY: Final = "grow the wrong way"
 _IN_ORDER: Final = "do not come in the order of robot.toml"
@@ -145,6 +158,39 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         alone = leg.alone()
         if alone is not None:
             findings.append(_finding_alone(leg, alone))
+    return Verdict(tuple(findings), tuple(fits))
+
+
+def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+    """Judge the signs of legs that hang free, from what gravity does to them at rest.
+
+    A servo holds a leg a little below its command.  The first pitch joint carries the most: an
+    AX-12A gives way by four to five steps there, and by less than its friction at the next one, so
+    that a single sign further out is not shown.  A servo with an integral gain does not give way.
+
+    Args:
+        robot: its description, as the samples were turned by.
+        motions: by leg; holds of 0.36 s and more are looked at.
+    """
+    findings, fits = [], []
+    ticks = control_ticks(motions, robot.period_s)
+    for leg in robot.legs:
+        if leg.id not in motions or leg.lengths_m is None or len(ticks.get(leg.id, ())) < 2:
+            continue
+        choices = LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
+        if not choices.pitch.any():
+            continue
+        sags = choices.sags_rad()
+        if len(sags) < LEAST_HOLDS or abs(float(np.median(sags))) < SAG_QUANTA * robot.quantum(
+            leg.id
+        ):
+            continue
+        down = float(np.mean(sags > 0))
+        if down >= SURE_SHARE:
+            fits.append(leg.id)
+        elif down <= 1 - SURE_SHARE:
+            signs = [-1 if pitch else 1 for pitch in choices.pitch]
+            findings.append(_sign_finding(leg, signs, _PULLED))
     return Verdict(tuple(findings), tuple(fits))
 
 

@@ -85,6 +85,8 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
         rate_hz: by the source's stamps; None for too few.
         height_m, reach_m: of the foot over the first axis, and away from it; None without lengths.
         forward_m, left_m: of the foot from the middle of the body.
+        above_m: by how much the foot is above its command, of a leg at rest; a leg that hangs gives
+            way to gravity, one that stands to the ground.
     """
 
     leg: str
@@ -95,6 +97,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     reach_m: float | None = None
     forward_m: float | None = None
     left_m: float | None = None
+    above_m: float | None = None
 
 
 class Flatness(msgspec.Struct, frozen=True, kw_only=True):
@@ -291,8 +294,10 @@ class _LegCheck:
         place = foot(newest.measured, leg.lengths_m, leg.joint_axes)
         body = on_body(leg, place)
         known = leg.mount != Mount()
+        commanded = foot(newest.desired, leg.lengths_m, leg.joint_axes)[2]
         return msgspec.structs.replace(
             view,
+            above_m=float(place[2] - commanded) if self.rests else None,
             height_m=float(place[2]),
             reach_m=float(np.hypot(place[0], place[1])),
             forward_m=float(body[0]) if known else None,

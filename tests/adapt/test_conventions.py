@@ -15,6 +15,7 @@ from adaptive_contact.robot import Angles, Mount, Robot, shipped_robot
 from adaptive_contact.robot.conventions import (
     LegMotion,
     Verdict,
+    judge_hanging,
     judge_motion,
     speaks_of_angles,
 )
@@ -316,3 +317,31 @@ def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str
     found = judge_quadruped(name, -1, phase=True).findings
     assert [one.leg for one in found] == ["fl", "fr", "rl", "rr"]
     assert {one.directions for one in found} == {(-1, -1)}
+
+
+@functools.cache
+def hung(leg: str, seed: int) -> LegMotion:
+    """A leg that swings in free air, and is held for half a second after each swing."""
+    motion = PoseSettings(legs=(leg,), workspace="whole", hold_ticks=25)
+    run = record_arrays(SimulationSettings(motion=motion, seed=seed, robot_seed=seed), SECONDS)
+    one = run.legs[leg]
+    assert not one.contact[50:].any()
+    return LegMotion(run.t_ns, one.measured, one.desired, None, np.arange(len(run.t_ns)))
+
+
+@pytest.mark.parametrize(("leg", "seed"), [("rf", 1), ("lm", 2)])
+def test_gravity_shows_pitch_that_is_turned_round_and_no_single_joint(leg: str, seed: int) -> None:
+    def judged(*signs: int) -> Verdict:
+        turned = dataclasses.replace(
+            hung(leg, seed),
+            measured=hung(leg, seed).measured * signs,
+            desired=hung(leg, seed).desired * signs,
+        )
+        return judge_hanging(shipped_robot(), {leg: turned})
+
+    assert judged(1, 1, 1) == Verdict(fits=(leg,))
+    (found,) = judged(1, -1, -1).findings
+    assert (found.leg, found.directions) == (leg, (1, -1, -1))
+    assert "gravity pulls it down" in found.message
+    for single in ((1, -1, 1), (1, 1, -1)):
+        assert judged(*single).findings == ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adaptive_contact.bridge.freeswing import REST_TICKS, free_swings
+from adaptive_contact.bridge.freeswing import (
+    HELD_SWINGS,
+    HELD_TICKS,
+    REST_TICKS,
+    free_swings,
+)
 from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
@@ -255,6 +261,16 @@ def test_free_swings_keep_limits_and_steps_and_are_swings(seed: int) -> None:
     assert 0.5 < share < 0.98
     swings = int(np.sum(np.diff(swing.astype(int)) == 1))
     assert swings > 1500 / (2 * 18 + REST_TICKS) * 0.8
+
+
+def test_free_swings_hold_still_now_and_then_for_gravity_to_show() -> None:
+    goals = free_swings(
+        leg(), [0.0, 0.3, 0.5], np.random.default_rng(3), amplitude_rad=0.4, max_step_rad=0.15
+    )
+    rows = np.array([next(goals) for _ in range(1500)])
+    still = (np.diff(rows, axis=0) == 0).all(axis=1)
+    runs = [len(list(ticks)) for same, ticks in itertools.groupby(still) if same]
+    assert sum(run >= HELD_TICKS - 1 for run in runs) >= 1500 // (HELD_SWINGS * 40 + HELD_TICKS)
 
 
 def test_a_leg_that_cannot_swing_says_so() -> None:

@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
+from adaptive_contact.cli._robot_live import _told
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Robot, foot, shipped_robot
 from adaptive_contact.robot.conventions import speaks_of_angles
@@ -164,6 +165,22 @@ def test_feet_of_a_robot_that_stands_show_a_zero_that_is_off() -> None:
     assert off is not None
     assert off.leg == "rm"
     assert off.off_m == pytest.approx(up - level)
+
+
+def test_a_leg_at_rest_says_whether_it_hangs_or_stands() -> None:
+    sagging = [("lf", sample(k, (0.0, 0.58, -1.8), STANDING)) for k in range(60)]
+    leg = shipped_robot().leg("lf")
+    hangs, told = (
+        foot(pose, leg.lengths_m, leg.joint_axes)[2] for pose in ((0.0, 0.58, -1.8), STANDING)
+    )
+    (view,) = report(sagging).legs
+    assert view.above_m == pytest.approx(hangs - told)
+    assert view.above_m < 0
+    lines = _told(report(sagging))
+    assert any(f"{1e3 * (told - hangs):.0f} mm below their commands" in line for line in lines)
+    assert not any("above their commands" in line for line in lines)
+    (moving,) = report(sagging[:5]).legs
+    assert moving.above_m is None  # not known to rest
 
 
 def test_nothing_is_said_of_signs_where_nothing_walks() -> None:
