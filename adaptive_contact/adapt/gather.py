@@ -34,6 +34,7 @@ from adaptive_contact.robot.conventions import (
     ConventionFinding,
     LegMotion,
     Verdict,
+    judge_hanging,
     judge_motion,
 )
 from adaptive_contact.robot.phase import infer_phase
@@ -349,10 +350,17 @@ def _time(change: ContactTruth) -> int:
     return change.t_ns
 
 
-def judge_conventions(robot: Robot, gathered: Mapping[str, LegGatherer]) -> Verdict:
+def judge_conventions(
+    robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
+) -> Verdict:
     """Whether the angles of what was gathered are counted as the robot's description says.
 
     A recording is judged a minute at a time, as legs may move by turns.
+
+    Args:
+        robot: its description.
+        gathered: by leg.
+        hangs: the legs hung free, so that gravity tells of them, too.
 
     Returns:
         Findings of any minute in legs that no minute confirms; the first of each leg.
@@ -373,6 +381,9 @@ def judge_conventions(robot: Robot, gathered: Mapping[str, LegGatherer]) -> Verd
         )
         fits.update(verdict.fits)
         for finding in verdict.findings:
+            found.setdefault(finding.leg, finding)
+    if hangs:
+        for finding in judge_hanging(robot, motions).findings:
             found.setdefault(finding.leg, finding)
     left = tuple(finding for leg, finding in found.items() if leg not in fits)
     return Verdict(left, tuple(leg for leg in motions if leg in fits))

@@ -471,11 +471,8 @@ class ContactLearner:
         found = None if self._track is None else self._track.finding
         if found is None:
             return None
-        advice = found.advice
-        if self.leg.servos is not None:  # the bridge refuses a leg with [leg.angles]
-            advice += f" (where the bridge reads this leg, {found.servo_advice(self.leg)})"
         until = "; no contacts are reported until then" if self._misread else ""
-        return f"{found.message}: {advice}{until}"
+        return found.line(self.leg) + until
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""

@@ -18,12 +18,15 @@ from adaptive_contact.cli._output import say_json
 from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
     from rich.table import Table
 
     from adaptive_contact.service.doctor import Diagnosis
-    from adaptive_contact.service.findings import Level
+    from adaptive_contact.service.findings import Finding, Level
 
-__all__ = ["doctor"]
+__all__ = ["doctor", "print_findings"]
 
 _PIPE_WIDTH: Final = 140
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
@@ -79,15 +82,22 @@ def _print(diagnosis: Diagnosis) -> None:
         console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
     if diagnosis.keys:
         console.print(_traffic(diagnosis))
-    for finding in diagnosis.findings:
+    print_findings(diagnosis.findings, console)
+    if diagnosis.exit_code == 0:
+        console.print(Text("all is well", style="green"))
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """What is wrong, each with its remedy."""
+    from rich.text import Text
+
+    for finding in findings:
         line = Text(f"{finding.level}: ", style=_COLOURS[finding.level])
         legs = printable(" ".join(finding.legs))
         line.append(f"{legs}: " if legs else "", style="bold")
         line.append(printable(finding.what), style="not bold not dim default")
         console.print(line)
         console.print(Text(f"    -> {printable(finding.remedy)}", style="dim"))
-    if diagnosis.exit_code == 0:
-        console.print(Text("all is well", style="green"))
 
 
 def _traffic(diagnosis: Diagnosis) -> Table:

@@ -183,23 +183,21 @@ def check_conventions(
     Args:
         robot: its description.
         gathered: by leg.
-        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``.
+        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``, and whose
+            robot hangs free.
 
     Raises:
-        ConfigurationError: there is such a leg; a wrong yaw alone is said only, as no model and no
-            height depends on it.
+        ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
+            said only.
     """
     from adaptive_contact.adapt.gather import judge_conventions
 
     grave = []
-    for finding in judge_conventions(robot, gathered).findings:
+    for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
         say(f"adaptive-contact: {line}", err=True)
-        axes = dict(
-            zip(robot.leg(finding.leg).joints, robot.leg(finding.leg).joint_axes, strict=True)
-        )
-        if any(axes[name] == "pitch" for name in finding.joints):
+        if finding.grave:
             grave.append(finding.leg)
     if grave:
         raise ConfigurationError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -12,8 +13,12 @@ import typer
 from adaptive_contact.cli._options import (
     Commands,
     ConfigOption,
+    ConnectOption,
+    NamespaceOption,
     RealtimeOption,
+    ZenohConfigOption,
     check_output,
+    client,
     seconds_option,
 )
 from adaptive_contact.cli._output import say
@@ -42,6 +47,9 @@ app = Commands(help="A new robot: who is there, is it right, learn it.", no_args
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
 _PIPE_WIDTH: Final = 110
+# How long to look at a bus, and at a source that walks.
+_BUS_S: Final = 1.0
+_LIVE_S: Final = 20.0
 # The live table looks back so far.
 _LIVE_TICKS: Final = 500
 
@@ -181,6 +189,12 @@ def _lengths(text: str, joints: int) -> tuple[float, ...]:
 def check(
     config: ConfigOption = None,
     device: DeviceOption = None,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live", help="Judge the samples of any source on the wire; no bus is opened."
+        ),
+    ] = False,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -191,15 +205,60 @@ def check(
         ),
     ] = None,
     seconds: Annotated[
-        float, seconds_option("--seconds", least=0.2, most=600.0, help="How long to look.")
-    ] = 1.0,
+        float | None,
+        seconds_option(
+            "--seconds",
+            least=0.2,
+            most=600.0,
+            help="How long to look: 1 unless given, 20 with --live.",
+            show_default=False,
+        ),
+    ] = None,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: Annotated[bool, typer.Option("--json", help="With --live: print JSON.")] = False,
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
 
     Move joints by hand meanwhile (--seconds gives time for it, Ctrl-C ends it): the angle of a
-    pitch joint grows as the leg is raised, that of a yaw joint as it is turned to the left.
+    pitch joint grows as the leg is raised, that of a yaw joint as it is turned to the left.  With
+    --live, each move is said with its joint and its way, and a robot that walks is judged by its
+    motion; exit code 1 where something is wrong, 2 without a router.
     """
     stop = stoppable()
+    if picture is not None:
+        check_output(picture, "--picture")
+    if live:
+        if device:
+            raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
+        from adaptive_contact.cli._robot_live import check_live
+
+        raise typer.Exit(
+            check_live(
+                robot_of(config),
+                client(connect, namespace, zenoh_config, wait=False),
+                _LIVE_S if seconds is None else seconds,
+                stop=stop,
+                picture=picture,
+                json=json,
+            )
+        )
+    if json or connect or namespace or zenoh_config:
+        raise ConfigurationError(
+            "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
+            "is asked"
+        )
+    _check_bus(config, device, picture, _BUS_S if seconds is None else seconds, stop)
+
+
+def _check_bus(
+    config: Path | None,
+    device: list[str] | None,
+    picture: Path | None,
+    seconds: float,
+    stop: threading.Event,
+) -> None:
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
 
@@ -207,17 +266,15 @@ def check(
 
     from adaptive_contact.cli._console import table_console
 
-    if picture is not None:
-        check_output(picture, "--picture")
     robot, plans = _planned(config, device)
     _shake_hands(plans)
     console = table_console(pipe_width=_PIPE_WIDTH)
-    with Live(console=console, refresh_per_second=10, transient=True) as live:
+    with Live(console=console, refresh_per_second=10, transient=True) as table:
 
         def look(so_far: dict[str, list[ServoSample]]) -> None:
             if console.is_terminal:
                 recent = {leg: rows[-_LIVE_TICKS:] for leg, rows in so_far.items()}
-                live.update(_joints(plans, recent))
+                table.update(_joints(plans, recent))
 
         samples = collect(plans, seconds, stop=stop, say=_say, look=look)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
@@ -227,15 +284,9 @@ def check(
         )
     console.print(_joints(plans, samples))
     if picture is not None:
-        from adaptive_contact.cli._robot_picture import draw
+        from adaptive_contact.cli._robot_picture import write_picture
 
-        if all(leg.lengths_m is None for leg in robot.legs):
-            raise ConfigurationError(
-                "no leg has lengths_m, so there is nothing to draw; measure one"
-            )
-        last = {leg: rows[-1].measured for leg, rows in samples.items()}
-        write_file(picture, draw(robot, last), advice="give another --picture")
-        say(f"drew {picture}")
+        write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
     blank = [leg.id for leg in robot.legs if leg.lengths_m is None]
     if blank:
         say(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)

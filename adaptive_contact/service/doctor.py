@@ -16,6 +16,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.robot.conventions import speaks_of_angles
 from adaptive_contact.service.findings import (
     EXPLAINS,
     REFUSED_FOR,
@@ -387,7 +388,6 @@ _NOTED: Final = {
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,
 }
-_WRONG_SIGNS: Final = "grow the wrong way"
 _NOTES: Final = "docs/operating.md says what each note asks for"
 
 
@@ -396,7 +396,7 @@ def _about_learner(
 ) -> Iterator[Fault]:
     """What a leg's own status says, but for what is known of its stream already."""
     note = status.note or ""
-    if _WRONG_SIGNS in note:
+    if speaks_of_angles(note):
         causes = causes | {Cause.SIGNS}
     known = {str(reason) for cause in causes for reason in REFUSED_FOR.get(cause, ())}
     refused = {
@@ -413,8 +413,8 @@ def _about_learner(
             listed,
             sum(refused.values()),
         )
-    if _WRONG_SIGNS in note:
-        # A wrong yaw changes no height, and the leg works on.
+    if speaks_of_angles(note):
+        # A wrong yaw or a small zero changes no height, and the leg works on.
         level: Level = "error" if status.status == "ambiguous" else "warning"
         what = "angles are not counted as robot.toml says"
         remedy = "write what is said here into robot.toml, and start the service again"

@@ -64,6 +64,7 @@ class Cause(enum.StrEnum):
     TURN = "turn"
     QUANTUM = "quantum"
     PHASE = "phase"
+    LIMITS = "limits"
     # What the leg's learner says.
     SIGNS = "signs"
     NOT_THIS_ROBOT = "not_this_robot"
@@ -79,7 +80,7 @@ _VAGUE: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Caus
 _LEARNER: Final = _VAGUE | {Cause.SIGNS}
 _VALUES: Final = frozenset(
     {Cause.ECHO, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR, Cause.GLITCHES, Cause.TURN}
-    | {Cause.QUANTUM}
+    | {Cause.QUANTUM, Cause.LIMITS}
 )
 _TIMES: Final = frozenset(
     {Cause.TIME_BACKWARDS, Cause.TIME_UNIT, Cause.SEQ, Cause.LOSS, Cause.PERIOD, Cause.JITTER}
@@ -110,13 +111,13 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.UNITS: _VALUES | _LEARNER,
     Cause.ECHO: _VALUES | _LEARNER,
     Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
-    Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES},
+    Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES, Cause.LIMITS},
     Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},
     Cause.BACKWARDS: _LEARNER | {Cause.FAR},
     Cause.FAR: _LEARNER,
     Cause.QUANTUM: _LEARNER,
     Cause.PHASE: _LEARNER,
-    Cause.SIGNS: _VAGUE,
+    Cause.SIGNS: _VAGUE | {Cause.LIMITS},
     Cause.NOT_THIS_ROBOT: _VAGUE,
 }
 
