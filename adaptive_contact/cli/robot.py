@@ -299,6 +299,7 @@ def learn_(
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import (
         check_conventions,
+        check_streams,
         gather,
         print_training,
         refuse_useless,
@@ -335,6 +336,7 @@ def learn_(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
+    check_streams(robot, samples, {})
     check_conventions(robot, gathered, bridge=True)
     try:
         training = learning.fit_samples(

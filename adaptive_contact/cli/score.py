@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption
+from adaptive_contact.cli._options import ConfigOption, JsonOption, recorded_robot
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
@@ -46,7 +46,6 @@ def score(
     ] = None,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""
-    from adaptive_contact.robot import load_robot, shipped_robot
     from adaptive_contact.score import score_messages
     from adaptive_contact.score.tables import as_json, as_table
     from adaptive_contact.service.recording import read_recording
@@ -54,7 +53,7 @@ def score(
     end_s = math.inf if to_s is None else to_s
     if not from_s < end_s:
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
-    robot = shipped_robot() if config is None else load_robot(config)
+    robot = recorded_robot(config, [recording])
     given = None if events is None else _read_events(events)
     source = read_recording(recording)
     try:

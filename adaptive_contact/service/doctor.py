@@ -26,7 +26,7 @@ from adaptive_contact.service.findings import (
     Level,
     entries,
 )
-from adaptive_contact.service.legcheck import check_ids, check_leg
+from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
@@ -217,6 +217,7 @@ def _faults(
     if known:
         for fault in check_ids(sorted(published), known):
             yield None, fault
+    twins = dict(check_twins(heard.samples))
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
         of_leg = check_leg(
@@ -227,6 +228,8 @@ def _faults(
             period_s=None if service is None else service.period_s,
             facts=described.get(leg),
         )
+        if leg in twins:
+            of_leg.append(twins[leg])
         causes = {fault.cause for fault in of_leg if fault.level != "note"}
         causes |= {fault.cause for of, fault in strays if of == leg}
         if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):

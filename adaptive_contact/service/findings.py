@@ -12,7 +12,17 @@ from typing import Final, Literal, NamedTuple
 
 from adaptive_contact.wire import Reject
 
-__all__ = ["EXPLAINS", "REFUSED_FOR", "Cause", "Fault", "Finding", "Level", "entries", "of_legs"]
+__all__ = [
+    "EXPLAINS",
+    "REFUSED_FOR",
+    "SPOILS",
+    "Cause",
+    "Fault",
+    "Finding",
+    "Level",
+    "entries",
+    "of_legs",
+]
 
 Level = Literal["error", "warning", "note"]
 _RANKS: Final[dict[Level, int]] = {"error": 0, "warning": 1, "note": 2}
@@ -56,6 +66,7 @@ class Cause(enum.StrEnum):
     NOT_FINITE = "not_finite"
     UNITS = "units"
     ECHO = "echo"
+    TWINS = "twins"
     FROZEN = "frozen"
     ORDER = "order"
     BACKWARDS = "backwards"
@@ -109,6 +120,7 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.NOT_FINITE: _LEARNER,
     Cause.UNITS: _VALUES | _LEARNER,
     Cause.ECHO: _VALUES | _LEARNER,
+    Cause.TWINS: _LEARNER,
     Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
     Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES},
     Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},
@@ -146,6 +158,13 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.FAR: frozenset({Reject.IMPLAUSIBLE}),
     Cause.SIGNS: frozenset({Reject.IMPLAUSIBLE}),
 }
+
+# Errors of which every tick has its share: a model that is learned from such a recording is none of
+# the leg.  Of all other causes it is known which ticks they spoil, and those are left out.
+SPOILS: Final = frozenset(
+    {Cause.UNITS, Cause.ECHO, Cause.TWINS, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR}
+    | {Cause.QUANTUM}
+)
 
 
 class Fault(NamedTuple):

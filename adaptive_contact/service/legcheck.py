@@ -7,18 +7,19 @@ says what was seen, what was expected, and what to do.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
 
-from adaptive_contact.service.findings import Cause, Fault, of_legs
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
 from adaptive_contact.service.readings import check_readings
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample
 
-__all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg"]
+__all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg", "check_recording", "check_twins"]
 
 # A rate further off than this is not jitter: 50 Hz that is really 45 shifts every velocity.
 _RATE_TOLERANCE: Final = 0.05
@@ -37,6 +38,10 @@ _MANY_CYCLES: Final = 4
 _INVALID_SHARE: Final = 0.05
 _LOSS_SHARE: Final = 0.002
 _FEWEST: Final = 10
+# Readings that two legs have in common among those of ticks in which a joint moves this far, rad.
+# Of legs that walk alike, on servos of 0.3 degrees, less than one in a hundred is.
+_MOVES_RAD: Final = 0.01
+_TWIN_SHARE: Final = 0.8
 # A source that is restarted by hand starts once or twice in the seconds looked at; `run` lasts for
 # seconds.
 _MANY_STARTS: Final = 4
@@ -93,6 +98,77 @@ def check_leg(
         names = facts.joints if facts is not None and len(facts.joints) == joints else None
         found += check_readings(usable, names or [f"joint {i + 1}" for i in range(joints)], quantum)
     return found
+
+
+def check_recording(
+    robot: Robot,
+    samples: Mapping[str, Sequence[ServoSample]],
+    refused: Mapping[str, Sequence[Rejected]],
+) -> list[Finding]:
+    """Judge the streams of a recording as ``doctor`` judges live ones.
+
+    Args:
+        robot: that they are taken for.
+        samples: by leg, in the recording's order; a leg without any is not judged.
+        refused: why payloads of a leg could not be read.
+
+    Returns:
+        One finding a cause, the worst first.
+    """
+    faults = [
+        (leg, fault)
+        for leg in robot.leg_ids
+        if samples.get(leg) or refused.get(leg)
+        for fault in check_leg(
+            leg,
+            samples.get(leg, ()),
+            refused.get(leg, ()),
+            seconds=0.0,
+            period_s=robot.period_s,
+            facts=LegFacts.of(robot, leg),
+        )
+    ]
+    return entries([*faults, *check_twins(samples)])
+
+
+def check_twins(
+    samples: Mapping[str, Sequence[ServoSample]],
+) -> Iterator[tuple[str, Fault]]:
+    """Find legs that send another leg's readings, to the last bit.
+
+    Yields:
+        A fault of each such leg, with its id.
+    """
+    moving: dict[str, dict[tuple[float, ...], int]] = {}
+    for leg, rows in samples.items():
+        # What a leg reads while it moves: (J,) angles, and how often.
+        counts = moving.setdefault(leg, {})
+        for before, row in pairwise(rows):
+            if len(row.measured) == len(before.measured) and any(
+                abs(new - old) > _MOVES_RAD
+                for new, old in zip(row.measured, before.measured, strict=True)
+            ):
+                angles = tuple(row.measured)
+                counts[angles] = counts.get(angles, 0) + 1
+    found: dict[str, list[str]] = {}
+    for leg, other in combinations(moving, 2):
+        mine, theirs = moving[leg], moving[other]
+        shared = sum(min(times, theirs.get(angles, 0)) for angles, times in mine.items())
+        if shared >= max(_FEWEST, _TWIN_SHARE * min(sum(mine.values()), sum(theirs.values()))):
+            found.setdefault(leg, []).append(other)
+            found.setdefault(other, []).append(leg)
+    for leg, others in found.items():
+        yield (
+            leg,
+            Fault(
+                "error",
+                Cause.TWINS,
+                "legs send the same readings to the last bit while they move",
+                "publish each leg's own readings on its own key; look for a loop in which all "
+                "publishers share one variable",
+                key=" ".join(sorted([leg, *others])),
+            ),
+        )
 
 
 def check_ids(published: Sequence[str], described: Sequence[str]) -> Iterator[Fault]:

@@ -25,14 +25,7 @@ STATUS_TICKS = 50
 
 
 def status_of(robot: Robot, baseline: Baseline | None) -> ServiceStatus:
-    facts = {
-        leg.id: LegFacts(
-            joints=list(leg.joints),
-            lengths=leg.lengths_m is not None,
-            quantum_rad=robot.quantum(leg.id),
-        )
-        for leg in robot.legs
-    }
+    facts = {leg: LegFacts.of(robot, leg) for leg in robot.leg_ids}
     return ServiceStatus(
         version="1",
         robot=robot.name,

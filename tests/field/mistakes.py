@@ -211,6 +211,18 @@ def frozen(joint: int) -> Mistake:
     return made
 
 
+def one_for_all(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """A loop over legs whose publishers share one variable: all send one leg's angles."""
+    shared: dict[str, Any] = {}
+    for sent in messages:
+        if not sent.is_sample:
+            yield sent
+            continue
+        if not shared or sent.leg == shared["leg"]:
+            shared = {"leg": sent.leg, **{k: sent.body[k] for k in ("measured", "desired")}}
+        yield sent.but(measured=shared["measured"], desired=shared["desired"])
+
+
 degrees = angles(lambda row: [math.degrees(x) for x in row])
 registers = angles(lambda row: [round(512 + x / AX12_STEP) for x in row])
 pitch_down = angles(lambda row: [row[0], *(-x for x in row[1:])])
