@@ -149,6 +149,12 @@ class LegGatherer:
         rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
         return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
 
+    def last_run(self) -> list[ServoSample]:
+        """Samples of the last start of the source, in order."""
+        return (
+            [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
+        )
+
     def _truths(self) -> list[_Truth]:
         """Every run's truth."""
         truths = [_Truth([], []) for _ in self._runs]

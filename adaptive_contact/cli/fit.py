@@ -256,7 +256,12 @@ def check_conventions(
             height depends on it.
     """
     from adaptive_contact.adapt.gather import judge_conventions
+    from adaptive_contact.adapt.legids import judge_recorded_ids
 
+    for leg, line in judge_recorded_ids(
+        robot, {leg: one.last_run() for leg, one in gathered.items()}
+    ).items():
+        typer.echo(f"adaptive-contact: leg '{leg}': {line}", err=True)
     grave = []
     for finding in judge_conventions(robot, gathered).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice

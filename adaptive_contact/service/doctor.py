@@ -17,6 +17,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.adapt.legids import SWAPPED
 from adaptive_contact.service.findings import (
     EXPLAINS,
     REFUSED_FOR,
@@ -415,7 +416,11 @@ def _about_learner(
             listed,
             sum(refused.values()),
         )
-    if _WRONG_SIGNS in note:
+    if SWAPPED in note:
+        what = "samples come under another leg's id"
+        remedy = "give each leg the same id in the source and in robot.toml"
+        yield Fault("error", Cause.LEG_SWAP, what, remedy, note)
+    elif _WRONG_SIGNS in note:
         # A wrong yaw changes no height, and the leg works on.
         level: Level = "error" if status.status == "ambiguous" else "warning"
         what = "angles are not counted as robot.toml says"

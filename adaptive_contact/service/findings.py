@@ -77,6 +77,7 @@ class Cause(enum.StrEnum):
     PHASE = "phase"
     # What the leg's learner says.
     SIGNS = "signs"
+    LEG_SWAP = "leg_swap"
     NOT_THIS_ROBOT = "not_this_robot"
     REFUSED = "refused"
     LEARNING = "learning"
@@ -129,6 +130,7 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.QUANTUM: _LEARNER,
     Cause.PHASE: _LEARNER,
     Cause.SIGNS: _VAGUE,
+    Cause.LEG_SWAP: _VAGUE,
     Cause.NOT_THIS_ROBOT: _VAGUE,
 }
 

@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 
 from adaptive_contact.adapt.baseline import shipped_baseline
+from adaptive_contact.adapt.legids import judge_recorded_ids
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.findings import Cause
-from adaptive_contact.wire import servo_key
+from adaptive_contact.wire import ServoSample, servo_key
 from adaptive_contact_sim.virtual.quadruped_trials import Scenario, record
 
 from . import mistakes as m
 from .listening import causes, listen
 
 QUADRUPED = "quadruped"
+BASELINE = shipped_baseline(shipped_robot().name)
 # Seconds that a source is followed: with a baseline, and until first models are learned.
 SHORT_S, WHOLE_S = 8.0, 40.0
 
@@ -123,6 +125,61 @@ def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, gi
     assert finding.legs == ["lf", "lm", "lr", "rf", "rm", "rr"]
     assert "directions = [1, -1, -1]" in finding.what
     assert diagnosis.exit_code == 1
+
+
+SWAPS: dict[str, dict[str, str]] = {
+    "mirrored": {"lf": "rf", "rf": "lf"},
+    "neighbours": {"lf": "lm", "lm": "lf"},
+    "a circle": {"lf": "lm", "lm": "lr", "lr": "lf"},
+    "half a turn": {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"},
+}
+
+
+@pytest.mark.parametrize("swap", SWAPS.values(), ids=SWAPS.keys())
+def test_legs_under_each_others_ids_are_named(walk: list[m.Sent], swap: dict[str, str]) -> None:
+    robot = shipped_robot()
+    diagnosis = listen(list(m.renamed(swap)(walk, np.random.default_rng(1))), robot, BASELINE)
+    assert causes(diagnosis) == [Cause.LEG_SWAP], diagnosis.findings
+    assert diagnosis.exit_code == 1
+    (finding,) = diagnosis.findings
+    assert sorted(finding.legs) == sorted(swap)
+
+
+def of_legs(messages: list[m.Sent]) -> dict[str, list[ServoSample]]:
+    samples: dict[str, list[ServoSample]] = {}
+    for sent in messages:
+        if sent.is_sample:
+            samples.setdefault(sent.leg, []).append(msgspec.convert(sent.body, ServoSample))
+    return samples
+
+
+def test_without_models_feet_that_stand_tell_ids(walk: list[m.Sent]) -> None:
+    robot, samples = shipped_robot(), of_legs(last(walk, 20.0))
+    assert judge_recorded_ids(robot, samples) == {}
+    for name, swap in SWAPS.items():
+        swapped = {swap.get(leg, leg): rows for leg, rows in samples.items()}
+        lines = judge_recorded_ids(robot, swapped)
+        # Turned by half a turn, this body looks the same.
+        assert sorted(lines) == ([] if name == "half a turn" else sorted(swap)), name
+        for leg, line in lines.items():
+            owner = next(old for old, new in swap.items() if new == leg)
+            assert f"the samples are those of leg '{owner}'" in line
+
+
+def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
+    flip, rng = m.angles(lambda row: [-row[0], *row[1:]]), np.random.default_rng(1)
+    front = ("lf", "rf")
+    return [
+        one for sent in messages for one in (flip([sent], rng) if sent.leg in front else [sent])
+    ]
+
+
+def test_a_yaw_of_the_wrong_sign_is_no_swap_where_models_tell(walk: list[m.Sent]) -> None:
+    diagnosis = listen(yaw_turned(walk), shipped_robot(), BASELINE)
+    assert causes(diagnosis) == [Cause.SIGNS], diagnosis.findings
+    lines = judge_recorded_ids(shipped_robot(), of_legs(yaw_turned(last(walk, 20.0))))
+    assert sorted(lines) == ["lf", "rf"]
+    assert all("as likely, the yaw angles grow the wrong way" in line for line in lines.values())
 
 
 def test_a_joint_too_few(walk: list[m.Sent]) -> None:
