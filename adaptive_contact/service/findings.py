@@ -74,6 +74,7 @@ class Cause(enum.StrEnum):
     GLITCHES = "glitches"
     TURN = "turn"
     QUANTUM = "quantum"
+    UNDECLARED = "undeclared"
     PHASE = "phase"
     # What the leg's learner says.
     SIGNS = "signs"
@@ -119,7 +120,7 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.SEQ: _LEARNER | {Cause.PERIOD, Cause.JITTER, Cause.TIME_UNIT},
     Cause.PERIOD: _LEARNER | {Cause.JITTER},
     Cause.NOT_FINITE: _LEARNER,
-    Cause.UNITS: _VALUES | _LEARNER,
+    Cause.UNITS: _VALUES | _LEARNER | {Cause.UNDECLARED},
     Cause.ECHO: _VALUES | _LEARNER,
     Cause.TWINS: _LEARNER,
     Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},

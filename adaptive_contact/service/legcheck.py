@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
-from adaptive_contact.service.readings import check_readings
+from adaptive_contact.service.readings import check_readings, position_step
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample
 
@@ -23,6 +23,8 @@ __all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg", "check_recording", "che
 
 # A rate further off than this is not jitter: 50 Hz that is really 45 shifts every velocity.
 _RATE_TOLERANCE: Final = 0.05
+# No leg is controlled faster, s: 5 kHz.
+_SHORTEST_S: Final = 2e-4
 # Stamps this far off their schedule, in periods, one standard deviation.  At 0.25 (5 ms at 50 Hz)
 # 292 of 370 touches were found, with 94 false alarms (issue 27); the warning comes well before.
 _JITTER_PERIODS: Final = 0.1
@@ -96,6 +98,9 @@ def check_leg(
         quantum = None
     if len(usable) >= _FEWEST:
         names = facts.joints if facts is not None and len(facts.joints) == joints else None
+        named = {fault.cause for fault in found}
+        if facts is None and not named & {Cause.TIME_UNIT, Cause.SEQ, Cause.TIME_BACKWARDS}:
+            found += _undeclared(samples, usable)
         found += check_readings(usable, names or [f"joint {i + 1}" for i in range(joints)], quantum)
     return found
 
@@ -361,16 +366,57 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
             f"{lost} ({lost / (lost + len(samples)):.1%})",
             lost,
         )
-    ahead = [(a, b) for a, b in pairs if b.seq > a.seq and b.t_ns > a.t_ns]
-    if len(ahead) >= _FEWEST and period_s is not None:
-        ticks = sum(b.seq - a.seq for a, b in ahead)
-        mean_s = sum(b.t_ns - a.t_ns for a, b in ahead) / ticks / 1e9
-        middle_s = float(np.median([(b.t_ns - a.t_ns) / (b.seq - a.seq) for a, b in ahead])) / 1e9
+    steps = _steps_s(pairs)
+    if steps is None:
+        return
+    mean_s, middle_s = steps
+    if period_s is None and middle_s < _SHORTEST_S:
+        yield Fault(
+            "error",
+            Cause.TIME_UNIT,
+            f"t_ns grows by {middle_s * 1e9:.3g} per tick; it seems not to be in nanoseconds",
+            "publish t_ns in nanoseconds, as an integer",
+        )
+    elif period_s is not None and (
         # A pause bends the mean, jitter the median: the rate is wrong where both are.
-        if min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE:
-            yield _rate(middle_s, period_s)
-        elif not backwards:
-            yield from _jitter(samples, period_s)
+        min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE
+    ):
+        yield _rate(middle_s, period_s)
+    elif not backwards:
+        yield from _jitter(samples, mean_s if period_s is None else period_s)
+
+
+def _steps_s(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> tuple[float, float] | None:
+    """Mean and median time from tick to tick, s; None of too few."""
+    ahead = [(a, b) for a, b in pairs if b.seq > a.seq and b.t_ns > a.t_ns]
+    if len(ahead) < _FEWEST:
+        return None
+    ticks = sum(b.seq - a.seq for a, b in ahead)
+    mean_s = sum(b.t_ns - a.t_ns for a, b in ahead) / ticks / 1e9
+    middle_s = float(np.median([(b.t_ns - a.t_ns) / (b.seq - a.seq) for a, b in ahead])) / 1e9
+    return mean_s, middle_s
+
+
+def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -> Iterator[Fault]:
+    """What the samples themselves say of rate and steps, for a robot.toml yet to be written."""
+    steps_s = _steps_s([(a, b) for a, b in pairwise(samples) if a.run == b.run])
+    measured = np.array([s.measured for s in usable], dtype=np.float64)
+    if steps_s is None or not np.isfinite(measured).all():
+        return
+    found = [position_step(column) for column in measured.T]
+    grids = sorted(step for step in found if step is not None)
+    words = f"samples come every {steps_s[1] * 1e3:.1f} ms ({1 / steps_s[1]:.1f} Hz)"
+    if grids and grids[-1] > MOST_QUANTUM_RAD:
+        yield _coarse(grids[-1], "readings step by")
+    elif grids:
+        words += f", readings step by {grids[len(grids) // 2]:.3g} rad"
+    yield Fault(
+        "note",
+        Cause.UNDECLARED,
+        "there is no robot.toml to compare with",
+        "give period_s and quantum_rad so in robot.toml",
+        words,
+    )
 
 
 def _off(step_s: float, period_s: float) -> float:
@@ -431,11 +477,11 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
         )
 
 
-def _coarse(quantum_rad: float) -> Fault:
+def _coarse(quantum_rad: float, who: str = "robot.toml says quantum_rad =") -> Fault:
     return Fault(
         "error",
         Cause.QUANTUM,
-        f"robot.toml says quantum_rad = {quantum_rad:g}, more than {MOST_QUANTUM_RAD:g} rad",
+        f"{who} {quantum_rad:.4g}, more than {MOST_QUANTUM_RAD:g} rad",
         "give the servos' position step in rad: 0.005118 for AX-12A, 0.001534 for 4096 steps a "
         "turn; several hundredths are one in degrees",
         key="coarse",

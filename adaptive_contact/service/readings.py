@@ -27,6 +27,10 @@ _FEWEST: Final = 10
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
 _FROZEN_SAMPLES: Final = 25
+# A command that goes this far, rad, and a reading that follows by less than this share of it: the
+# joint stands, and only its encoder's last step flickers.
+_WIDE_RAD: Final = 0.3
+_STILL_SHARE: Final = 0.05
 # Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
 # seconds is a wrong zero, a wrong direction or a stalled joint.
 _FAR_RAD: Final = 0.4
@@ -204,13 +208,17 @@ def _joint(
     measured: Array, desired: Array, name: str, quantum_rad: float | None
 ) -> Iterator[Fault]:
     told = float(np.ptp(desired))
-    if told > _COMMANDED_RAD and np.ptp(measured) == 0.0 and len(measured) >= _FROZEN_SAMPLES:
+    moved = float(np.ptp(measured))
+    still = moved == 0.0 if told < _WIDE_RAD else moved < _STILL_SHARE * told
+    if told > _COMMANDED_RAD and still and len(measured) >= _FROZEN_SAMPLES:
+        within = "" if moved == 0.0 else f" within {moved:.3f} rad"
         yield Fault(
             "error",
             Cause.FROZEN,
             "a reading never changes while its command moves",
             "the servo does not answer or has no torque; check cable, power and id",
-            f"{name} reads {measured[0]:.3f} rad all the time, its command moves by {told:.2f} rad",
+            f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
+            f"by {told:.2f} rad",
             told,
         )
         return

@@ -90,6 +90,14 @@ def listen(
     return diagnose(heard, seconds, alive=True)
 
 
+def alone(messages: Messages) -> Diagnosis:
+    """What `doctor` finds in these messages where no service runs."""
+    heard = Examination()
+    for sent in messages:
+        heard.take(Received(sent.key, msgpack.packb(sent.body), MSGPACK, 0, None))
+    return diagnose(heard, 3.0, alive=False)
+
+
 def causes(diagnosis: Diagnosis, *, notes: bool = False) -> list[str]:
     """Of all findings that are more than a note."""
     return [f.cause for f in diagnosis.findings if notes or f.level != "note"]

@@ -223,6 +223,50 @@ def one_for_all(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
         yield sent.but(measured=shared["measured"], desired=shared["desired"])
 
 
+def late_goals(ticks: int) -> Mistake:
+    """Goals are published so many ticks after they were written."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        written: dict[str, list[Angles]] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            goals = written.setdefault(sent.key, [])
+            goals.append(sent.body["desired"])
+            yield sent.but(desired=goals[max(len(goals) - 1 - ticks, 0)])
+
+    return made
+
+
+def caught(leg: str, from_s: float, most_rad: float) -> Mistake:
+    """A cable holds a foot from some time on: the second joint gets no further than this."""
+
+    def changed(sent: Sent, _: np.random.Generator) -> Sent:
+        if sent.leg != leg or sent.at_ns < from_s * 1e9:
+            return sent
+        first, second, *rest = sent.body["measured"]
+        return sent.but(measured=[first, min(second, most_rad), *rest])
+
+    return each_sample(changed)
+
+
+def without_torque(joint: int, step_rad: float = AX12_STEP) -> Mistake:
+    """A servo that answers but has no torque: only the last step of its encoder flickers."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        first: dict[str, float] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            row = list(sent.body["measured"])
+            row[joint] = first.setdefault(sent.key, row[joint]) + step_rad * int(rng.integers(2))
+            yield sent.but(measured=row)
+
+    return made
+
+
 degrees = angles(lambda row: [math.degrees(x) for x in row])
 registers = angles(lambda row: [round(512 + x / AX12_STEP) for x in row])
 pitch_down = angles(lambda row: [row[0], *(-x for x in row[1:])])
