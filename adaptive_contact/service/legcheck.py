@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from adaptive_contact.adapt.stream import NOTED_JITTER
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
 from adaptive_contact.service.readings import check_readings, position_step
@@ -25,9 +26,10 @@ __all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg", "check_recording", "che
 _RATE_TOLERANCE: Final = 0.05
 # No leg is controlled faster, s: 5 kHz.
 _SHORTEST_S: Final = 2e-4
-# Stamps this far off their schedule, in periods, one standard deviation.  At 0.25 (5 ms at 50 Hz)
-# 292 of 370 touches were found, with 94 false alarms (issue 27); the warning comes well before.
-_JITTER_PERIODS: Final = 0.1
+# Stamps off their schedule by NOTED_JITTER periods and more, one standard deviation, are named, as
+# the learner does.  A loop on a timer is off by 0.01 to 0.05 at 50, 100 and 200 Hz (two cores, ten
+# processes waiting to run); one that sleeps for a period by 0.04 to 0.07 at 50 Hz, 0.1 to 0.3 at
+# 100; the loop times of a Raspberry Pi 5 (issue 27) by 0.36.
 # Beyond so many robust deviations a stamp is a pause, not jitter.
 _PAUSE_SIGMA: Final = 5.0
 _MAD_DEVIATION: Final = 1.4826
@@ -464,7 +466,7 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
     if robust <= 0.0:
         return
     deviation = float(off[np.abs(off) <= _PAUSE_SIGMA * robust].std())
-    if deviation > _JITTER_PERIODS * period_s:
+    if deviation > NOTED_JITTER * period_s:
         yield Fault(
             "warning",
             Cause.JITTER,

@@ -105,7 +105,13 @@ def _stamped(late_periods: Callable[[Sent, np.random.Generator], float]) -> Mist
 # A loop that takes turns: three short cycles and a long one.
 _TURNS: Final = (0.0, -0.45, 0.25, 0.5, -0.3)
 
-white_jitter = _stamped(lambda sent, rng: float(rng.normal(0.0, 0.25)))
+
+def jitter(periods: float) -> Mistake:
+    """Stamps off by so many periods, one standard deviation."""
+    return _stamped(lambda sent, rng: float(rng.normal(0.0, periods)))
+
+
+white_jitter = jitter(0.25)
 turns_jitter = _stamped(lambda sent, rng: _TURNS[sent.body["seq"] % len(_TURNS)])
 float_seconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] / 1e9))
 milliseconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] // 1_000_000))

@@ -198,6 +198,16 @@ def test_two_joints_have_no_findings(walk: list[m.Sent]) -> None:
     assert diagnosis.exit_code == 0, diagnosis.findings
 
 
+@pytest.mark.parametrize(("periods", "named"), [(0.05, False), (0.12, False), (0.2, True)])
+def test_jitter_of_a_loop_on_a_timer_is_none(
+    walk: list[m.Sent], periods: float, named: bool
+) -> None:
+    robot = shipped_robot()
+    made = of_legs(list(m.jitter(periods)(last(walk, SHORT_S), np.random.default_rng(1))))
+    found = [finding.cause for finding in check_recording(robot, made, {})]
+    assert found == ([Cause.JITTER] if named else [])
+
+
 def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -> None:
     diagnosis = alone(last(walk, 4.0))
     assert causes(diagnosis, notes=True) == [Cause.NO_SERVICE, Cause.UNDECLARED]
