@@ -118,7 +118,7 @@ def fit(
     typer.echo(f"baseline written to {out}", err=True)
 
 
-def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
+def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict[str, LegGatherer]:
     """Every leg's samples and truth of several recordings, one after the other.
 
     What is wrong with a recording's streams is said, as ``doctor`` says it of live ones.
@@ -159,7 +159,7 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
         if recording.damage is not None:
             typer.echo(f"adaptive-contact: {path}: {recording.damage}", err=True)
         of = f"{path}: " if len(recordings) > 1 else ""
-        for finding in check_streams(robot, samples, refused, of=of):
+        for finding in check_streams(robot, samples, refused, of=of, refuse=refuse):
             for name in finding.legs:
                 causes.setdefault(name, set()).add(finding.cause)
     if strangers:
@@ -207,6 +207,7 @@ def check_streams(
     refused: Mapping[str, Sequence[Rejected]],
     *,
     of: str = "",
+    refuse: bool = True,
 ) -> list[Finding]:
     """Say what is wrong with recorded streams, one line a cause.
 
@@ -215,6 +216,7 @@ def check_streams(
         samples: by leg.
         refused: payloads that could not be read.
         of: what comes before each line.
+        refuse: end the command where nothing can be learned; else it is only said.
 
     Returns:
         What was said.
@@ -233,7 +235,7 @@ def check_streams(
         typer.echo(printable(f"adaptive-contact: {line}"), err=True)
         if finding.level == "error" and finding.cause in SPOILS:
             spoilt.update(dict.fromkeys(finding.legs))
-    if spoilt:
+    if spoilt and refuse:
         raise ConfigurationError(
             f"{of_legs(spoilt)}: the readings are not those of the robot '{robot.name}' (above); "
             "nothing is learned from them: correct the source or robot.toml, and record again"
