@@ -10,6 +10,7 @@ import msgspec
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.learner import ContactLearner
+from adaptive_contact.adapt.legids import IdWatch
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.team import OnFault, Team, check_sample
 from adaptive_contact.robot import Leg, Robot
@@ -49,6 +50,7 @@ class LearnerBank:
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
         self._conventions = ConventionWatch(robot, self._refitter)
+        self._ids = IdWatch(robot, baseline, self._refitter)
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
         self._team = Team(())
@@ -82,7 +84,12 @@ class LearnerBank:
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
             baseline = None  # one of that name there would be of another leg
         self._learners[leg] = ContactLearner(
-            robot, leg, baseline, refitter=self._refitter, conventions=self._conventions
+            robot,
+            leg,
+            baseline,
+            refitter=self._refitter,
+            conventions=self._conventions,
+            ids=self._ids,
         )
         self._team.finish()
         self._team = Team(tuple(self._learners.values()), on_fault=self._on_fault)
@@ -129,3 +136,4 @@ class LearnerBank:
         """Learn from what was judged; statuses and states are whole after it."""
         self._team.finish()
         self._conventions.look()
+        self._ids.look()

@@ -16,6 +16,7 @@ from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
+from adaptive_contact.adapt.legids import IdWatch
 from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
@@ -57,6 +58,7 @@ class ContactLearner:
         refitter: does the sparse refits; in line where absent.
         conventions: watches whether the robot's angles are counted as described, together with its
             other legs; the leg by itself where absent.
+        ids: watches whether the samples are this leg's, together with the other legs.
 
     Attributes:
         frame: turns the wire's angles into the description's; None where they are the same.
@@ -77,6 +79,7 @@ class ContactLearner:
         mode: LearnerMode = LearnerMode.FULL,
         refitter: Refitter | None = None,
         conventions: ConventionWatch | None = None,
+        ids: IdWatch | None = None,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -99,6 +102,7 @@ class ContactLearner:
         self._alone: Team | None = None
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg)
+        self._ids = None if ids is None else ids.track(self.leg)
         self._misread = False  # the leg's angles are not counted as described
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
@@ -240,6 +244,10 @@ class ContactLearner:
         if broken:
             self._connect(result, sample, missed)
         self._follow_phase(sample)
+        if self._ids is not None:
+            if result.restart:
+                self._ids.restart()
+            self._ids.take(sample)
         if self._track is not None:
             self._follow_convention(sample, restart=result.restart)
         if self._misread:
@@ -481,6 +489,7 @@ class ContactLearner:
             self._tally.fault_note,
             self._guard.note,
             self._rate.note,
+            None if self._ids is None else self._ids.note,
             self._convention_note,
             self._swing.blind_note,
             self._knowledge.note_now,

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from adaptive_contact.cli._output import say
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import why_not_writable
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
+
+if TYPE_CHECKING:
+    from adaptive_contact.robot import Robot
 
 __all__ = [
     "BaselineOption",
@@ -35,6 +39,7 @@ __all__ = [
     "ZenohConfigOption",
     "check_output",
     "client",
+    "recorded_robot",
     "seconds_option",
 ]
 
@@ -243,3 +248,30 @@ def check_output(path: Path, option: str) -> None:
     why = why_not_writable(path)
     if why is not None:
         raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")
+
+
+def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
+    """The robot that recordings are taken for; said where it is the shipped one.
+
+    Raises:
+        ConfigurationError: a recording is of another robot, by its own word.
+    """
+    from adaptive_contact.robot import load_robot, shipped_robot
+    from adaptive_contact.service.recording import read_recording
+
+    if config is not None:
+        return load_robot(config)
+    robot = shipped_robot()
+    for path in recordings:
+        name = read_recording(path).about.get("robot", robot.name)
+        if name != robot.name:
+            raise ConfigurationError(
+                f"{path}: recorded from robot '{name}', and without --config the shipped "
+                f"'{robot.name}' is meant; give the --config of '{name}'"
+            )
+    say(
+        f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
+        f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
+        err=True,
+    )
+    return robot

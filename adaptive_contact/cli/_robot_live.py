@@ -191,7 +191,7 @@ def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
             table.add_row(
                 leg.leg if j == 0 else "",
                 "" if j or leg.rate_hz is None else f"{leg.rate_hz:.1f}",
-                f"{printable(joint.joint)} ({joint.axis})",
+                f"{joint.joint} ({joint.axis})",
                 f"{joint.wire_rad:+.2f}",
                 f"{np.degrees(joint.angle_rad):+.1f}°",
                 f"{low:+.0f}..{high:+.0f}°",
@@ -201,9 +201,7 @@ def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
                 where[j] if j < len(where) else "",
             )
     if moves:
-        table.caption = Text(
-            "\n".join(printable(line) for line in moves), style="not dim not italic"
-        )
+        table.caption = Text("\n".join(moves), style="not dim not italic")
     return table
 
 

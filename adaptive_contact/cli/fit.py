@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output
+from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output, recorded_robot
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.adapt.training import Training
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.findings import Finding
+    from adaptive_contact.wire import Rejected, ServoSample
 
-__all__ = ["check_conventions", "fit", "gather", "print_training", "refuse_useless"]
+__all__ = [
+    "check_conventions",
+    "check_streams",
+    "fit",
+    "gather",
+    "print_training",
+    "refuse_useless",
+]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -70,16 +79,9 @@ def fit(
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.training import learn
     from adaptive_contact.adapt.verdict import verdict
-    from adaptive_contact.robot import load_robot, shipped_robot
 
     check_output(out, "--out")
-    robot = shipped_robot() if config is None else load_robot(config)
-    if config is None:
-        say(
-            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
-            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
-            err=True,
-        )
+    robot = recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
@@ -116,8 +118,14 @@ def fit(
     say(f"baseline written to {out}", err=True)
 
 
-def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
-    """Every leg's samples and truth of several recordings, one after the other."""
+def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict[str, LegGatherer]:
+    """Every leg's samples and truth of several recordings, one after the other.
+
+    What is wrong with a recording's streams is said, as ``doctor`` says it of live ones.
+
+    Raises:
+        ConfigurationError: no tick of a recording shows how a leg moves.
+    """
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.service.findings import of_legs
     from adaptive_contact.service.one_robot import OneRobot
@@ -126,22 +134,25 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
 
     legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
     strangers: set[str] = set()
+    causes: dict[str, set[str]] = {}
     for path in recordings:
         recording = read_recording(path)
-        refused = 0
+        samples: dict[str, list[ServoSample]] = {}
+        refused: dict[str, list[Rejected]] = {}
         robots = OneRobot(recording)
         for record in robots:
             leg_id = leg_of_key(record.key)
             leg = legs.get(leg_id or "")
-            if leg is None:
+            if leg_id is None or leg is None:
                 if leg_id is not None and record.key.endswith("/servo"):
                     strangers.add(leg_id)
                 continue
             if record.key.endswith("/servo"):
                 sample = decode(record.payload, ServoSample, record.encoding)
                 if isinstance(sample, Rejected):
-                    refused += 1
+                    refused.setdefault(leg_id, []).append(sample)
                 else:
+                    samples.setdefault(leg_id, []).append(sample)
                     leg.take_sample(sample)
             elif record.key.endswith("/truth"):
                 truth = decode(record.payload, ContactTruth, record.encoding)
@@ -149,10 +160,12 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
                     leg.take_truth(truth)
         if recording.damage is not None:
             say(f"adaptive-contact: {path}: {recording.damage}", err=True)
-        if refused:
-            say(f"adaptive-contact: {path}: {refused} samples not used", err=True)
-        for line in robots.trouble(robot):
+        for line in robots.trouble(None):
             say(f"adaptive-contact: {path}: {line}", err=True)
+        of = f"{path}: " if len(recordings) > 1 else ""
+        for finding in check_streams(robot, samples, refused, of=of, refuse=refuse):
+            for name in finding.legs:
+                causes.setdefault(name, set()).add(finding.cause)
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
         say(
@@ -162,17 +175,74 @@ def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
             + "; give the --config of the robot that was recorded",
             err=True,
         )
-    for name, leg in legs.items():
-        if leg.rejects:
-            reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))
-            say(f"adaptive-contact: leg '{name}': samples not used: {reasons}", err=True)
-        if leg.off_rate:
-            say(
-                f"adaptive-contact: leg '{name}': {leg.off_rate} samples not used: further apart "
-                f"or closer than the {1e3 * robot.period_s:.1f} ms of robot.toml (period_s)",
-                err=True,
-            )
+    _tell_unused(legs, causes, robot.period_s)
+    if causes and not any(leg.samples for leg in legs.values()):
+        names = ", ".join(str(path) for path in recordings)
+        raise RecordingError(f"{names}: no sample can be used, for the reasons above")
     return legs
+
+
+def _tell_unused(
+    legs: Mapping[str, LegGatherer], causes: Mapping[str, set[str]], period_s: float
+) -> None:
+    """One line for samples that were left out, but for those whose cause was said."""
+    from adaptive_contact.service.findings import REFUSED_FOR, Cause, of_legs
+
+    left_out: dict[str, dict[str, int]] = {}
+    for name, leg in legs.items():
+        found = {Cause(cause) for cause in causes.get(name, ())}
+        known = {reason for cause in found for reason in REFUSED_FOR.get(cause, ())}
+        for reason, times in leg.rejects.items():
+            if reason not in known:
+                left_out.setdefault(str(reason), {})[name] = times
+        if leg.off_rate and not found & {Cause.PERIOD, Cause.TIME_UNIT, Cause.SEQ}:
+            why = f"not {1e3 * period_s:.1f} ms apart (period_s of robot.toml)"
+            left_out.setdefault(why, {})[name] = leg.off_rate
+    for why, times_of in left_out.items():
+        total = sum(times_of.values())
+        say(f"adaptive-contact: {of_legs(times_of)}: {total} samples not used: {why}", err=True)
+
+
+def check_streams(
+    robot: Robot,
+    samples: Mapping[str, Sequence[ServoSample]],
+    refused: Mapping[str, Sequence[Rejected]],
+    *,
+    of: str = "",
+    refuse: bool = True,
+) -> list[Finding]:
+    """Say what is wrong with recorded streams, one line a cause.
+
+    Args:
+        robot: that they are taken for.
+        samples: by leg.
+        refused: payloads that could not be read.
+        of: what comes before each line.
+        refuse: end the command where nothing can be learned; else it is only said.
+
+    Returns:
+        What was said.
+
+    Raises:
+        ConfigurationError: something is wrong with every tick, so that there is nothing to learn.
+    """
+    from adaptive_contact.service.findings import SPOILS, of_legs
+    from adaptive_contact.service.legcheck import check_recording
+
+    spoilt: dict[str, None] = {}
+    found = check_recording(robot, samples, refused)
+    for finding in found:
+        legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
+        line = f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}"
+        say(f"adaptive-contact: {line}", err=True)
+        if finding.level == "error" and finding.cause in SPOILS:
+            spoilt.update(dict.fromkeys(finding.legs))
+    if spoilt and refuse:
+        raise ConfigurationError(
+            f"{of_legs(spoilt)}: the readings are not those of the robot '{robot.name}' (above); "
+            "nothing is learned from them: correct the source or robot.toml, and record again"
+        )
+    return found
 
 
 def check_conventions(
@@ -191,7 +261,12 @@ def check_conventions(
             said only.
     """
     from adaptive_contact.adapt.gather import judge_conventions
+    from adaptive_contact.adapt.legids import judge_recorded_ids
 
+    for leg, line in judge_recorded_ids(
+        robot, {leg: one.last_run() for leg, one in gathered.items()}
+    ).items():
+        say(f"adaptive-contact: leg '{leg}': {line}", err=True)
     grave = []
     for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice

@@ -23,6 +23,7 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     check_output,
     client,
+    recorded_robot,
 )
 from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
@@ -130,13 +131,8 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     from adaptive_contact.service.replay import Counts, replay_events
     from adaptive_contact.wire import JSON, encode
 
-    robot, learned = _load(config, baseline)
-    if config is None:
-        say(
-            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
-            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
-            err=True,
-        )
+    robot = recorded_robot(config, [recording.path])
+    learned = _learned(robot, config, baseline)
     if str(out) != "-":
         check_output(out, "--events")
     threadpool_limits(1)  # matrices this small only wait for each other in threads
@@ -255,15 +251,13 @@ def _on_signal(stop: threading.Event) -> None:
     stop.set()
 
 
-def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None]:
-    """The robot, and what is learned of it already; the shipped ones go together."""
+def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
+    """What is learned of the robot already; the shipped ones go together."""
     from adaptive_contact.adapt.baseline import load_baseline, shipped_baseline
-    from adaptive_contact.robot import load_robot, shipped_robot
 
-    robot = shipped_robot() if config is None else load_robot(config)
     if baseline is not None:
-        return robot, load_baseline(baseline)
-    return robot, shipped_baseline(robot.name) if config is None else None
+        return load_baseline(baseline)
+    return shipped_baseline(robot.name) if config is None else None
 
 
 def _warn(recording: Recording, counts: Counts) -> None:

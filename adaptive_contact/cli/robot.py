@@ -357,6 +357,7 @@ def learn_(
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import (
         check_conventions,
+        check_streams,
         gather,
         print_training,
         refuse_useless,
@@ -375,7 +376,7 @@ def learn_(
                 "and fill them in"
             )
     home = None if pose is None else learning.pose_of(pose, robot, plans)
-    gathered = gather(more or [], robot)
+    gathered = gather(more or [], robot, refuse=False)
     _shake_hands(plans, drive=drive)
     if drive and not yes:
         around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
@@ -393,6 +394,8 @@ def learn_(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
+    # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
+    check_streams(robot, samples, {}, refuse=False)
     check_conventions(robot, gathered, bridge=True)
     try:
         training = learning.fit_samples(

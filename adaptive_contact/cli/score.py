@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption, seconds_option
+from adaptive_contact.cli._options import (
+    ConfigOption,
+    JsonOption,
+    recorded_robot,
+    seconds_option,
+)
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
@@ -43,7 +48,6 @@ def score(
     ] = None,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""
-    from adaptive_contact.robot import load_robot, shipped_robot
     from adaptive_contact.score import score_messages
     from adaptive_contact.score.tables import as_json, as_table
     from adaptive_contact.service.one_robot import OneRobot
@@ -52,7 +56,7 @@ def score(
     end_s = math.inf if to_s is None else to_s
     if not from_s < end_s:
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
-    robot = shipped_robot() if config is None else load_robot(config)
+    robot = recorded_robot(config, [recording])
     given = None if events is None else _read_events(events)
     source = read_recording(recording)
     robots = OneRobot(source)

@@ -16,6 +16,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.adapt.legids import SWAPPED
 from adaptive_contact.robot.conventions import speaks_of_angles
 from adaptive_contact.service.findings import (
     EXPLAINS,
@@ -26,7 +27,7 @@ from adaptive_contact.service.findings import (
     Level,
     entries,
 )
-from adaptive_contact.service.legcheck import check_ids, check_leg
+from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
@@ -221,6 +222,7 @@ def _faults(
     if known:
         for fault in check_ids(sorted(published), known):
             yield None, fault
+    twins = dict(check_twins(heard.samples))
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
         of_leg = check_leg(
@@ -231,6 +233,8 @@ def _faults(
             period_s=None if service is None else service.period_s,
             facts=described.get(leg),
         )
+        if leg in twins:
+            of_leg.append(twins[leg])
         causes = {fault.cause for fault in of_leg if fault.level != "note"}
         causes |= {fault.cause for of, fault in strays if of == leg}
         if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
@@ -413,7 +417,11 @@ def _about_learner(
             listed,
             sum(refused.values()),
         )
-    if speaks_of_angles(note):
+    if SWAPPED in note:
+        what = "samples come under another leg's id"
+        remedy = "give each leg the same id in the source and in robot.toml"
+        yield Fault("error", Cause.LEG_SWAP, what, remedy, note)
+    elif speaks_of_angles(note):
         # A wrong yaw or a small zero changes no height, and the leg works on.
         level: Level = "error" if status.status == "ambiguous" else "warning"
         what = "angles are not counted as robot.toml says"

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.gather import stray_readings
 from adaptive_contact.service.findings import Cause, Fault
 from adaptive_contact.wire import ServoSample
 
@@ -26,6 +27,10 @@ _FEWEST: Final = 10
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
 _FROZEN_SAMPLES: Final = 25
+# A command that goes this far, rad, and a reading that follows by less than this share of it: the
+# joint stands, and only its encoder's last step flickers.
+_WIDE_RAD: Final = 0.3
+_STILL_SHARE: Final = 0.05
 # Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
 # seconds is a wrong zero, a wrong direction or a stalled joint.
 _FAR_RAD: Final = 0.4
@@ -44,10 +49,6 @@ _ORDER_SHARE: Final = 0.35
 _ORDER_RAD: Final = 0.2
 _LAG_TICKS: Final = 6
 _MOST_ORDERED: Final = 4  # joints whose orders are all tried
-# A reading that jumps away and back: so many times as far as one tick in twenty moves, and at
-# least this far, rad.
-_GLITCH_TIMES: Final = 4.0
-_GLITCH_RAD: Final = 0.15
 _TURN_SLACK_RAD: Final = 0.5
 # Steps are told from so many different readings, and lie between these, rad.
 _STEP_READINGS: Final = 24
@@ -56,6 +57,9 @@ _MOST_STEP_RAD: Final = 0.1
 _STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
 _STEP_TOLERANCE: Final = 0.05
 _DEGREE_RAD: Final = math.pi / 180.0
+# A grid is found in so many of a joint's different readings as well as in those of an hour.
+_MOST_VALUES: Final = 400
+_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 def check_readings(
@@ -205,13 +209,17 @@ def _joint(
     measured: Array, desired: Array, name: str, quantum_rad: float | None, commanded: bool
 ) -> Iterator[Fault]:
     told = float(np.ptp(desired))
-    if told > _COMMANDED_RAD and np.ptp(measured) == 0.0 and len(measured) >= _FROZEN_SAMPLES:
+    moved = float(np.ptp(measured))
+    still = moved == 0.0 if told < _WIDE_RAD else moved < _STILL_SHARE * told
+    if told > _COMMANDED_RAD and still and len(measured) >= _FROZEN_SAMPLES:
+        within = "" if moved == 0.0 else f" within {moved:.3f} rad"
         yield Fault(
             "error",
             Cause.FROZEN,
             "a reading never changes while its command moves",
             "the servo does not answer or has no torque; check cable, power and id",
-            f"{name} reads {measured[0]:.3f} rad all the time, its command moves by {told:.2f} rad",
+            f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
+            f"by {told:.2f} rad",
             told,
         )
         return
@@ -251,7 +259,7 @@ def _joint(
         yield Fault(
             "warning",
             Cause.GLITCHES,
-            "readings jump away and back within a tick: they are no positions",
+            "readings jump away and back within a tick or two: they are no positions",
             "do not publish what a failed read leaves behind: give the last reading with "
             "valid = false; look for a cable, a baud rate or a timeout",
             f"{name} {glitches} of {len(measured)}" + ("" if to is None else f", to {to:.3f} rad"),
@@ -262,15 +270,8 @@ def _joint(
 
 
 def _glitches(measured: Array) -> tuple[int, float | None]:
-    """Readings that leave the joint's path for one tick; what most of them read, if one thing."""
-    steps = np.diff(measured)
-    if len(steps) < _FEWEST:
-        return 0, None
-    far = max(_GLITCH_TIMES * float(np.quantile(np.abs(steps), 0.95)), _GLITCH_RAD)
-    away, back = steps[:-1], steps[1:]
-    jumped = (np.minimum(np.abs(away), np.abs(back)) > far) & (away * back < 0.0)
-    returned = np.abs(away + back) < 0.5 * np.minimum(np.abs(away), np.abs(back))
-    values = measured[1:-1][jumped & returned]
+    """Readings that leave the joint's path for a tick or two; what most read, if one thing."""
+    values = measured[stray_readings(measured[:, None])[:, 0]]
     if not len(values):
         return 0, None
     value, times = Counter(values.tolist()).most_common(1)[0]
@@ -317,6 +318,10 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
         The step in rad; None where there are too few different readings, or none is found.
     """
     values = np.unique(angles)
+    if len(values) > _MOST_VALUES:
+        # At irregular places: every second reading of a grid lies on one twice as coarse.
+        places = np.arange(_MOST_VALUES) * _GOLDEN % 1.0 * len(values)
+        values = values[np.unique(places.astype(int))]
     span = float(values[-1] - values[0])
     if len(values) < _STEP_READINGS or span <= 0.0:
         return None

@@ -334,12 +334,7 @@ class Service:
         desk = self._desks[leg] = Desk(self._link, leg, learner, joints, now_ns, resumes)
         self._order.append(desk)
         if leg in self._robot.leg_ids:
-            described = self._robot.leg(leg)
-            self._facts[leg] = LegFacts(
-                joints=list(described.joints),
-                lengths=described.lengths_m is not None,
-                quantum_rad=self._robot.quantum(leg),
-            )
+            self._facts[leg] = LegFacts.of(self._robot, leg)
         return desk
 
     def _look_at(self, at: int, now_ns: int) -> None:

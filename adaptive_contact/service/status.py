@@ -11,6 +11,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.meters import LatencyMs
 from adaptive_contact.service.state.keeper import StateFacts
 from adaptive_contact.wire import Message
@@ -33,6 +34,16 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
     lengths: bool = False
     described: bool = True
     quantum_rad: float | None = None
+
+    @classmethod
+    def of(cls, robot: Robot, leg: str) -> LegFacts:
+        """What a robot's description says of one of its legs."""
+        described = robot.leg(leg)
+        return cls(
+            joints=list(described.joints),
+            lengths=described.lengths_m is not None,
+            quantum_rad=robot.quantum(leg),
+        )
 
 
 class ServiceStatus(Message, frozen=True, kw_only=True):

@@ -168,7 +168,8 @@ def test_joints_phase_and_unknown_legs_are_held_against_robot_toml() -> None:
     assert "no phase" in only(judge(stream(phase=None), facts=bare)).what
     unknown = LegFacts(joints=["joint 1"], lengths=True, described=False)
     assert "the leg is not in robot.toml" in only(judge(stream(), facts=unknown)).what
-    assert judge(stream(), facts=None, period_s=None) == []
+    told = only(judge(stream(), facts=None, period_s=None))
+    assert (told.level, told.detail) == ("note", "samples come every 20.0 ms (50.0 Hz)")
 
 
 def test_a_restart_of_the_source_is_no_fault() -> None:
@@ -237,7 +238,10 @@ def test_all_is_well() -> None:
 
 def test_no_service() -> None:
     diagnosis = diagnose(hear(*good()), 3.0, alive=False)
-    assert whats(diagnosis) == ["error: a router is there, but no service"]
+    assert whats(diagnosis) == [
+        "error: a router is there, but no service",
+        "note: there is no robot.toml to compare with: samples come every 20.0 ms (50.0 Hz)",
+    ]
     assert diagnosis.exit_code == 1
 
 
