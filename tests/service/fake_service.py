@@ -116,7 +116,7 @@ class FakeLearner:
             refits=self.refits,
             contact=self.contact,
             contacts=self.contacts,
-            note=self.note,
+            note=self.note or self.guard.note,
         )
 
     def update(self, sample: ServoSample) -> ContactEvent | None:

@@ -1,0 +1,79 @@
+"""Somebody who may write a leg's key, and what becomes of the leg and of its account.
+
+Real processes and real Zenoh.  ``tests/adapt/test_stream.py`` has the same sample by sample.
+"""
+
+from __future__ import annotations
+
+import time
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from adaptive_contact.wire import ServoSample, servo_key
+
+pytestmark = pytest.mark.e2e
+
+SHOTS = 20
+
+
+def shoot(robot: Any, listener: Any, **fields: Any) -> None:
+    """Publish one sample on the robot's key every five ticks of it."""
+    publisher = listener.link.publisher(servo_key("rf"))
+    for shot in range(SHOTS):
+        due = robot.seq + 5
+        while robot.seq < due:
+            time.sleep(0.002)
+        made = {name: value(robot.seq, shot) for name, value in fields.items()}
+        publisher.put(ServoSample(measured=[0.0, 0.1, 0.2], desired=[0.0, 0.1, 0.2], **made))
+
+
+def test_numbers_far_ahead_cost_nothing_and_are_not_missed(serve: Any, rig: ModuleType) -> None:
+    served = serve()
+    robot, listener = rig.Robot50(served.endpoint, ("rf",), run=7), rig.Listener(served.endpoint)
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        began = len(listener.events)
+        shoot(
+            robot,
+            listener,
+            seq=lambda seq, shot: seq + 9_000_000 + shot,
+            t_ns=lambda seq, shot: robot.epoch_ns + seq * 20_000_000 + 1,
+            run=lambda seq, shot: 7,
+        )
+        listener.wait(lambda me: me.statuses["rf"].rejects.get("seq_jump") == SHOTS)
+        listener.steady(robot, "rf", 2)
+        # Not one event is missing, late or wrong.
+        told = [event.seq for event in listener.of("rf", began)]
+        assert told == list(range(told[0], told[-1] + 1, rig.HALF))
+        status = listener.statuses["rf"]
+        assert (status.missed, status.restarts) == (0, 0)
+        assert status.rejects == {"seq_jump": SHOTS}
+        assert "seq_jump" in rig.watched(listener.link, "seq_jump")
+    assert served.stop() == 0
+    assert "reason=seq_jump" in served.log.read_text()
+
+
+def test_runs_that_do_not_last_blind_a_leg_for_a_moment_only(serve: Any, rig: ModuleType) -> None:
+    served = serve()
+    robot, listener = rig.Robot50(served.endpoint, ("rf",), run=7), rig.Listener(served.endpoint)
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 6)  # more than a run that is short
+        before = listener.statuses["rf"]
+        shoot(
+            robot,
+            listener,
+            seq=lambda seq, shot: shot,
+            t_ns=lambda seq, shot: shot,
+            run=lambda seq, shot: 1000 + shot,
+        )
+        assert "new runs came and did not last" in rig.watched(listener.link, "new runs came")
+        listener.steady(robot, "rf")
+        status = listener.statuses["rf"]
+        # One was believed at once, and the next, which showed that the first did not last; then
+        # the robot was again, after 25 samples of its own.
+        assert status.restarts - before.restarts == 3
+        assert status.rejects["other_publisher"] <= SHOTS - 2 + 30
+        assert status.missed == before.missed
+    assert served.stop() == 0
