@@ -26,6 +26,7 @@ from adaptive_contact.cli._options import (
     LogJsonOption,
     LogLevel,
     LogLevelOption,
+    MaxSessionsOption,
     NamespaceOption,
     NoStateOption,
     RealtimeOption,
@@ -62,6 +63,7 @@ def serve(
     namespace: NamespaceOption = None,
     zenoh_config: ZenohConfigOption = None,
     insecure: InsecureOption = False,
+    max_sessions: MaxSessionsOption = None,
     realtime: RealtimeOption = False,
     json: JsonPayloadOption = False,
     log_json: LogJsonOption = False,
@@ -98,6 +100,7 @@ def serve(
             json=json,
             zenoh_config=zenoh_config,
             insecure=insecure,
+            max_sessions=max_sessions,
         )
         sys.setswitchinterval(_SWITCH_S)
         threadpool_limits(1)  # matrices this small only wait for each other in threads
@@ -201,8 +204,10 @@ def _keeper(
 
     Robots of one kind are told apart by their namespaces.
     """
+    from adaptive_contact.adapt.snapshot import FORMAT as LEARNER_FORMAT
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
+        FORMAT,
         StateKeeper,
         StateStore,
         default_folder,
@@ -216,8 +221,12 @@ def _keeper(
         text = dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"
     store = StateStore.open(folder or default_folder(), name)
+    formats = (FORMAT, LEARNER_FORMAT)
     return StateKeeper(
-        store, name, lambda leg: settings_digest(robot, leg, text), package=version()
+        store,
+        name,
+        lambda leg: settings_digest(robot, leg, text, formats=formats),
+        package=version(),
     )
 
 

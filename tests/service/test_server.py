@@ -160,7 +160,7 @@ def test_a_leg_falls_silent_and_comes_back(step: Lockstep, inbox: Any, sample: S
     assert silent.note.startswith("no sample for 0.5") or silent.note.startswith(
         "no sample for 0.6"
     )
-    step.work(800 * MS, lf=sample(900), rf=sample(800))
+    step.work(800 * MS, lf=sample(31), rf=sample(640))
     assert got.wait(3)[2].status == "valid"
     changes = tokens.wait(lambda items: sum(key == "robot/leg/lf" for key, _ in items) >= 3)
     assert [alive for key, alive in changes if key == "robot/leg/lf"] == [True, False, True]
