@@ -204,7 +204,7 @@ def _keeper(
 
     Robots of one kind are told apart by their namespaces.
     """
-    from adaptive_contact.adapt.snapshot import FORMAT as LEARNER_FORMAT
+    from adaptive_contact.adapt import SNAPSHOT_FORMAT
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
         FORMAT,
@@ -221,7 +221,7 @@ def _keeper(
         text = dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"
     store = StateStore.open(folder or default_folder(), name)
-    formats = (FORMAT, LEARNER_FORMAT)
+    formats = (FORMAT, SNAPSHOT_FORMAT)
     return StateKeeper(
         store,
         name,

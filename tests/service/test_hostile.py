@@ -1,11 +1,15 @@
-"""Somebody who may write a leg's key, and what becomes of the leg and of its account.
+"""Strangers who may write a leg's key, a file or the state's folder: what becomes of the service.
 
-Real processes and real Zenoh.  ``tests/adapt/test_stream.py`` has the same sample by sample.
+Real processes and real Zenoh.  ``tests/adapt/test_stream.py`` has the leg's part sample by sample,
+``tests/state/test_store.py`` the folder's file by file.
 """
 
 from __future__ import annotations
 
+import stat
+import subprocess
 import time
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -115,3 +119,66 @@ def test_the_limit_of_sessions_is_ours_then_the_files_then_the_command_lines(
     ):
         with Link.open(settings) as router:
             assert (router.max_sessions, router.sessions()) == (most, 0)
+
+
+@pytest.mark.parametrize("suffix", [".new", ".state", ".before", ".old"])
+def test_serve_writes_through_no_link_in_a_folder_that_others_may_write_to(
+    serve: Any, rig: ModuleType, tmp_path: Path, suffix: str
+) -> None:
+    """Somebody has put a link under a state's name, to a file of the service's user."""
+    folder, victim = tmp_path / "kept", tmp_path / "victim"
+    victim.write_bytes(b"precious")
+
+    def walk() -> str:
+        """One life of the service, with a leg that walks; the log."""
+        served = serve("--state", str(folder))
+        robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
+        with rig.closing(listener, robot):
+            listener.steady(robot, "rf", 2)
+            if exposed:
+                rig.watched(listener.link, "other users may write to")
+        assert served.stop() == 0
+        return str(served.log.read_text())
+
+    exposed = False
+    assert "state is open to others" not in walk()
+    (state,) = folder.glob("*/rf-*.state")
+    assert stat.S_IMODE(state.stat().st_mode) == 0o600
+    assert stat.S_IMODE(state.parent.stat().st_mode) == stat.S_IMODE(folder.stat().st_mode) == 0o700
+    planted = state.with_suffix(suffix)
+    planted.unlink(missing_ok=True)
+    planted.symlink_to(victim)
+    state.parent.chmod(0o777)
+
+    exposed = True
+    assert "state is open to others" in walk()
+    assert victim.read_bytes() == b"precious"
+    assert not any(path.is_symlink() for path in state.parent.glob("rf-*[!d]"))
+    assert state.read_bytes().startswith(b"ACSTATE")
+
+
+@pytest.mark.parametrize("name", ["robot.toml", "baseline.json"])
+def test_files_that_are_nested_deeply_get_one_line(
+    command: Any, config: Path, tmp_path: Path, name: str
+) -> None:
+    """By the real service, which says what it found and starts nothing."""
+    deep = tmp_path / f"deep-{name}"
+    depth = 200_000
+    if name == "robot.toml":
+        deep.write_text(f"a = {'[' * depth}{']' * depth}\n")
+        options = ("--config", str(deep))
+    else:
+        deep.write_text(f'{{"format": {"[" * depth}{"]" * depth}}}')
+        options = ("--config", str(config), "--baseline", str(deep))
+    process = command(
+        *("-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0", "--no-state", *options),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    out, error = process.communicate(timeout=60)
+    process.stderr.close()
+    assert process.returncode == 2, error[-500:]
+    assert out == ""
+    assert error.startswith(f"adaptive-contact: {deep}: ")
+    assert error.count("\n") == 1
+    assert "nested" in error

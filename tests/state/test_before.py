@@ -15,9 +15,8 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.adapt import LearnerBank, load_baseline
+from adaptive_contact.adapt import SNAPSHOT_FORMAT, LearnerBank, load_baseline
 from adaptive_contact.adapt.baseline import dump_baseline
-from adaptive_contact.adapt.snapshot import FORMAT as LEARNER_FORMAT
 from adaptive_contact.robot import load_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.state import (
@@ -128,7 +127,7 @@ def spoken(link: Link, test: Any) -> LearnerStatus:
 
 
 @pytest.mark.parametrize(
-    "formats", [(FORMAT + 1, LEARNER_FORMAT), (FORMAT, LEARNER_FORMAT + 1), (FORMAT + 1, 9)]
+    "formats", [(FORMAT + 1, SNAPSHOT_FORMAT), (FORMAT, SNAPSHOT_FORMAT + 1), (FORMAT + 1, 9)]
 )
 def test_a_version_with_another_format_leaves_these_alone_and_a_step_back_finds_them(
     before: Path, formats: tuple[int, int]
@@ -158,7 +157,7 @@ def test_a_version_with_another_format_leaves_these_alone_and_a_step_back_finds_
     keeper.close()
     assert files(before / "state").items() > left.items()
     # A step back, and another step ahead.
-    for kinds, ticks in (((FORMAT, LEARNER_FORMAT), SAVED["ticks"]), (formats, 0)):
+    for kinds, ticks in (((FORMAT, SNAPSHOT_FORMAT), SAVED["ticks"]), (formats, 0)):
         keeper, learner, _ = opened(kinds)
         assert keeper.facts.restored == ["rf"]
         assert learner.status.ticks == ticks
