@@ -73,7 +73,8 @@ same: env  ## revision REV against the working tree on recorded runs, bit by bit
 	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
 
 many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
-	$(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many
+	$(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \
+	  $(MANY_OPTIONS)
 
 same-faults: env  ## faults of one line that `make same` must find, planted one after another
 	PYTHONPATH=tests $(BIN)/python -m same --faults
