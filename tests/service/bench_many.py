@@ -19,6 +19,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -237,11 +238,17 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/many"))
     chosen = parser.parse_args()
     chosen.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as state:
+        return served(chosen, state)
+
+
+def served(chosen: argparse.Namespace, state: str) -> int:
+    """Start the service, walk its legs, and end it."""
     config, baseline, copies = described(chosen.out, chosen.legs)
     command = [
         *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
         *("--config", str(config), "--baseline", str(baseline)),
-        *("--state", str(chosen.out / f"state-{os.getpid()}")),
+        *("--state", state),
         *(["--realtime"] if chosen.realtime else []),
     ]
     began = time.monotonic()
