@@ -12,8 +12,10 @@ from adaptive_contact.adapt.baseline import (
 )
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.mode import LearnerMode
+from adaptive_contact.adapt.snapshot import FORMAT as SNAPSHOT_FORMAT
 
 __all__ = [
+    "SNAPSHOT_FORMAT",
     "Baseline",
     "ContactLearner",
     "LearnerBank",

@@ -18,7 +18,8 @@ from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
 __all__ = ["MAX_LEGS", "LearnerBank"]
 
-# Described legs and those that turn up; a bound against a publisher that invents names.
+# A leg that is not described is one too many from here on, against a publisher that invents names.
+# A described one never is.
 MAX_LEGS: Final = 32
 
 
@@ -74,11 +75,11 @@ class LearnerBank:
         known = self._learners.get(leg)
         if known is not None:
             return known
-        if not is_leg_id(leg) or len(self._learners) >= MAX_LEGS:
+        if not is_leg_id(leg):
             return None
         robot, baseline = self.robot, self.baseline
         if leg not in robot.leg_ids:
-            if joints is None or not 1 <= joints <= 16:
+            if len(self._learners) >= MAX_LEGS or joints is None or not 1 <= joints <= 16:
                 return None
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))

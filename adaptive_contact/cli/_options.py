@@ -171,6 +171,19 @@ InsecureOption = Annotated[
         rich_help_panel=_NETWORK,
     ),
 ]
+MaxSessionsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--max-sessions",
+        metavar="N",
+        min=2,
+        max=10_000,
+        help="Sessions that the embedded router takes at once (default 256, or what "
+        "--zenoh-config says); others are refused.",
+        show_default=False,
+        rich_help_panel=_NETWORK,
+    ),
+]
 JsonPayloadOption = Annotated[
     bool,
     typer.Option("--json", help="Publish JSON payloads instead of msgpack."),

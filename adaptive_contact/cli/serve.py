@@ -24,6 +24,7 @@ from adaptive_contact.cli._options import (
     LogJsonOption,
     LogLevel,
     LogLevelOption,
+    MaxSessionsOption,
     NamespaceOption,
     NoStateOption,
     RealtimeOption,
@@ -59,6 +60,7 @@ def serve(
     namespace: NamespaceOption = None,
     zenoh_config: ZenohConfigOption = None,
     insecure: InsecureOption = False,
+    max_sessions: MaxSessionsOption = None,
     realtime: RealtimeOption = False,
     json: JsonPayloadOption = False,
     log_json: LogJsonOption = False,
@@ -95,6 +97,7 @@ def serve(
             json=json,
             zenoh_config=zenoh_config,
             insecure=insecure,
+            max_sessions=max_sessions,
         )
         sys.setswitchinterval(_SWITCH_S)
         threadpool_limits(1)  # matrices this small only wait for each other in threads
@@ -198,8 +201,10 @@ def _keeper(
 
     Robots of one kind are told apart by their namespaces.
     """
+    from adaptive_contact.adapt import SNAPSHOT_FORMAT
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
+        FORMAT,
         StateKeeper,
         StateStore,
         default_folder,
@@ -213,8 +218,12 @@ def _keeper(
         text = dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"
     store = StateStore.open(folder or default_folder(), name)
+    formats = (FORMAT, SNAPSHOT_FORMAT)
     return StateKeeper(
-        store, name, lambda leg: settings_digest(robot, leg, text), package=version()
+        store,
+        name,
+        lambda leg: settings_digest(robot, leg, text, formats=formats),
+        package=version(),
     )
 
 

@@ -140,7 +140,9 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
 _READ: Final = frozenset(
     {Reject.MALFORMED, Reject.TOO_LARGE, Reject.MISSING_FIELD, Reject.WRONG_TYPE, Reject.VERSION}
 )
-_OTHER: Final = frozenset({Reject.OTHER_PUBLISHER, Reject.DUPLICATE_SEQ, Reject.TIME_BACKWARDS})
+_OTHER: Final = frozenset(
+    {Reject.OTHER_PUBLISHER, Reject.DUPLICATE_SEQ, Reject.SEQ_JUMP, Reject.TIME_BACKWARDS}
+)
 # Reasons for which the service refuses samples of a leg with such a fault.
 REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.UNREADABLE: _READ,

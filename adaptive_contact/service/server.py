@@ -136,12 +136,17 @@ class Service:
                 if round_:
                     self.work(round_, time.monotonic_ns())
                     # A tick's samples may take as many rounds as there are legs, this one among
-                    # them: what no event needs waits for the last.
+                    # them: what no event needs waits for the last.  Where a leg's next sample is
+                    # there already the worker is behind, and statuses and saves would wait long.
+                    legs = set(round_.samples)
                     for _ in range(max(1, len(self._order) - 1)):
                         more = self._intake.take(_REST_S, query=False)
                         if not more:
                             break
                         self.work(more, time.monotonic_ns())
+                        if not legs.isdisjoint(more.samples):
+                            break
+                        legs |= more.samples.keys()
                     self.finish()
                 self.save(time.monotonic_ns(), pause=not round_)
                 self.look(time.monotonic_ns())

@@ -110,13 +110,25 @@ class Surroundings:
         connected = self._link.is_connected()
         where = " or ".join(map(shown, self._link.joins))
         apart = None if connected else f"no router joined at {where}; trying on"
-        self.note = "; ".join(filter(None, (rival, apart))) or None
+        full = self._full()
+        if full is not None and self._brake.passes("full", now_ns) is not None:
+            _log.warning("no room for another session", why=full)
+        self.note = "; ".join(filter(None, (rival, apart, full))) or None
         if connected and not self._connected:
             _log.info("router is back" if self._joined else "router joined")
         if not connected and (self._brake.passes("router", now_ns) is not None or self._connected):
             threading.Thread(target=self._say_why, name="why", daemon=True).start()
         self._connected = connected
         self._joined |= connected
+
+    def _full(self) -> str | None:
+        most = self._link.max_sessions
+        if self._link.sessions() < most:
+            return None
+        return (
+            f"{most} sessions are connected, as many as may be: others are refused; close some, or "
+            "give serve a larger --max-sessions"
+        )
 
     def _say_why(self) -> None:
         what = "router lost, reconnecting" if self._joined else "router not joined yet, trying on"

@@ -60,6 +60,7 @@ class Reject(enum.StrEnum):
     UNKNOWN_LEG = "unknown_leg"
     TIME_BACKWARDS = "time_backwards"
     DUPLICATE_SEQ = "duplicate_seq"
+    SEQ_JUMP = "seq_jump"
     OTHER_PUBLISHER = "other_publisher"
     OVERFLOW = "overflow"
 
