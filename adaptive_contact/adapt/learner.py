@@ -311,7 +311,7 @@ class ContactLearner:
         )
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
-        elif not (loaded or self._state.contact):
+        elif not (loaded or self._state.contact or self._swing.after):
             self._tally.free(verdict.residual)
         self._quarantine.enter(
             tracker.thetas[0],
@@ -422,7 +422,10 @@ class ContactLearner:
         self._state.reset()
 
     def _follow_phase(self, sample: ServoSample) -> None:
-        self._swing.follow(sample)
+        # A foot that has come off the ground and has not touched may do so after the turn.
+        in_air = not (self._state.loaded or self._state.contact)
+        awaited = in_air and self.detector is not None
+        self._swing.follow(sample, awaited=awaited, end=self._quarantine.resolve)
         if self._swing.ticks == 0:
             self._quarantine.resolve()
         elif self._swing.ticks == 1:

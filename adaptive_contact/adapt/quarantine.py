@@ -100,6 +100,7 @@ class Quarantine:
 
     def begin(self) -> None:
         """A swing begins."""
+        self.hand_over()  # of the swing before, where it ends only now
         self._open = True
         self._lift_judged = False
         self._touching.clear()
@@ -155,6 +156,8 @@ class Quarantine:
             self._touching.append(detector.touch())
             if len(self._touching) >= TICKS:
                 self._hand_touch()
+        if swing.after:
+            return  # the leg is judged, and nothing is learned: too soft a touch may be in it
         if detector.tracker.substituted:
             return  # what the model put in where a reading did not come is no measurement
         # The model's own doubt is part of the unit; the followed level is not.

@@ -57,13 +57,17 @@ PATH_TICKS: Final = 400
 # foot has let go; the shortest of the last few swings says how long they are.
 LIFT_TICKS: Final = 10
 SWINGS: Final = 5
+# Ticks after the turn to stance in which a foot that has not touched may still do so: a servo is
+# three or four behind its command, and on rough ground the last feet touch when others lift off.
+AFTER_TICKS: Final = 16
 
 
 class SwingWatch:
     """Follows the phase and the foot's heights of one leg.
 
     Attributes:
-        ticks: samples since the swing began, 1 at its first, 0 in stance.
+        ticks: samples since the swing began, 1 at its first, 0 when it is over.
+        after: those of them after the turn to stance, while a touch is awaited; 0 before.
         direction: of the command in force.
         rising: the measured foot went up in this tick; without geometry, the time says so.
         cleared: the foot was off the ground before this tick began, whatever residuals say.
@@ -74,7 +78,7 @@ class SwingWatch:
     """
 
     def __init__(self, leg: Leg) -> None:
-        self.ticks = 0
+        self.ticks = self.after = 0
         self.direction = Direction.DESCENT
         self.rising = False
         self.cleared = False
@@ -211,7 +215,7 @@ class SwingWatch:
     def restart(self) -> None:
         """The source started anew."""
         self.interrupt()
-        self.ticks = self._unasked = 0
+        self.ticks = self.after = self._unasked = 0
         self.held = False
         self._surface, self._touch = -math.inf, None
         self._heights.clear()
@@ -219,8 +223,22 @@ class SwingWatch:
         if self._phase is not None:
             self._phase = PhaseTracker()
 
-    def follow(self, sample: ServoSample) -> None:
-        """Take in the sample's phase, and in a swing the place its command sends the foot to."""
+    def follow(
+        self,
+        sample: ServoSample,
+        *,
+        awaited: bool = False,
+        end: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Take in the sample's phase, and in a swing the place its command sends the foot to.
+
+        Args:
+            sample: the next.
+            awaited: the foot is in the air, as far as is known: in stance the swing goes on for up
+                to 16 ticks.
+            end: called where the next swing begins before these are over, while all that is known
+                of the one in hand still stands.
+        """
         phase = sample.phase
         place: _Place | None = None
         if phase is None and self._phase is not None:
@@ -230,15 +248,17 @@ class SwingWatch:
             phase = self._phase.update(place[2])
         self._told = sample.phase is not None
         self._untold = RECENT_TICKS if phase is None else max(self._untold - 1, 0)
-        if phase != "swing":
-            self._stood = True
-            if self.ticks and self.whole:
-                self._lengths.append(self.ticks)
-        # Between swings nobody asks for places, and four in five ticks lie there.
-        self.ticks = self.ticks + 1 if phase == "swing" else 0
+        if phase == "swing":
+            if self.after:
+                end()
+                self.ticks = self.after = 0
+            self.ticks += 1
+        else:
+            self._stand(awaited=awaited)
         if self.ticks == 1:
             self.whole = self._stood
-        if self.ticks and self._leg.lengths_m is not None:
+        # Between swings nobody asks for places, and four in five ticks lie there.
+        if phase == "swing" and self._leg.lengths_m is not None:
             if self.ticks == 1:
                 self._path, self._path_seq = [], (sample.seq, sample.seq)
                 self._commanded = self._place(self._last_desired or sample.desired)
@@ -257,6 +277,18 @@ class SwingWatch:
             self._commanded_up = now[2] > self._commanded[2]
             self._commanded = now
         self._last_desired = sample.desired
+
+    def _stand(self, *, awaited: bool) -> None:
+        """The gait says stance: the swing is over, or waits for the touch."""
+        self._stood = True
+        if self.ticks and self.whole and not self.after:
+            self._lengths.append(self.ticks)
+        if self.ticks and awaited and self.after < AFTER_TICKS:
+            self.ticks += 1
+            self.after += 1
+            self._commanded_up = False  # wherever the body goes, the foot comes down
+        else:
+            self.ticks = self.after = 0
 
     def observe(self, measured: Sequence[float]) -> None:
         """Take in where the leg is, (J,) rad, with substitutes for bad readings."""
