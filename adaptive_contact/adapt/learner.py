@@ -283,6 +283,8 @@ class ContactLearner:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
         detector.place(self._command, self._command_before, self._swing.direction)
+        if self._swing.after:
+            detector.await_touch(self._swing.height_gradient)
         if self._follower is not None and tracker.theta is not None:
             detector.unit = self._follower.variance(tracker.theta) * tracker.inflation
             if self._unsure[1] or self._rate.stretch:
@@ -425,7 +427,7 @@ class ContactLearner:
         # A foot that has come off the ground and has not touched may do so after the turn.
         in_air = not (self._state.loaded or self._state.contact)
         awaited = in_air and self.detector is not None
-        self._swing.follow(sample, awaited=awaited, end=self._quarantine.resolve)
+        self._swing.follow(sample, awaited, self._quarantine.resolve)
         if self._swing.ticks == 0:
             self._quarantine.resolve()
         elif self._swing.ticks == 1:

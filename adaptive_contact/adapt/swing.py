@@ -60,6 +60,9 @@ SWINGS: Final = 5
 # Ticks after the turn to stance in which a foot that has not touched may still do so: a servo is
 # three or four behind its command, and on rough ground the last feet touch when others lift off.
 AFTER_TICKS: Final = 16
+# Samples in a row after which a leg whose command and readings all stay as they are is not on its
+# way any more: a foot that comes down moves at least one joint's reading by a step.
+STILL_TICKS: Final = 2
 
 
 class SwingWatch:
@@ -92,7 +95,9 @@ class SwingWatch:
         self._told = False
         self._untold = 0  # of the newest samples, those whose phase could not be told
         self._last_desired: Sequence[float] | None = None
-        self._last_measured: Sequence[float] | None = None
+        self._last_measured: Sequence[float] | None = None  # with substitutes for bad readings
+        self._last_read: Sequence[float] | None = None  # as it came
+        self._still = 0  # samples in a row that repeat the one before
         self._commanded: _Place = (0.0, 0.0, 0.0)
         self._measured: _Place = self._commanded
         self._commanded_up = False
@@ -219,14 +224,13 @@ class SwingWatch:
         self.held = False
         self._surface, self._touch = -math.inf, None
         self._heights.clear()
-        self._last_desired = self._last_measured = None
+        self._last_desired = self._last_measured = self._last_read = None
         if self._phase is not None:
             self._phase = PhaseTracker()
 
     def follow(
         self,
         sample: ServoSample,
-        *,
         awaited: bool = False,
         end: Callable[[], None] = lambda: None,
     ) -> None:
@@ -254,7 +258,7 @@ class SwingWatch:
                 self.ticks = self.after = 0
             self.ticks += 1
         else:
-            self._stand(awaited=awaited)
+            self._stand(sample, awaited=awaited)
         if self.ticks == 1:
             self.whole = self._stood
         # Between swings nobody asks for places, and four in five ticks lie there.
@@ -276,14 +280,16 @@ class SwingWatch:
             now = place or self._place(sample.desired)
             self._commanded_up = now[2] > self._commanded[2]
             self._commanded = now
-        self._last_desired = sample.desired
+        self._last_desired, self._last_read = sample.desired, sample.measured
 
-    def _stand(self, *, awaited: bool) -> None:
+    def _stand(self, sample: ServoSample, *, awaited: bool) -> None:
         """The gait says stance: the swing is over, or waits for the touch."""
+        same = sample.desired == self._last_desired and sample.measured == self._last_read
+        self._still = self._still + 1 if same else 0
         self._stood = True
         if self.ticks and self.whole and not self.after:
             self._lengths.append(self.ticks)
-        if self.ticks and awaited and self.after < AFTER_TICKS:
+        if self.ticks and awaited and self.after < AFTER_TICKS and self._still < STILL_TICKS:
             self.ticks += 1
             self.after += 1
             self._commanded_up = False  # wherever the body goes, the foot comes down
@@ -305,6 +311,8 @@ class SwingWatch:
         self.rising = now[2] > self._measured[2]
         self._measured = now
         self._heights.append(now[2])
+        if self.after:
+            return  # where the stance takes the foot says nothing of whether it lifted or is held
         self._top = max(self._top, now[2])
         self._rise = max(self._rise, now[2] - self._start[2])
         self._moved = max(self._moved, math.dist(now, self._start))
