@@ -50,7 +50,7 @@ MEMORY_TICKS: Final = 20_000.0
 # A foot that has not touched at its turn to stance is about to: 0.13 of the ticks judged there begin
 # a touch, 0.012 of those in swings (eight planned walks of 90 s).  Ten times the rate of false
 # alarms per tick leaves the share of alarms that are false as it is.
-AWAITED: Final = 10.0
+AWAITED: Final = 70.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
 SEGMENTS_PER_TICK: Final = 12
 # A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
