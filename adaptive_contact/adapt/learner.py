@@ -21,7 +21,7 @@ from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
-from adaptive_contact.adapt.swing import SwingWatch
+from adaptive_contact.adapt.swing import Landings, SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team
 from adaptive_contact.adapt.tracker import UNSURE_TICKS, Tracker
@@ -88,6 +88,7 @@ class ContactLearner:
         self._guard = StreamGuard(len(self.leg.joints))
         self._seams = Seams()
         self._swing = SwingWatch(self.leg)
+        self._landings = Landings()
         self._state = ContactState()
         self.owes_release = False
         self._tally = Tally(len(self.leg.joints))
@@ -185,6 +186,8 @@ class ContactLearner:
             contact=self._state.contact,
             contacts=self._tally.counts["contacts"],
             jitter_ms=self._rate.jitter * self._period_ns / 1e6,
+            untouched=self._landings.untouched,
+            untouched_ns=self._landings.untouched_ns,
             note=self._ailment(),
         )
 
@@ -299,6 +302,11 @@ class ContactLearner:
         loaded = self._state.loaded
         now_ns = self._rate.at_ns
         score, onset_ns = verdict.score, now_ns
+        after = self._swing.after
+        if after:
+            follower = self._follower
+            sure = follower is not None and follower.status == "valid" and not follower.changed
+            self._landings.look(score, sure=sure and not tracker.substituted)
         if score > 1.0 and self._quarantine.lift_first:
             score = 1.0
         elif score > 1.0 and not loaded:
@@ -328,6 +336,7 @@ class ContactLearner:
         if decision.contact:
             self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, now_ns, self._period_ns, detector)
+            self._landings.touched(after - (now_ns - decision.onset_ns) // self._period_ns)
         return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:
@@ -430,6 +439,7 @@ class ContactLearner:
         self._swing.follow(sample, awaited, self._quarantine.resolve)
         if self._swing.ticks == 0:
             self._quarantine.resolve()
+            self._landings.end(sample.t_ns, expired=self._swing.expired)
         elif self._swing.ticks == 1:
             self._quarantine.begin()
             self._state.begin_swing()
@@ -490,6 +500,7 @@ class ContactLearner:
             self._knowledge.note_now,
             None if follower is None else follower.note,
             self._quarantine.deaf_note,
+            self._landings.note,
             self._tally.preview_note,
         )
         return next((note for note in notes if note is not None), None)

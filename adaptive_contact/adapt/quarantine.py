@@ -100,7 +100,6 @@ class Quarantine:
 
     def begin(self) -> None:
         """A swing begins."""
-        self.hand_over()  # of the swing before, where it ends only now
         self._open = True
         self._lift_judged = False
         self._touching.clear()
@@ -112,7 +111,8 @@ class Quarantine:
         follower, detector = self.follower, self._knowledge.detector
         if follower is None or detector is None:
             return
-        follower.monitor.begin_swing()
+        # What the swing before has left, where it ends only now, is handed over before.
+        self._found.append(follower.monitor.begin_swing)
         # By the model as it was first known: what was learned since may be of what holds the foot.
         tracker, model = detector.tracker, follower.baseline
         if tracker.full and not model.library.window.preview:
@@ -205,7 +205,8 @@ class Quarantine:
             return
         self._open = False
         self._unheard += self._swing.whole
-        self._found.append(self._hand_touch)
+        touching, self._touching = self._touching, []
+        self._found.append(functools.partial(self._give, touching))
         self._confirm(self._book.resolve())
         self._found.append(functools.partial(follower.swing_done, self._swing.touch_belied()))
 
@@ -231,6 +232,9 @@ class Quarantine:
     def _hand_touch(self) -> None:
         """The first ticks of a contact, for candidate models to be tried on."""
         ticks, self._touching = self._touching, []
+        self._give(ticks)
+
+    def _give(self, ticks: list[Touch]) -> None:
         if ticks and self.follower is not None and self.follower.learning:
             self.follower.touched(ticks)
 

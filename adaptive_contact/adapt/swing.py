@@ -63,6 +63,62 @@ AFTER_TICKS: Final = 16
 # Samples in a row after which a leg whose command and readings all stay as they are is not on its
 # way any more: a foot that comes down moves at least one joint's reading by a step.
 STILL_TICKS: Final = 2
+# A swing has ended without a touch for sure where no tick after its turn reaches this share of the
+# threshold: the least pushes of a foot that comes to stand do.
+QUIET_SCORE: Final = 0.3
+# Touches come late where most of the last so many begin after the turn.
+LANDINGS: Final = 20
+
+
+class Landings:
+    """Counts how the swings of one leg end: late touches, and none at all.
+
+    Attributes:
+        untouched: swings that ended without a touch.
+        untouched_ns: when the late judging of the last of them was over; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.untouched = 0
+        self.untouched_ns: int | None = None
+        self._quiet = 0  # ticks in a row after the turn
+        self._late: deque[int] = deque(maxlen=LANDINGS)  # ticks after the turn, 0 for before it
+
+    def look(self, score: float, *, sure: bool) -> None:
+        """Take in a tick after the turn.
+
+        Args:
+            score: statistic over threshold.
+            sure: the leg is judged by a model that fits it.
+        """
+        self._quiet = self._quiet + 1 if sure and score < QUIET_SCORE else 0
+
+    def touched(self, after: int) -> None:
+        """A touch was reported that began so many ticks after the turn, 0 or less for before it."""
+        self._late.append(max(after, 0))
+
+    def end(self, t_ns: int, *, expired: bool) -> None:
+        """The swing is over.
+
+        Args:
+            t_ns: now.
+            expired: its late judging took all of its 16 ticks.
+        """
+        if expired and self._quiet >= AFTER_TICKS:
+            self.untouched += 1
+            self.untouched_ns = t_ns
+        self._quiet = 0
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person when most touches come after the turn."""
+        late = sorted(ticks for ticks in self._late if ticks)
+        if 2 * len(late) <= LANDINGS:
+            return None
+        return (
+            f"{len(late)} of the last {len(self._late)} touches came after phase had turned to "
+            f"stance, by {late[len(late) // 2]} ticks: send swing until the foot can have arrived"
+        )
 
 
 class SwingWatch:
@@ -71,6 +127,7 @@ class SwingWatch:
     Attributes:
         ticks: samples since the swing began, 1 at its first, 0 when it is over.
         after: those of them after the turn to stance, while a touch is awaited; 0 before.
+        expired: the swing ends with this sample, 16 ticks after its turn, without a touch.
         direction: of the command in force.
         rising: the measured foot went up in this tick; without geometry, the time says so.
         cleared: the foot was off the ground before this tick began, whatever residuals say.
@@ -82,6 +139,7 @@ class SwingWatch:
 
     def __init__(self, leg: Leg) -> None:
         self.ticks = self.after = 0
+        self.expired = False
         self.direction = Direction.DESCENT
         self.rising = False
         self.cleared = False
@@ -257,6 +315,7 @@ class SwingWatch:
                 end()
                 self.ticks = self.after = 0
             self.ticks += 1
+            self._still = 0
         else:
             self._stand(sample, awaited=awaited)
         if self.ticks == 1:
@@ -289,6 +348,7 @@ class SwingWatch:
         self._stood = True
         if self.ticks and self.whole and not self.after:
             self._lengths.append(self.ticks)
+        self.expired = self.after == AFTER_TICKS and awaited
         if self.ticks and awaited and self.after < AFTER_TICKS and self._still < STILL_TICKS:
             self.ticks += 1
             self.after += 1
