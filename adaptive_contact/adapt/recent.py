@@ -48,8 +48,8 @@ MOST_EXCESS: Final = 5.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
 # A foot that has not touched at its turn to stance is about to: 0.13 of the ticks judged there begin
-# a touch, 0.012 of those in swings (eight planned walks of 90 s).  Ten times the rate of false
-# alarms per tick leaves the share of alarms that are false as it is.
+# a touch, 0.012 of those in swings (eight planned walks of 90 s).  With so many times the aim, which
+# is 1.3e-4 per tick, one alarm there in a thousand is false.
 AWAITED: Final = 70.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
 SEGMENTS_PER_TICK: Final = 12
