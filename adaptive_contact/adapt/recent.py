@@ -47,8 +47,8 @@ PRIOR_EXCEEDANCES: Final = 50.0
 MOST_EXCESS: Final = 5.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
-# A foot that has not touched at its turn to stance is about to: 0.13 of the ticks judged there begin
-# a touch, 0.012 of those in swings (eight planned walks of 90 s).  With so many times the aim, which
+# A foot that has not touched at its turn to stance is about to: 0.13 of those ticks begin
+# a touch, 0.012 of those in swings (eight planned walks of 90 s).  At so many times the aim, which
 # is 1.3e-4 per tick, one alarm there in a thousand is false.
 AWAITED: Final = 70.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.

@@ -120,9 +120,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     assert min(told.values()) > 100
 
 
-def test_awaited_touches_have_thresholds_of_their_own_aim(
-    robot: Robot, baseline: Baseline
-) -> None:
+def test_awaited_touches_have_thresholds_of_their_own_aim(robot: Robot, baseline: Baseline) -> None:
     learner = ContactLearner(robot, "rf", baseline)
     assert learner.detector is not None
     recent = learner.detector.recent
@@ -143,9 +141,7 @@ def test_waiting_ends_with_a_touch_a_standstill_a_swing_or_16_ticks(steps: list[
     at, still, awaiting, over, ended = 0, 0, None, True, 0
     for k, (phase, air, moves) in enumerate(steps):
         at += moves
-        sample = ServoSample(
-            t_ns=k, seq=k, measured=[0.1 * at] * 3, desired=[0.1] * 3, phase=phase
-        )
+        sample = ServoSample(t_ns=k, seq=k, measured=[0.1 * at] * 3, desired=[0.1] * 3, phase=phase)
 
         def end() -> None:
             nonlocal ended
