@@ -409,7 +409,8 @@ class ContactLearner:
         most, left = self._unsure
         self._unsure = (most, left - 1)
         moved = tracker.increments[0]
-        if rate.stretch and not (self._state.loaded or self._state.contact):
+        in_air = not (self._state.loaded or self._state.contact)
+        if rate.stretch and in_air and not self._swing.after:
             residual = tracker.residuals[0]
             if rate.late:  # as the reading came
                 residual = residual + (rate.stretch * moved)
