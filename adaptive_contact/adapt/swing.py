@@ -63,8 +63,8 @@ AFTER_TICKS: Final = 16
 # Samples in a row after which a leg whose command and readings all stay as they are is not on its
 # way any more: a foot that comes down moves at least one joint's reading by a step.
 STILL_TICKS: Final = 2
-# A swing is told to have ended without a touch where no tick after its turn reaches this share of
-# the threshold: of 200 such swings two had a touch that lasted 40 ms (decision 27).
+# A swing counts as one without a touch where no tick after its turn reaches this share of the
+# threshold: of 240 such swings five had a touch that lasted 40 ms (decision 27).
 QUIET_SCORE: Final = 0.3
 # Touches come late where most of the last so many begin after the turn.
 LANDINGS: Final = 20
@@ -74,7 +74,7 @@ class Landings:
     """Counts how the swings of one leg end: late touches, and none at all.
 
     Attributes:
-        untouched: swings that ended without a touch.
+        untouched: swings that ended without a sign of a touch.
         untouched_ns: when the late judging of the last of them was over; None before the first.
     """
 
