@@ -97,6 +97,9 @@ class Block:
         said = []
         for row in rows:
             usable = self.trackers[row].usable
+            detector = self.detectors[row]
+            if detector.gradient is not None:
+                products[row] = self._against_ground(row, detector.gradient)
             # For three windows plain floats are faster than arrays.
             scores = [
                 math.nan if ticks > usable else value / limit if opposes < 0.0 else 0.0
@@ -104,11 +107,22 @@ class Block:
                     WINDOWS,
                     squares[row],
                     products[row],
-                    self.detectors[row].recent.limits,
+                    detector.limits,
                     strict=True,
                 )
             ]
             said.append(Verdict(scores, squares[row][0], residual[row], target[row]))
+        return said
+
+    def _against_ground(self, row: int, gradient: Array) -> list[float]:
+        """(windows,) the whitened sums' product with a step down, below zero for a push up.
+
+        A foot about to stand has arrived, and what it is predicted to do says nothing of where the
+        ground is: a servo overshoots, and comes back.
+        """
+        whiten = self._whiten[row]
+        pushed = np.matvec(whiten, self.history[0, row].cumsum(axis=0))
+        said: list[float] = np.vecdot(pushed, np.matvec(whiten, -gradient)).tolist()
         return said
 
     def predict(self, rows: Sequence[int]) -> None:

@@ -63,6 +63,9 @@ class LegDetector:
         context: of the tick in hand, for its covariance.
         unit: variance of its residual over the baseline's, one number or (J,).
         sigma: (J,) rad, deviation of the baseline's residuals.
+        awaited: the tick in hand is after the turn to stance, where a touch is expected.
+        gradient: (J,) m per rad of the foot's height on such a tick; None elsewhere, and where the
+            geometry is not known.
     """
 
     def __init__(
@@ -73,6 +76,8 @@ class LegDetector:
         self.context = 0
         self.unit: Array | float = 1.0
         self.sigma: list[float] = known.noise.rms.tolist()
+        self.awaited = False
+        self.gradient: Array | None = None
         self._quantum = quantum_rad
         self._period_ns = period_ns
 
@@ -80,6 +85,11 @@ class LegDetector:
     def thresholds(self) -> Array:
         """(windows,) of the statistic, at present."""
         return self.recent.thresholds
+
+    @property
+    def limits(self) -> list[float]:
+        """(windows,) thresholds of the tick in hand."""
+        return self.recent.awaited if self.awaited else self.recent.limits
 
     @property
     def whitening(self) -> Array:
@@ -105,6 +115,15 @@ class LegDetector:
             direction: of the swing.
         """
         self.context = context_of(command, before, direction, self._quantum)
+        self.awaited, self.gradient = False, None
+
+    def await_touch(self, gradient: Array | None) -> None:
+        """The tick in hand, once placed, is after the turn to stance.
+
+        Args:
+            gradient: (J,) m per rad, how the foot rises with each joint; None if not known.
+        """
+        self.awaited, self.gradient = True, gradient
 
     def known_score(self, verdict: Verdict) -> tuple[float, int]:
         """The largest score where the model is not asked to extrapolate; its window's ticks."""
@@ -125,7 +144,8 @@ class LegDetector:
         """The last ticks, for candidate models to be tried on."""
         tracker = self.tracker
         target = tracker.residuals + tracker.increments
-        return Touch.of(tracker.thetas, target, self.whitening, self.thresholds, tracker.usable)
+        limits = np.array(self.limits)
+        return Touch.of(tracker.thetas, target, self.whitening, limits, tracker.usable)
 
 
 def within_domain(

@@ -22,7 +22,7 @@ from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
 from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
-from adaptive_contact.adapt.swing import SwingWatch
+from adaptive_contact.adapt.swing import Landings, SwingWatch
 from adaptive_contact.adapt.tally import Tally
 from adaptive_contact.adapt.team import Team, check_sample
 from adaptive_contact.adapt.tracker import UNSURE_TICKS, Tracker
@@ -91,6 +91,7 @@ class ContactLearner:
         self._guard = StreamGuard(len(self.leg.joints))
         self._seams = Seams()
         self._swing = SwingWatch(self.leg)
+        self._landings = Landings()
         self._state = ContactState()
         self.owes_release = False
         self._tally = Tally(len(self.leg.joints))
@@ -193,6 +194,8 @@ class ContactLearner:
             contact=self._state.contact,
             contacts=self._tally.counts["contacts"],
             jitter_ms=self._rate.jitter * self._period_ns / 1e6,
+            untouched=self._landings.untouched,
+            untouched_ns=self._landings.untouched_ns,
             note=self._ailment(),
         )
 
@@ -295,6 +298,8 @@ class ContactLearner:
             return False
         # The commands that caused this tick's motion are those before `sample.desired`.
         detector.place(self._command, self._command_before, self._swing.direction)
+        if self._swing.after:
+            detector.await_touch(self._swing.height_gradient)
         if self._follower is not None and tracker.theta is not None:
             detector.unit = self._follower.variance(tracker.theta) * tracker.inflation
             if self._unsure[1] or self._rate.stretch:
@@ -309,6 +314,11 @@ class ContactLearner:
         loaded = self._state.loaded
         now_ns = self._rate.at_ns
         score, onset_ns = verdict.score, now_ns
+        after = self._swing.after
+        if after:
+            follower = self._follower
+            sure = follower is not None and follower.status == "valid" and not follower.changed
+            self._landings.look(score, sure=sure and not tracker.substituted)
         if score > 1.0 and self._quarantine.lift_first:
             score = 1.0
         elif score > 1.0 and not loaded:
@@ -323,7 +333,7 @@ class ContactLearner:
         )
         if loaded and not self._state.loaded:
             tracker.begin_swing()  # what was loaded must not enter a window of the free leg
-        elif not (loaded or self._state.contact):
+        elif not (loaded or self._state.contact or self._swing.after):
             self._tally.free(verdict.residual)
         self._quarantine.enter(
             tracker.thetas[0],
@@ -338,6 +348,7 @@ class ContactLearner:
         if decision.contact:
             self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, now_ns, self._period_ns, detector)
+            self._landings.touched(after - (now_ns - decision.onset_ns) // self._period_ns)
         return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:
@@ -410,7 +421,8 @@ class ContactLearner:
         most, left = self._unsure
         self._unsure = (most, left - 1)
         moved = tracker.increments[0]
-        if rate.stretch and not (self._state.loaded or self._state.contact):
+        in_air = not (self._state.loaded or self._state.contact)
+        if rate.stretch and in_air and not self._swing.after:
             residual = tracker.residuals[0]
             if rate.late:  # as the reading came
                 residual = residual + (rate.stretch * moved)
@@ -434,9 +446,13 @@ class ContactLearner:
         self._state.reset()
 
     def _follow_phase(self, sample: ServoSample) -> None:
-        self._swing.follow(sample)
+        # A foot that has come off the ground and has not touched may do so after the turn.
+        in_air = not (self._state.loaded or self._state.contact)
+        awaited = in_air and self.detector is not None
+        self._swing.follow(sample, awaited, self._quarantine.resolve)
         if self._swing.ticks == 0:
             self._quarantine.resolve()
+            self._landings.end(sample.t_ns, expired=self._swing.expired)
         elif self._swing.ticks == 1:
             self._quarantine.begin()
             self._state.begin_swing()
@@ -495,6 +511,7 @@ class ContactLearner:
             self._knowledge.note_now,
             None if follower is None else follower.note,
             self._quarantine.deaf_note,
+            self._landings.note,
             self._tally.preview_note,
         )
         return next((note for note in notes if note is not None), None)

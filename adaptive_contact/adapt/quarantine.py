@@ -111,7 +111,8 @@ class Quarantine:
         follower, detector = self.follower, self._knowledge.detector
         if follower is None or detector is None:
             return
-        follower.monitor.begin_swing()
+        # What the swing before has left, where it ends only now, is handed over before.
+        self._found.append(follower.monitor.begin_swing)
         # By the model as it was first known: what was learned since may be of what holds the foot.
         tracker, model = detector.tracker, follower.baseline
         if tracker.full and not model.library.window.preview:
@@ -155,6 +156,8 @@ class Quarantine:
             self._touching.append(detector.touch())
             if len(self._touching) >= TICKS:
                 self._hand_touch()
+        if swing.after:
+            return  # the leg is judged, and nothing is learned: too soft a touch may be in it
         if detector.tracker.substituted:
             return  # what the model put in where a reading did not come is no measurement
         # The model's own doubt is part of the unit; the followed level is not.
@@ -202,7 +205,8 @@ class Quarantine:
             return
         self._open = False
         self._unheard += self._swing.whole
-        self._found.append(self._hand_touch)
+        touching, self._touching = self._touching, []
+        self._found.append(functools.partial(self._give, touching))
         self._confirm(self._book.resolve())
         self._found.append(functools.partial(follower.swing_done, self._swing.touch_belied()))
 
@@ -228,6 +232,9 @@ class Quarantine:
     def _hand_touch(self) -> None:
         """The first ticks of a contact, for candidate models to be tried on."""
         ticks, self._touching = self._touching, []
+        self._give(ticks)
+
+    def _give(self, ticks: list[Touch]) -> None:
         if ticks and self.follower is not None and self.follower.learning:
             self.follower.touched(ticks)
 

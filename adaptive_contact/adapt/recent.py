@@ -47,6 +47,10 @@ PRIOR_EXCEEDANCES: Final = 50.0
 MOST_EXCESS: Final = 5.0
 # Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
 MEMORY_TICKS: Final = 20_000.0
+# A foot that has not touched at its turn to stance is about to: 0.13 of those ticks begin
+# a touch, 0.012 of those in swings (eight planned walks of 90 s).  At so many times the aim, which
+# is 1.3e-4 per tick, one alarm there in a thousand is false.
+AWAITED: Final = 70.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
 SEGMENTS_PER_TICK: Final = 12
 # A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
@@ -68,6 +72,7 @@ class RecentNoise:
         whiten: (contexts, windows, J, J).
         thresholds: (windows,) of the statistic.
         limits: the same, as plain floats.
+        awaited: the same for ticks after the turn to stance, in which a touch is expected.
         revision: raised whenever one of them changes.
     """
 
@@ -83,9 +88,11 @@ class RecentNoise:
         self._tails = tails
         self._aim = false_alarms_per_hour
         self._least = thresholds_of(tails, false_alarms_per_hour)
+        self._least_awaited = thresholds_of(tails, AWAITED * false_alarms_per_hour)
         self.whiten: Array = noise.whiten
         self.thresholds: Array = self._least
         self.limits: list[float] = self._least.tolist()
+        self.awaited: list[float] = self._least_awaited.tolist()
         self.revision = 0
         self._under_way: _Shaping | None = None
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
@@ -145,6 +152,8 @@ class RecentNoise:
         )
         self.thresholds = np.maximum(self._least, thresholds_of(tails, self._aim))
         self.limits = self.thresholds.tolist()
+        awaited = thresholds_of(tails, AWAITED * self._aim)
+        self.awaited = np.maximum(self._least_awaited, awaited).tolist()
         self.revision += 1
 
     @property

@@ -57,13 +57,77 @@ PATH_TICKS: Final = 400
 # foot has let go; the shortest of the last few swings says how long they are.
 LIFT_TICKS: Final = 10
 SWINGS: Final = 5
+# Ticks after the turn to stance in which a foot that has not touched may still do so: a servo is
+# three or four behind its command, and on rough ground the last feet touch when others lift off.
+AFTER_TICKS: Final = 16
+# Samples in a row after which a leg whose command and readings all stay as they are is not on its
+# way any more: a foot that comes down moves at least one joint's reading by a step.
+STILL_TICKS: Final = 2
+# A swing counts as one without a touch where no tick after its turn reaches this share of the
+# threshold: of 240 such swings five had a touch that lasted 40 ms (decision 27).
+QUIET_SCORE: Final = 0.3
+# Touches come late where most of the last so many begin after the turn.
+LANDINGS: Final = 20
+
+
+class Landings:
+    """Counts how the swings of one leg end: late touches, and none at all.
+
+    Attributes:
+        untouched: swings that ended without a sign of a touch.
+        untouched_ns: when the late judging of the last of them was over; None before the first.
+    """
+
+    def __init__(self) -> None:
+        self.untouched = 0
+        self.untouched_ns: int | None = None
+        self._quiet = 0  # ticks in a row after the turn
+        self._late: deque[int] = deque(maxlen=LANDINGS)  # ticks after the turn, 0 for before it
+
+    def look(self, score: float, *, sure: bool) -> None:
+        """Take in a tick after the turn.
+
+        Args:
+            score: statistic over threshold.
+            sure: the leg is judged by a model that fits it.
+        """
+        self._quiet = self._quiet + 1 if sure and score < QUIET_SCORE else 0
+
+    def touched(self, after: int) -> None:
+        """A touch was reported that began so many ticks after the turn, 0 or less for before it."""
+        self._late.append(max(after, 0))
+
+    def end(self, t_ns: int, *, expired: bool) -> None:
+        """The swing is over.
+
+        Args:
+            t_ns: now.
+            expired: its late judging took all of its 16 ticks.
+        """
+        if expired and self._quiet >= AFTER_TICKS:
+            self.untouched += 1
+            self.untouched_ns = t_ns
+        self._quiet = 0
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person when most touches come after the turn."""
+        late = sorted(ticks for ticks in self._late if ticks)
+        if 2 * len(late) <= LANDINGS:
+            return None
+        return (
+            f"{len(late)} of the last {len(self._late)} touches came after phase had turned to "
+            f"stance, by {late[len(late) // 2]} ticks: send swing until the foot can have arrived"
+        )
 
 
 class SwingWatch:
     """Follows the phase and the foot's heights of one leg.
 
     Attributes:
-        ticks: samples since the swing began, 1 at its first, 0 in stance.
+        ticks: samples since the swing began, 1 at its first, 0 when it is over.
+        after: those of them after the turn to stance, while a touch is awaited; 0 before.
+        expired: the swing ends with this sample, 16 ticks after its turn, without a touch.
         direction: of the command in force.
         rising: the measured foot went up in this tick; without geometry, the time says so.
         cleared: the foot was off the ground before this tick began, whatever residuals say.
@@ -74,7 +138,8 @@ class SwingWatch:
     """
 
     def __init__(self, leg: Leg) -> None:
-        self.ticks = 0
+        self.ticks = self.after = 0
+        self.expired = False
         self.direction = Direction.DESCENT
         self.rising = False
         self.cleared = False
@@ -88,7 +153,9 @@ class SwingWatch:
         self._told = False
         self._untold = 0  # of the newest samples, those whose phase could not be told
         self._last_desired: Sequence[float] | None = None
-        self._last_measured: Sequence[float] | None = None
+        self._last_measured: Sequence[float] | None = None  # with substitutes for bad readings
+        self._last_read: Sequence[float] | None = None  # as it came
+        self._still = 0  # samples in a row that repeat the one before
         self._commanded: _Place = (0.0, 0.0, 0.0)
         self._measured: _Place = self._commanded
         self._commanded_up = False
@@ -211,16 +278,29 @@ class SwingWatch:
     def restart(self) -> None:
         """The source started anew."""
         self.interrupt()
-        self.ticks = self._unasked = 0
+        self.ticks = self.after = self._unasked = 0
         self.held = False
         self._surface, self._touch = -math.inf, None
         self._heights.clear()
-        self._last_desired = self._last_measured = None
+        self._last_desired = self._last_measured = self._last_read = None
         if self._phase is not None:
             self._phase = PhaseTracker()
 
-    def follow(self, sample: ServoSample) -> None:
-        """Take in the sample's phase, and in a swing the place its command sends the foot to."""
+    def follow(
+        self,
+        sample: ServoSample,
+        awaited: bool = False,
+        end: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Take in the sample's phase, and in a swing the place its command sends the foot to.
+
+        Args:
+            sample: the next.
+            awaited: the foot is in the air, as far as is known: in stance the swing goes on for up
+                to 16 ticks.
+            end: called where the next swing begins before these are over, while all that is known
+                of the one in hand still stands.
+        """
         phase = sample.phase
         place: _Place | None = None
         if phase is None and self._phase is not None:
@@ -230,15 +310,18 @@ class SwingWatch:
             phase = self._phase.update(place[2])
         self._told = sample.phase is not None
         self._untold = RECENT_TICKS if phase is None else max(self._untold - 1, 0)
-        if phase != "swing":
-            self._stood = True
-            if self.ticks and self.whole:
-                self._lengths.append(self.ticks)
-        # Between swings nobody asks for places, and four in five ticks lie there.
-        self.ticks = self.ticks + 1 if phase == "swing" else 0
+        if phase == "swing":
+            if self.after:
+                end()
+                self.ticks = self.after = 0
+            self.ticks += 1
+            self._still = 0
+        else:
+            self._stand(sample, awaited=awaited)
         if self.ticks == 1:
             self.whole = self._stood
-        if self.ticks and self._leg.lengths_m is not None:
+        # Between swings nobody asks for places, and four in five ticks lie there.
+        if phase == "swing" and self._leg.lengths_m is not None:
             if self.ticks == 1:
                 self._path, self._path_seq = [], (sample.seq, sample.seq)
                 self._commanded = self._place(self._last_desired or sample.desired)
@@ -256,7 +339,22 @@ class SwingWatch:
             now = place or self._place(sample.desired)
             self._commanded_up = now[2] > self._commanded[2]
             self._commanded = now
-        self._last_desired = sample.desired
+        self._last_desired, self._last_read = sample.desired, sample.measured
+
+    def _stand(self, sample: ServoSample, *, awaited: bool) -> None:
+        """The gait says stance: the swing is over, or waits for the touch."""
+        same = sample.desired == self._last_desired and sample.measured == self._last_read
+        self._still = self._still + 1 if same else 0
+        self._stood = True
+        if self.ticks and self.whole and not self.after:
+            self._lengths.append(self.ticks)
+        self.expired = self.after == AFTER_TICKS and awaited
+        if self.ticks and awaited and self.after < AFTER_TICKS and self._still < STILL_TICKS:
+            self.ticks += 1
+            self.after += 1
+            self._commanded_up = False  # wherever the body goes, the foot comes down
+        else:
+            self.ticks = self.after = 0
 
     def observe(self, measured: Sequence[float]) -> None:
         """Take in where the leg is, (J,) rad, with substitutes for bad readings."""
@@ -273,6 +371,8 @@ class SwingWatch:
         self.rising = now[2] > self._measured[2]
         self._measured = now
         self._heights.append(now[2])
+        if self.after:
+            return  # where the stance takes the foot says nothing of whether it lifted or is held
         self._top = max(self._top, now[2])
         self._rise = max(self._rise, now[2] - self._start[2])
         self._moved = max(self._moved, math.dist(now, self._start))

@@ -145,6 +145,9 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         contact: whether the leg touches, by its last event.
         contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
         jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
+        untouched: swings without a sign of a touch up to 16 ticks after their turn to stance, of
+            those that could have shown one: a hole, most likely.
+        untouched_ns: when the last of them was over, None while there was none.
         note: one line for a person when something is wrong, None when all is well.
     """
 
@@ -164,6 +167,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     contact: bool = False
     contacts: int = 0
     jitter_ms: float = 0.0
+    untouched: int = 0
+    untouched_ns: int | None = None
     note: str | None = None
 
 
