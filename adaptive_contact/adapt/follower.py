@@ -39,7 +39,7 @@ from adaptive_contact.adapt.snapshot import (
     segment_of,
 )
 from adaptive_contact.identify import LegModel
-from adaptive_contact.wire import RefitCounts, Status
+from adaptive_contact.wire import Doubt, RefitCounts, Status
 
 __all__ = ["Follower"]
 
@@ -156,6 +156,12 @@ class Follower:
         """What is thought of the leg."""
         status = self.monitor.status
         return "ambiguous" if status == "valid" and self._belied.told else status
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        doubt = self.monitor.doubt
+        return "descents" if doubt is None and self.status == "ambiguous" else doubt
 
     @property
     def note(self) -> str | None:

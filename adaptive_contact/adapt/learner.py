@@ -20,6 +20,7 @@ from adaptive_contact.adapt.mode import LearnerMode
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
+from adaptive_contact.adapt.sources import SourceWatch
 from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
 from adaptive_contact.adapt.swing import SwingWatch
 from adaptive_contact.adapt.tally import Tally
@@ -31,6 +32,7 @@ from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
+    Doubt,
     DriftLevel,
     LearnerStatus,
     ModelReport,
@@ -100,6 +102,8 @@ class ContactLearner:
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg)
         self._misread = False  # the leg's angles are not counted as described
+        self._source = SourceWatch(self.leg, robot.quantum(leg))
+        self._swing_began = (0, 0)  # ns, and samples accepted
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -235,10 +239,16 @@ class ContactLearner:
         broken = result.restart or missed != 0
         if broken:
             self._connect(result, sample, missed)
+            self._source.connect(restart=result.restart)
+        self._source.follow(sample)
+        if self._source.doubtful:
+            self._quarantine.break_off()
         self._follow_phase(sample)
+        if self._source.look(sample, self._swing.ticks):
+            self._follow_source()
         if self._track is not None:
             self._follow_convention(sample, restart=result.restart)
-        if self._misread:
+        if self._void:
             return sample
         if self._knowledge.cold is not None:
             swing = self._swing.ticks > 0
@@ -273,7 +283,7 @@ class ContactLearner:
             if self._follower is not None:
                 self._follower.distrust(self._rate.since_ns)
             return False
-        if self._misread:  # what is high and what is low is not known
+        if self._void:
             self._quarantine.break_off()
             return False
         if not judged:
@@ -347,7 +357,7 @@ class ContactLearner:
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""
-        if self._misread:
+        if self._void:
             return
         if self._knowledge.cold is not None:
             self._knowledge.try_cold()
@@ -416,6 +426,22 @@ class ContactLearner:
             self._let_go()
         self._misread = self._track.spoils
 
+    def _follow_source(self) -> None:
+        """The source has begun to send what says nothing of the leg, or has stopped to."""
+        follower, tracker = self._follower, self.tracker
+        self._quarantine.break_off()
+        if self._source.cause is None:
+            if tracker is not None:
+                tracker.restart()
+            self._state.begin_swing()
+            return
+        self._let_go()
+        since_ns, ticks = self._swing_began
+        if follower is not None:
+            follower.distrust(since_ns)
+        if self._knowledge.cold is not None:
+            self._knowledge.cold.drop_newest(self._tally.counts["ticks"] - ticks)
+
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
         self.owes_release |= self._state.contact
@@ -426,6 +452,7 @@ class ContactLearner:
         if self._swing.ticks == 0:
             self._quarantine.resolve()
         elif self._swing.ticks == 1:
+            self._swing_began = (self._rate.at_ns, self._tally.counts["ticks"])
             self._quarantine.begin()
             self._state.begin_swing()
             if self.tracker is not None:
@@ -452,10 +479,24 @@ class ContactLearner:
         return self._knowledge.follower
 
     @property
+    def _void(self) -> bool:
+        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
+        return self._misread or self._source.cause is not None
+
+    @property
     def _status(self) -> Status:
-        if self._misread:
+        if self._void:
             return "ambiguous"
         return "learning" if self._follower is None else self._follower.status
+
+    @property
+    def _doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self._source.cause is not None:
+            return self._source.cause
+        if self._misread:
+            return "angles"
+        return None if self._follower is None else self._follower.doubt
 
     @property
     def _version(self) -> int:
@@ -480,6 +521,7 @@ class ContactLearner:
             self._tally.fault_note,
             self._guard.note,
             self._rate.note,
+            self._source.note,
             self._convention_note,
             self._swing.blind_note,
             self._knowledge.note_now,

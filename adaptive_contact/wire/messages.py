@@ -18,6 +18,7 @@ __all__ = [
     "Command",
     "ContactEvent",
     "ContactTruth",
+    "Doubt",
     "Drift",
     "DriftKind",
     "DriftLevel",
@@ -40,6 +41,8 @@ MAX_PREVIEW_TICKS: Final = 64
 
 Phase = Literal["swing", "stance"]
 Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]
+# Why a leg is ambiguous.
+Doubt = Literal["angles", "echo", "phase", "held", "far", "unsettled", "descents"]
 DriftKind = Literal[
     "mass",
     "friction",

@@ -1,0 +1,342 @@
+"""Detects two faults of a source that its samples alone give away.
+
+*Echo*: a joint's reading is a copy of its command, of the same tick or of up to three before.  With
+:math:`e_k = (y_k - u_{k-L}) / q` in position steps, an echo keeps :math:`e` within one step,
+whatever its rounding, while the command speeds up and slows down.  A servo at a steady speed may
+do so, too; one that accelerates moves off.  The evidence of a run of such ticks is
+
+.. math:: n \\, (\\max \\dot u - \\min \\dot u),
+
+with n ticks in which the command moved and :math:`\\dot u` in steps a tick (decision 24).
+
+*Swapped phase*: ``swing`` is published for stance and the reverse.  A leg goes as far in its swing
+as in its stance, in less time; where the command moves slower in swings than in stances, and comes
+down less, they are swapped.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from adaptive_contact.robot import Leg, foot
+from adaptive_contact.wire import Doubt, ServoSample
+
+__all__ = ["EchoWatch", "PhaseWatch", "SourceWatch"]
+
+# A copy may be of the command of so many ticks before.
+ECHO_TICKS: Final = 3
+# Rounding to a grid, down, up or to the nearest step, leaves an echo within an interval of one
+# step.  Less than one, so that of commands that lie on the grid nothing but equality is left.
+ECHO_WIDTH: Final = 0.998
+# A command moves in a tick when it goes further than this, in steps.
+MOVED: Final = 0.5
+# A run of so many moved ticks, of so much evidence, is an echo.  Measured runs of servos have at
+# most half that evidence (decision 24).
+LEAST_MOVED: Final = 6
+ECHO_EVIDENCE: Final = 90.0
+# It has ended after so many ticks in a row that match no command.
+ECHO_OVER: Final = 3
+# Step of the coarsest servo known here (AX-12A), by which movements are counted where a servo's own
+# is not known; copies are then told by equality, to the precision of a 32-bit float.
+UNKNOWN_STEP_RAD: Final = 0.005118
+EQUAL_RAD: Final = 2e-6
+
+# Mean speed of a swing's command over that of the stance beside it: 1.28 and more of correct
+# phases, at most 0.61 of swapped ones (decision 24).
+SWAPPED_RATIO: Final = 0.8
+# And the foot's command comes down by less than this share of what it does in stances: by 18 mm and
+# more in a swing that meets the ground, by 5 mm at most in 95 of 100 stances.
+FALL_SHARE: Final = 0.5
+# Parts of fewer ticks have no mean speed worth comparing.
+LEAST_SWING: Final = 8
+LEAST_STANCE: Final = 3
+# A foot that comes down by less in a swing that much slower than the one before may stand: the swing is not
+# learned from.
+STANDS_M: Final = 0.005
+# Commands kept of a swing or stance.
+PART_TICKS: Final = 400
+
+
+class _Run:
+    """Ticks in a row whose readings lie on the command of a fixed number of ticks before."""
+
+    __slots__ = ("fastest", "high", "low", "moved", "slowest")
+
+    def __init__(self, error: float) -> None:
+        self.low = self.high = error
+        self.moved = 0
+        self.slowest = self.fastest = 0.0
+
+    def go_on(self, error: float, step: float) -> float | None:
+        """Take in a tick; the run's evidence, or None where the tick does not belong to it."""
+        low, high = min(self.low, error), max(self.high, error)
+        if high - low > ECHO_WIDTH:
+            return None
+        self.low, self.high = low, high
+        if step > MOVED or step < -MOVED:
+            self.moved += 1
+        if self.slowest == self.fastest == 0.0 and not self.moved:
+            return 0.0
+        self.slowest, self.fastest = min(self.slowest, step), max(self.fastest, step)
+        return self.moved * (self.fastest - self.slowest)
+
+
+class EchoWatch:
+    """Detects joints whose readings copy their commands, of one leg.
+
+    Args:
+        joints: J.
+        quantum_rad: position step of the servos; None where nobody says, then only copies without
+            rounding are found.
+
+    Attributes:
+        echoing: joints, by number, found to echo and not yet to have stopped.
+    """
+
+    def __init__(self, joints: int, quantum_rad: float | None) -> None:
+        self.echoing: set[int] = set()
+        self._joints = joints
+        self._per_rad = 1.0 / (UNKNOWN_STEP_RAD if quantum_rad is None else quantum_rad)
+        self._most = ECHO_WIDTH if quantum_rad is not None else EQUAL_RAD * self._per_rad
+        # Newest first, in steps: commands, and how far each is from the one before.
+        self._commands: deque[list[float]] = deque(maxlen=ECHO_TICKS + 1)
+        self._steps: deque[list[float]] = deque(maxlen=ECHO_TICKS + 1)
+        self._runs: list[list[_Run | None]] = []
+        self._off = [0] * joints  # ticks in a row that match no command
+        self.begin()
+
+    def begin(self) -> None:
+        """Count from here on: a swing begins, or what comes does not connect."""
+        self._runs = [[None] * (ECHO_TICKS + 1) for _ in range(self._joints)]
+
+    def restart(self) -> None:
+        """The commands before are not known."""
+        self.begin()
+        self._commands.clear()
+        self._steps.clear()
+
+    def command(self, desired: Sequence[float]) -> None:
+        """Take in a sample's command; to be called for every sample, before :meth:`take`."""
+        per_rad = self._per_rad
+        now = [angle * per_rad for angle in desired]
+        before = self._commands[0] if self._commands else now
+        self._steps.appendleft([new - old for new, old in zip(now, before, strict=True)])
+        self._commands.appendleft(now)
+
+    def take(self, measured: Sequence[float], valid: Sequence[bool] | None = None) -> None:
+        """Compare a sample's readings with the commands up to its own.
+
+        Args:
+            measured: (J,) rad.
+            valid: (J,) False where nothing was read.
+        """
+        most, per_rad = self._most, self._per_rad
+        for joint, angle in enumerate(measured):
+            if valid is not None and not valid[joint]:
+                continue
+            at = angle * per_rad
+            runs, matched = self._runs[joint], False
+            for lag, command in enumerate(self._commands):
+                error = at - command[joint]
+                if error > most or error < -most:
+                    if runs[lag] is not None:
+                        runs[lag] = None
+                    continue
+                matched = True
+                run = runs[lag]
+                evidence = None if run is None else run.go_on(error, self._steps[lag][joint])
+                if evidence is None:
+                    runs[lag] = _Run(error)
+                elif run is not None and evidence >= ECHO_EVIDENCE and run.moved >= LEAST_MOVED:
+                    self.echoing.add(joint)
+            if self.echoing:
+                self._off[joint] = 0 if matched else self._off[joint] + 1
+                if self._off[joint] >= ECHO_OVER:
+                    self.echoing.discard(joint)
+
+
+class _Part:
+    """A swing or a stance, as the samples say.
+
+    Attributes:
+        ticks: samples.
+        travel: of the command, over all joints, rad.
+        commands: the newest, (J,) rad each.
+    """
+
+    __slots__ = ("commands", "ticks", "travel")
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.travel = 0.0
+        self.commands: deque[Sequence[float]] = deque(maxlen=PART_TICKS)
+
+    @property
+    def speed(self) -> float:
+        """Mean, rad per tick."""
+        return self.travel / max(self.ticks, 1)
+
+    def fall(self, leg: Leg) -> float:
+        """Furthest that the commanded foot comes down, m; 0 without geometry."""
+        if leg.lengths_m is None:
+            return 0.0
+        heights = foot(np.array(self.commands), leg.lengths_m, leg.joint_axes)[:, 2]
+        return float(np.max(np.maximum.accumulate(heights) - heights))
+
+
+class PhaseWatch:
+    """Detects swapped phases of one leg, whose samples say them.
+
+    Args:
+        leg: its description; its lengths are used where they are known.
+
+    Attributes:
+        swapped: stance is published as swing.
+        doubtful: the swing that has just ended may have been a stance.
+    """
+
+    def __init__(self, leg: Leg) -> None:
+        self.swapped = self.doubtful = False
+        self._leg = leg
+        self._before: Sequence[float] | None = None
+        self._part = _Part()
+        self._swing: bool | None = None
+        self._whole = False  # the part in hand has been seen from its beginning
+        self._last: dict[bool, _Part | None] = {True: None, False: None}
+
+    def restart(self) -> None:
+        """What comes does not connect to what was."""
+        self._before = self._swing = None
+        self._whole = False
+        self._last = {True: None, False: None}
+
+    def take(self, sample: ServoSample) -> None:
+        """Take in a sample."""
+        self.doubtful = False
+        phase, desired = sample.phase, sample.desired
+        if phase is None:
+            if self._swing is not None:
+                self.restart()
+                self.swapped = False
+            return
+        swing = phase == "swing"
+        if swing is not self._swing:
+            self._turn(swing)
+        before = self._before or desired
+        moved = sum(abs(new - old) for new, old in zip(desired, before, strict=True))
+        self._before = desired
+        part = self._part
+        part.ticks += 1
+        part.travel += moved
+        part.commands.append(desired)
+        if self._whole and part.ticks >= LEAST_SWING:
+            self._compare(swing)
+
+    def _turn(self, swing: bool) -> None:
+        """The part in hand is over."""
+        over, part = self._swing, self._part
+        if over is not None:
+            if over and self._whole and part.ticks >= LEAST_SWING:
+                self._compare(over, ended=True)
+                self.doubtful = self._may_stand(part)
+            least = LEAST_SWING if over else LEAST_STANCE
+            if self._whole and part.ticks >= least:
+                self._last[over] = part
+            self._whole = True
+        self._swing, self._part = swing, _Part()
+
+    def _compare(self, swing: bool, *, ended: bool = False) -> None:
+        """Compare the part in hand with the one beside it."""
+        part, beside = self._part, self._last[not swing]
+        if beside is None:
+            return
+        in_swing, in_stance = (part, beside) if swing else (beside, part)
+        if self.swapped:
+            if in_stance.speed < SWAPPED_RATIO * in_swing.speed:
+                self.swapped = False
+        elif (ended or not swing) and in_swing.speed < SWAPPED_RATIO * in_stance.speed:
+            # Without geometry neither comes down.
+            most = FALL_SHARE * in_stance.fall(self._leg)
+            self.swapped = in_swing.fall(self._leg) <= most
+
+    def _may_stand(self, part: _Part) -> bool:
+        last = self._last[True]
+        return (
+            self._leg.lengths_m is not None
+            and last is not None
+            and part.speed < SWAPPED_RATIO * last.speed
+            and part.fall(self._leg) < STANDS_M
+        )
+
+
+class SourceWatch:
+    """Watches the source of one leg's samples for both faults.
+
+    Args:
+        leg: its description.
+        quantum_rad: position step of its servos.
+
+    Attributes:
+        cause: ``echo`` or ``phase`` while the samples say nothing of the leg, else None.
+        doubtful: the swing that has just ended may have been a stance, and teaches nothing.
+    """
+
+    def __init__(self, leg: Leg, quantum_rad: float) -> None:
+        self.cause: Doubt | None = None
+        self.doubtful = False
+        self._leg = leg
+        self._echo = EchoWatch(len(leg.joints), quantum_rad)
+        self._phase = PhaseWatch(leg)
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person, None when all is well."""
+        if self._echo.echoing:
+            names = ", ".join(self._leg.joints[joint] for joint in sorted(self._echo.echoing))
+            return (
+                f"measured copies desired ({names}): publish the positions that the servos report; "
+                "no contacts are reported until then"
+            )
+        if self._phase.swapped:
+            return (
+                "phase is swapped: the foot swings while the samples say stance; no contacts are "
+                "reported until it is right"
+            )
+        return None
+
+    def connect(self, *, restart: bool) -> None:
+        """Samples were lost, or the source started again."""
+        self._echo.restart()
+        if restart:
+            self._phase.restart()
+
+    def follow(self, sample: ServoSample) -> None:
+        """Take in a sample, before its phase is acted upon."""
+        self._echo.command(sample.desired)
+        self._phase.take(sample)
+        self.doubtful = self._phase.doubtful
+
+    def look(self, sample: ServoSample, ticks: int) -> bool:
+        """Judge the sample taken in last.
+
+        Args:
+            sample: it.
+            ticks: samples since the swing began, 1 at its first, 0 in stance.
+
+        Returns:
+            Whether :attr:`cause` has changed.
+        """
+        echo = self._echo
+        if ticks == 1:
+            echo.begin()
+        if ticks or echo.echoing:
+            echo.take(sample.measured, sample.valid)
+        cause: Doubt | None = "echo" if echo.echoing else None
+        if cause is None and self._phase.swapped:
+            cause = "phase"
+        changed, self.cause = cause is not self.cause, cause
+        return changed
