@@ -16,7 +16,7 @@ from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
-from adaptive_contact.adapt.mode import LearnerMode
+from adaptive_contact.adapt.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
@@ -59,6 +59,7 @@ class ContactLearner:
         refitter: does the sparse refits; in line where absent.
         conventions: watches whether the robot's angles are counted as described, together with its
             other legs; the leg by itself where absent.
+        when_ambiguous: whether contacts are reported while the leg is ambiguous.
 
     Attributes:
         frame: turns the wire's angles into the description's; None where they are the same.
@@ -79,6 +80,7 @@ class ContactLearner:
         mode: LearnerMode = LearnerMode.FULL,
         refitter: Refitter | None = None,
         conventions: ConventionWatch | None = None,
+        when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -91,6 +93,8 @@ class ContactLearner:
         self._seams = Seams()
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
+        self._reported = False  # the state by the last event; differs while one is withheld
+        self._when_ambiguous = when_ambiguous
         self.owes_release = False
         self._tally = Tally(len(self.leg.joints))
         self._t_ns = 0
@@ -141,8 +145,8 @@ class ContactLearner:
 
     @property
     def contact(self) -> bool:
-        """Whether the leg is held to touch."""
-        return self._state.contact
+        """Whether the leg touches, by its last event."""
+        return self._reported
 
     @property
     def detector(self) -> LegDetector | None:
@@ -186,8 +190,10 @@ class ContactLearner:
             rejects={str(reason): n for reason, n in sorted(self._tally.rejects.items())},
             missed=self._guard.missed,
             restarts=self._guard.restarts,
-            contact=self._state.contact,
+            contact=self._reported,
             contacts=self._tally.counts["contacts"],
+            withheld=self._tally.counts["withheld"],
+            doubt=self._doubt,
             jitter_ms=self._rate.jitter * self._period_ns / 1e6,
             note=self._ailment(),
         )
@@ -248,6 +254,8 @@ class ContactLearner:
             self._follow_source()
         if self._track is not None:
             self._follow_convention(sample, restart=result.restart)
+        if self._reported and self._withholds:
+            self.owes_release = True
         if self._void:
             return sample
         if self._knowledge.cold is not None:
@@ -330,12 +338,14 @@ class ContactLearner:
             t_ns=now_ns,
             at=sample.desired,
             free=not (loaded or self._state.contact),
+            copied=self._source.suspected,
         )
         if decision is None:
             return None
         if decision.contact:
-            self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, now_ns, self._period_ns, detector)
+        elif not self._reported:  # the end of one that was withheld
+            return None
         return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:
@@ -438,13 +448,13 @@ class ContactLearner:
         self._let_go()
         since_ns, ticks = self._swing_began
         if follower is not None:
-            follower.distrust(since_ns)
+            follower.retract(since_ns)
         if self._knowledge.cold is not None:
             self._knowledge.cold.drop_newest(self._tally.counts["ticks"] - ticks)
 
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
-        self.owes_release |= self._state.contact
+        self.owes_release |= self._reported
         self._state.reset()
 
     def _follow_phase(self, sample: ServoSample) -> None:
@@ -461,18 +471,31 @@ class ContactLearner:
     def _event(
         self, decision: Decision, sample: ServoSample, residual: list[float]
     ) -> ContactEvent:
+        doubt, withheld = self._doubt, self._withholds
+        self._reported = decision.contact and not withheld
+        if decision.contact:
+            self._tally.counts["withheld" if withheld else "contacts"] += 1
         return ContactEvent(
             leg=self.leg.id,
             t_ns=sample.t_ns,
             seq=sample.seq,
             # In the stamps' own time, of which the schedule is a smoothed one.
             onset_ns=sample.t_ns - max(self._rate.at_ns - decision.onset_ns, 0),
-            contact=decision.contact,
+            contact=self._reported,
             status=self._status,
             score=decision.score,
             residual=residual,
             model_version=self._version,
+            withheld=withheld,
+            doubt=doubt,
         )
+
+    @property
+    def _withholds(self) -> bool:
+        """Whether contacts are not reported, as the leg is ambiguous."""
+        if self._void:
+            return True
+        return self._when_ambiguous is WhenAmbiguous.WITHHOLD and self._doubt is not None
 
     @property
     def _follower(self) -> Follower | None:

@@ -1,10 +1,10 @@
-"""What a learner may do to follow its leg."""
+"""What a learner may do to follow its leg, and to report of one that is ambiguous."""
 
 from __future__ import annotations
 
 import enum
 
-__all__ = ["LearnerMode"]
+__all__ = ["LearnerMode", "WhenAmbiguous"]
 
 
 class LearnerMode(enum.StrEnum):
@@ -30,3 +30,13 @@ class LearnerMode(enum.StrEnum):
     def gated(self) -> bool:
         """Whether it learns from what is confirmed only, and lifts are heard as witnesses."""
         return self.recursive or self.refits
+
+
+class WhenAmbiguous(enum.StrEnum):
+    """What becomes of the contacts of a leg whose status is ``ambiguous`` (decision 24).
+
+    WITHHOLD reports none, and releases one that stands; PUBLISH reports them as any other.
+    """
+
+    WITHHOLD = "withhold"
+    PUBLISH = "publish"

@@ -136,7 +136,7 @@ class Quarantine:
 
     def enter(
         self, theta: Array, verdict: Verdict, detector: LegDetector, *, t_ns: int,
-        at: Sequence[float], free: bool,
+        at: Sequence[float], free: bool, copied: bool,
     ) -> None:  # fmt: skip
         """Enter a judged tick, and hand on the lift where this tick is past its top.
 
@@ -147,6 +147,7 @@ class Quarantine:
             t_ns: of the tick.
             at: (J,) rad, the command in force.
             free: the leg had been found free before, and is not held to touch.
+            copied: readings may be copies of commands; a lift that ends so is not learned from.
         """
         follower, swing = self.follower, self._swing
         if follower is None or not follower.learning:
@@ -184,7 +185,7 @@ class Quarantine:
             if held is not None:
                 monitor.foot_held(held=held, came=swing.came)
         lift = book.take_lift()
-        if lift is not None and swing.lifted and not swing.held:
+        if lift is not None and swing.lifted and not (swing.held or copied):
             self._unheard = 0
             self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)

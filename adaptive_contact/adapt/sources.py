@@ -1,13 +1,13 @@
-"""Detects two faults of a source that its samples alone give away.
+r"""Detects two faults of a source that its samples alone give away.
 
 *Echo*: a joint's reading is a copy of its command, of the same tick or of up to three before.  With
 :math:`e_k = (y_k - u_{k-L}) / q` in position steps, an echo keeps :math:`e` within one step,
 whatever its rounding, while the command speeds up and slows down.  A servo at a steady speed may
 do so, too; one that accelerates moves off.  The evidence of a run of such ticks is
 
-.. math:: n \\, (\\max \\dot u - \\min \\dot u),
+.. math:: n \, (\max \dot u - \min \dot u),
 
-with n ticks in which the command moved and :math:`\\dot u` in steps a tick (decision 24).
+with n ticks in which the command moved and :math:`\dot u` in steps a tick (decision 24).
 
 *Swapped phase*: ``swing`` is published for stance and the reverse.  A leg goes as far in its swing
 as in its stance, in less time; where the command moves slower in swings than in stances, and comes
@@ -16,6 +16,7 @@ down less, they are swapped.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
@@ -34,10 +35,16 @@ ECHO_TICKS: Final = 3
 ECHO_WIDTH: Final = 0.998
 # A command moves in a tick when it goes further than this, in steps.
 MOVED: Final = 0.5
-# A run of so many moved ticks, of so much evidence, is an echo.  Measured runs of servos have at
-# most half that evidence (decision 24).
-LEAST_MOVED: Final = 6
+# A run of so many moved ticks, over such a range of speeds (steps a tick), of so much evidence, is
+# an echo.  Of 4,537 simulated swings the longest run of a servo over a range of 8 has 6 such
+# ticks; real servos have 5 over 3.5, or hundreds at one speed, over 0.4 (decision 24).
+LEAST_MOVED: Final = 10
+LEAST_RANGE: Final = 3.0
 ECHO_EVIDENCE: Final = 90.0
+# With so much evidence it is likely enough not to learn from a lift: at the top of a free one, runs
+# of servos have none.
+SUSPECT_MOVED: Final = 3
+SUSPECT_EVIDENCE: Final = 20.0
 # It has ended after so many ticks in a row that match no command.
 ECHO_OVER: Final = 3
 # Step of the coarsest servo known here (AX-12A), by which movements are counted where a servo's own
@@ -54,8 +61,8 @@ FALL_SHARE: Final = 0.5
 # Parts of fewer ticks have no mean speed worth comparing.
 LEAST_SWING: Final = 8
 LEAST_STANCE: Final = 3
-# A foot that comes down by less in a swing that much slower than the one before may stand: the swing is not
-# learned from.
+# A foot that comes down by less in a swing that much slower than the one before may stand: the
+# swing is not learned from.
 STANDS_M: Final = 0.005
 # Commands kept of a swing or stance.
 PART_TICKS: Final = 400
@@ -69,20 +76,29 @@ class _Run:
     def __init__(self, error: float) -> None:
         self.low = self.high = error
         self.moved = 0
-        self.slowest = self.fastest = 0.0
+        self.slowest, self.fastest = math.inf, -math.inf  # steps within the run
 
-    def go_on(self, error: float, step: float) -> float | None:
-        """Take in a tick; the run's evidence, or None where the tick does not belong to it."""
+    @property
+    def evidence(self) -> float:
+        """Moved ticks by the range of their steps."""
+        return self.moved * (self.fastest - self.slowest) if self.moved else 0.0
+
+    @property
+    def echoes(self) -> bool:
+        """Whether no servo does so."""
+        long = self.moved >= LEAST_MOVED and self.fastest - self.slowest >= LEAST_RANGE
+        return long and self.evidence >= ECHO_EVIDENCE
+
+    def go_on(self, error: float, step: float) -> bool:
+        """Take in a tick; False where it does not belong to the run."""
         low, high = min(self.low, error), max(self.high, error)
         if high - low > ECHO_WIDTH:
-            return None
+            return False
         self.low, self.high = low, high
         if step > MOVED or step < -MOVED:
             self.moved += 1
-        if self.slowest == self.fastest == 0.0 and not self.moved:
-            return 0.0
         self.slowest, self.fastest = min(self.slowest, step), max(self.fastest, step)
-        return self.moved * (self.fastest - self.slowest)
+        return True
 
 
 class EchoWatch:
@@ -108,6 +124,15 @@ class EchoWatch:
         self._runs: list[list[_Run | None]] = []
         self._off = [0] * joints  # ticks in a row that match no command
         self.begin()
+
+    @property
+    def suspected(self) -> bool:
+        """Whether a joint may be echoing, by the swing so far."""
+        return any(
+            run is not None and run.moved >= SUSPECT_MOVED and run.evidence >= SUSPECT_EVIDENCE
+            for runs in self._runs
+            for run in runs
+        )
 
     def begin(self) -> None:
         """Count from here on: a swing begins, or what comes does not connect."""
@@ -148,10 +173,9 @@ class EchoWatch:
                     continue
                 matched = True
                 run = runs[lag]
-                evidence = None if run is None else run.go_on(error, self._steps[lag][joint])
-                if evidence is None:
+                if run is None or not run.go_on(error, self._steps[lag][joint]):
                     runs[lag] = _Run(error)
-                elif run is not None and evidence >= ECHO_EVIDENCE and run.moved >= LEAST_MOVED:
+                elif run.echoes:
                     self.echoing.add(joint)
             if self.echoing:
                 self._off[joint] = 0 if matched else self._off[joint] + 1
@@ -291,6 +315,11 @@ class SourceWatch:
         self._leg = leg
         self._echo = EchoWatch(len(leg.joints), quantum_rad)
         self._phase = PhaseWatch(leg)
+
+    @property
+    def suspected(self) -> bool:
+        """Whether readings may be copies of commands, by the swing so far."""
+        return self._echo.suspected
 
     @property
     def note(self) -> str | None:

@@ -191,8 +191,22 @@ class SwingWatch:
             whole = len(places) == len(self._path)  # else the model ran away
             if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
                 self.came = self._moved / way
+        if not self.lifted:
+            self.came = min(self.came, self._risen_share())
         self.held = self.came < enough
         return self.held
+
+    def _risen_share(self) -> float:
+        """Share of its command's rise that the foot went upwards; 1 where little was asked.
+
+        Readings that are turned around go as far as their command, and the other way.
+        """
+        first, last = self._path_seq
+        if last - first + 1 != len(self._path):
+            return 1.0
+        heights = [self._place(angles)[2] for angles in self._path[: -LAG_TICKS - 1]]
+        asked = max(heights, default=-math.inf) - self._start[2]
+        return self._rise / asked if asked > LEAST_WAY_M else 1.0
 
     def touch_belied(self) -> bool | None:
         """Whether the swing that ends told a touch where its foot had hardly begun to come down.

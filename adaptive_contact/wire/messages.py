@@ -86,14 +86,16 @@ class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
     run: int | None = None
 
 
-class ContactEvent(Message, frozen=True, kw_only=True):
-    """A change of a leg's contact state.
+class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """A change of a leg's contact state, or a contact that is withheld.
 
     Attributes:
         t_ns, seq: of the sample that decided.
         onset_ns: estimated first touch (or release), at most ``t_ns``.
         score: statistic over threshold, above 1 for a contact.
         residual: (J,) rad, measured minus predicted at the deciding sample.
+        withheld: ``contact`` is False because the leg is ambiguous, whatever its residuals say.
+        doubt: why the leg is ambiguous.
     """
 
     leg: str
@@ -105,6 +107,8 @@ class ContactEvent(Message, frozen=True, kw_only=True):
     score: float
     residual: list[float]
     model_version: int
+    withheld: bool = False
+    doubt: Doubt | None = None
 
 
 class BufferCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -147,6 +151,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         restarts: times the source began anew; what is lost there, no number tells.
         contact: whether the leg touches, by its last event.
         contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
+        withheld: contacts withheld so far, as the leg was ambiguous.
+        doubt: why the leg is ambiguous, None while it is not.
         jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
         note: one line for a person when something is wrong, None when all is well.
     """
@@ -166,6 +172,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     restarts: int = 0
     contact: bool = False
     contacts: int = 0
+    withheld: int = 0
+    doubt: Doubt | None = None
     jitter_ms: float = 0.0
     note: str | None = None
 
