@@ -13,6 +13,7 @@ from adaptive_contact.files import why_not_writable
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
 __all__ = [
+    "AmbiguousOption",
     "BaselineOption",
     "ConfigOption",
     "ConnectOption",
@@ -27,10 +28,18 @@ __all__ = [
     "NoStateOption",
     "RealtimeOption",
     "StateOption",
+    "WhenAmbiguous",
     "ZenohConfigOption",
     "check_output",
     "client",
 ]
+
+
+class WhenAmbiguous(StrEnum):
+    """What becomes of the contacts of an ambiguous leg; by value that of `adapt`."""
+
+    WITHHOLD = "withhold"
+    PUBLISH = "publish"
 
 
 class LogLevel(StrEnum):
@@ -128,6 +137,13 @@ StateOption = Annotated[
 ]
 NoStateOption = Annotated[
     bool, typer.Option("--no-state", help="Neither restore nor keep what is learned.")
+]
+AmbiguousOption = Annotated[
+    WhenAmbiguous,
+    typer.Option(
+        "--when-ambiguous",
+        help="Withhold contacts of a leg that is ambiguous, or publish them as any other.",
+    ),
 ]
 LogLevelOption = Annotated[
     LogLevel,

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import typer
 
 from adaptive_contact.cli._options import (
+    AmbiguousOption,
     BaselineOption,
     ConfigOption,
     ConnectOption,
@@ -30,6 +31,7 @@ from adaptive_contact.cli._options import (
     NoStateOption,
     RealtimeOption,
     StateOption,
+    WhenAmbiguous,
     ZenohConfigOption,
 )
 from adaptive_contact.cli._output import make_stdout_optional
@@ -63,6 +65,7 @@ def serve(
     zenoh_config: ZenohConfigOption = None,
     insecure: InsecureOption = False,
     realtime: RealtimeOption = False,
+    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: JsonPayloadOption = False,
     log_json: LogJsonOption = False,
     log_level: LogLevelOption = LogLevel.INFO,
@@ -82,6 +85,7 @@ def serve(
     with _refitting() as process:
         from threadpoolctl import threadpool_limits
 
+        from adaptive_contact import adapt
         from adaptive_contact.adapt import LearnerBank
         from adaptive_contact.service.faults import FaultLog
         from adaptive_contact.service.garbage import Sweeper
@@ -107,7 +111,13 @@ def serve(
             typer.echo(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
         refitter = ProcessRefitter(process=process)
-        bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
+        bank = LearnerBank(
+            robot,
+            learned,
+            refitter=refitter,
+            on_fault=FaultLog(),
+            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+        )
         try:
             link = Link.open(settings, on_wait=_say, stop=stop)
         except LinkError:

@@ -97,7 +97,7 @@ def table(view: View) -> Table:
     for leg in view.legs:
         cells = [
             Text(printable(leg.leg), style="bold"),
-            _state(leg.contact),
+            _state(leg),
             _status(leg),
             *([_change(leg)] if with_changes else []),
             _age(leg.contact_age_s),
@@ -123,10 +123,15 @@ def _lost(leg: LegView) -> Text:
     return Text(words, style="yellow" if leg.missed or leg.restarts else "dim")
 
 
-def _state(contact: bool | None) -> Text:
-    if contact is None:
+def _state(leg: LegView) -> Text:
+    """Free or contact; and of an ambiguous leg how many contacts have been withheld."""
+    if leg.contact is None:
         return Text("?", style="dim")
-    return Text("CONTACT", style="bold reverse") if contact else Text("free")
+    if leg.contact:
+        return Text("CONTACT", style="bold reverse")
+    if leg.withheld and leg.status == "ambiguous":
+        return Text(f"{leg.withheld} withheld", style="yellow")
+    return Text("free")
 
 
 def _status(leg: LegView) -> Text:
