@@ -58,9 +58,14 @@ SWAPPED_RATIO: Final = 0.8
 # And the foot's command comes down by less than this share of what it does in stances: by 18 mm and
 # more in a swing that meets the ground, by 5 mm at most in 95 of 100 stances.
 FALL_SHARE: Final = 0.5
-# Parts of fewer ticks have no mean speed worth comparing.
-LEAST_SWING: Final = 8
-LEAST_STANCE: Final = 3
+# It comes down in stances by this much, as in any swing.
+LEAST_FALL_M: Final = 0.01
+# Without geometry the speed alone must say so, in so many swings in a row: a leg that is put
+# somewhere else in its stance may be fast, too.
+SLOW_SWINGS: Final = 2
+# Parts of fewer ticks have no mean speed worth comparing, nor has the beginning of one.
+LEAST_TICKS: Final = 3
+BEGINNING: Final = 8
 # A foot that comes down by less in a swing that much slower than the one before may stand: the
 # swing is not learned from.
 STANDS_M: Final = 0.005
@@ -228,6 +233,7 @@ class PhaseWatch:
         self._leg = leg
         self._before: Sequence[float] | None = None
         self._part = _Part()
+        self._slow = 0  # swings in a row that were slower than the stance before them
         self._swing: bool | None = None
         self._whole = False  # the part in hand has been seen from its beginning
         self._last: dict[bool, _Part | None] = {True: None, False: None}
@@ -236,6 +242,7 @@ class PhaseWatch:
         """What comes does not connect to what was."""
         self._before = self._swing = None
         self._whole = False
+        self._slow = 0
         self._last = {True: None, False: None}
 
     def take(self, sample: ServoSample) -> None:
@@ -257,18 +264,17 @@ class PhaseWatch:
         part.ticks += 1
         part.travel += moved
         part.commands.append(desired)
-        if self._whole and part.ticks >= LEAST_SWING:
+        if self._whole and part.ticks >= BEGINNING:
             self._compare(swing)
 
     def _turn(self, swing: bool) -> None:
         """The part in hand is over."""
         over, part = self._swing, self._part
         if over is not None:
-            if over and self._whole and part.ticks >= LEAST_SWING:
-                self._compare(over, ended=True)
-                self.doubtful = self._may_stand(part)
-            least = LEAST_SWING if over else LEAST_STANCE
-            if self._whole and part.ticks >= least:
+            if self._whole and part.ticks >= LEAST_TICKS:
+                if over:
+                    self._compare(over, ended=True)
+                    self.doubtful = self._may_stand(part)
                 self._last[over] = part
             self._whole = True
         self._swing, self._part = swing, _Part()
@@ -282,10 +288,15 @@ class PhaseWatch:
         if self.swapped:
             if in_stance.speed < SWAPPED_RATIO * in_swing.speed:
                 self.swapped = False
-        elif (ended or not swing) and in_swing.speed < SWAPPED_RATIO * in_stance.speed:
-            # Without geometry neither comes down.
-            most = FALL_SHARE * in_stance.fall(self._leg)
-            self.swapped = in_swing.fall(self._leg) <= most
+            return
+        slower = in_swing.speed < SWAPPED_RATIO * in_stance.speed
+        if ended:
+            self._slow = self._slow + 1 if slower else 0
+        if slower and self._leg.lengths_m is None:
+            self.swapped = self._slow >= SLOW_SWINGS
+        elif slower and (ended or not swing):
+            fall = in_stance.fall(self._leg)
+            self.swapped = fall > LEAST_FALL_M and in_swing.fall(self._leg) <= FALL_SHARE * fall
 
     def _may_stand(self, part: _Part) -> bool:
         last = self._last[True]

@@ -28,6 +28,9 @@ LEAST_WAY_M: Final = 0.015
 # for free again above the second share, which free ones reach 9 times in 10.
 HELD_SHARE: Final = 0.75
 FREE_SHARE: Final = 0.9
+# Readings that fall by more than this share of their command's rise are turned around: what hangs
+# on a foot pulls it down by less.
+TURNED_SHARE: Final = 0.5
 # A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
 # model decides then, as it would have without.
 FORGET_SWINGS: Final = 5
@@ -102,6 +105,7 @@ class SwingWatch:
         self._heights: deque[float] = deque(maxlen=HEIGHTS)  # m, newest last
         self._surface = -math.inf  # height of soft ground that the swing began in, m
         self._touch: tuple[float, float] | None = None  # heights at a touch, and before it
+        self._low = math.inf  # height of the foot, the lowest of the swing so far, m
         self._top = -math.inf  # height of the foot, the highest of the swing so far, m
         self._fallen: float | None = None  # from there to where its first touch began, m
 
@@ -191,22 +195,19 @@ class SwingWatch:
             whole = len(places) == len(self._path)  # else the model ran away
             if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
                 self.came = self._moved / way
-        if not self.lifted:
-            self.came = min(self.came, self._risen_share())
+        if self._turned_around():
+            self.came = 0.0
         self.held = self.came < enough
         return self.held
 
-    def _risen_share(self) -> float:
-        """Share of its command's rise that the foot went upwards; 1 where little was asked.
-
-        Readings that are turned around go as far as their command, and the other way.
-        """
-        first, last = self._path_seq
-        if last - first + 1 != len(self._path):
-            return 1.0
-        heights = [self._place(angles)[2] for angles in self._path[: -LAG_TICKS - 1]]
-        asked = max(heights, default=-math.inf) - self._start[2]
-        return self._rise / asked if asked > LEAST_WAY_M else 1.0
+    def _turned_around(self) -> bool:
+        """Whether readings went down instead of up, by most of what the command rose."""
+        fell = self._start[2] - self._low
+        if self.lifted or fell < LEAST_WAY_M * TURNED_SHARE:
+            return False
+        heights = [self._place(angles)[2] for angles in self._path]
+        asked = max(heights) - min(heights[0], self._start[2])
+        return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
 
     def touch_belied(self) -> bool | None:
         """Whether the swing that ends told a touch where its foot had hardly begun to come down.
@@ -264,6 +265,7 @@ class SwingWatch:
                 self._surface = before if self._start[2] < at - SUNK_M else -math.inf
                 self._touch = None
                 self._top, self._fallen = self._start[2], None
+                self._low = self._start[2]
             if len(self._path) < PATH_TICKS:  # what is longer is not foretold
                 self._path.append(sample.desired)
             self._path_seq = (self._path_seq[0], sample.seq)
@@ -288,6 +290,7 @@ class SwingWatch:
         self._measured = now
         self._heights.append(now[2])
         self._top = max(self._top, now[2])
+        self._low = min(self._low, now[2])
         self._rise = max(self._rise, now[2] - self._start[2])
         self._moved = max(self._moved, math.dist(now, self._start))
         self._asked.append(math.dist(self._commanded, self._start))

@@ -86,7 +86,6 @@ def serve(
         from threadpoolctl import threadpool_limits
 
         from adaptive_contact import adapt
-        from adaptive_contact.adapt import LearnerBank
         from adaptive_contact.service.faults import FaultLog
         from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
@@ -111,7 +110,7 @@ def serve(
             typer.echo(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
         refitter = ProcessRefitter(process=process)
-        bank = LearnerBank(
+        bank = adapt.LearnerBank(
             robot,
             learned,
             refitter=refitter,
