@@ -286,7 +286,8 @@ class PhaseWatch:
             return
         in_swing, in_stance = (part, beside) if swing else (beside, part)
         if self.swapped:
-            if in_stance.speed < SWAPPED_RATIO * in_swing.speed:
+            # Of a swing in hand: what is published as a stance begins slowly, too.
+            if swing and in_stance.speed < SWAPPED_RATIO * in_swing.speed:
                 self.swapped = False
             return
         slower = in_swing.speed < SWAPPED_RATIO * in_stance.speed
