@@ -495,7 +495,10 @@ class ContactLearner:
         """Whether contacts are not reported, as the leg is ambiguous."""
         if self._void:
             return True
-        return self._when_ambiguous is WhenAmbiguous.WITHHOLD and self._doubt is not None
+        if self._when_ambiguous is WhenAmbiguous.PUBLISH:
+            return False
+        strict = self._when_ambiguous is WhenAmbiguous.STRICT
+        return self._doubt not in (None, *(() if strict else ("unsettled",)))
 
     @property
     def _follower(self) -> Follower | None:

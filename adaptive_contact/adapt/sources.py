@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -121,11 +122,11 @@ class EchoWatch:
     def __init__(self, joints: int, quantum_rad: float | None) -> None:
         self.echoing: set[int] = set()
         self._joints = joints
-        self._per_rad = 1.0 / (UNKNOWN_STEP_RAD if quantum_rad is None else quantum_rad)
-        self._most = ECHO_WIDTH if quantum_rad is not None else EQUAL_RAD * self._per_rad
-        # Newest first, in steps: commands, and how far each is from the one before.
-        self._commands: deque[list[float]] = deque(maxlen=ECHO_TICKS + 1)
-        self._steps: deque[list[float]] = deque(maxlen=ECHO_TICKS + 1)
+        step_rad = UNKNOWN_STEP_RAD if quantum_rad is None else quantum_rad
+        self._per_rad = 1.0 / step_rad
+        self._most_rad = EQUAL_RAD if quantum_rad is None else ECHO_WIDTH * step_rad
+        # Newest first, rad; one more than is compared, as steps are between two.
+        self._commands: deque[Sequence[float]] = deque(maxlen=ECHO_TICKS + 2)
         self._runs: list[list[_Run | None]] = []
         self._off = [0] * joints  # ticks in a row that match no command
         self.begin()
@@ -147,15 +148,10 @@ class EchoWatch:
         """The commands before are not known."""
         self.begin()
         self._commands.clear()
-        self._steps.clear()
 
     def command(self, desired: Sequence[float]) -> None:
         """Take in a sample's command; to be called for every sample, before :meth:`take`."""
-        per_rad = self._per_rad
-        now = [angle * per_rad for angle in desired]
-        before = self._commands[0] if self._commands else now
-        self._steps.appendleft([new - old for new, old in zip(now, before, strict=True)])
-        self._commands.appendleft(now)
+        self._commands.appendleft(desired)
 
     def take(self, measured: Sequence[float], valid: Sequence[bool] | None = None) -> None:
         """Compare a sample's readings with the commands up to its own.
@@ -164,22 +160,21 @@ class EchoWatch:
             measured: (J,) rad.
             valid: (J,) False where nothing was read.
         """
-        most, per_rad = self._most, self._per_rad
+        most, per_rad, commands = self._most_rad, self._per_rad, list(self._commands)
         for joint, angle in enumerate(measured):
             if valid is not None and not valid[joint]:
                 continue
-            at = angle * per_rad
             runs, matched = self._runs[joint], False
-            for lag, command in enumerate(self._commands):
-                error = at - command[joint]
+            # A step is known of every command but the oldest.
+            for lag, (command, before) in enumerate(pairwise(commands)):
+                error = angle - command[joint]
                 if error > most or error < -most:
-                    if runs[lag] is not None:
-                        runs[lag] = None
+                    runs[lag] = None
                     continue
                 matched = True
-                run = runs[lag]
-                if run is None or not run.go_on(error, self._steps[lag][joint]):
-                    runs[lag] = _Run(error)
+                run, step = runs[lag], (command[joint] - before[joint]) * per_rad
+                if run is None or not run.go_on(error * per_rad, step):
+                    runs[lag] = _Run(error * per_rad)
                 elif run.echoes:
                     self.echoing.add(joint)
             if self.echoing:

@@ -39,6 +39,7 @@ class WhenAmbiguous(StrEnum):
     """What becomes of the contacts of an ambiguous leg; by value that of `adapt`."""
 
     WITHHOLD = "withhold"
+    STRICT = "strict"
     PUBLISH = "publish"
 
 
@@ -142,7 +143,8 @@ AmbiguousOption = Annotated[
     WhenAmbiguous,
     typer.Option(
         "--when-ambiguous",
-        help="Withhold contacts of a leg that is ambiguous, or publish them as any other.",
+        help="Withhold contacts of an ambiguous leg, but for one that merely fits badly; withhold "
+        "those, too; or publish all.",
     ),
 ]
 LogLevelOption = Annotated[

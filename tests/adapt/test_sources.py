@@ -14,7 +14,7 @@ from adaptive_contact.adapt import Baseline, WhenAmbiguous
 from adaptive_contact.adapt.learner import ContactLearner as Learner
 from adaptive_contact.adapt.sources import ECHO_EVIDENCE, ECHO_TICKS, EchoWatch, PhaseWatch
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
 
 from .conftest import FakeLeg, play, samples
 
@@ -295,18 +295,25 @@ def touching(count: int, touches: range) -> list[ServoSample]:
 
 
 def ambiguous_from(
-    learner: ContactLearner, stream: list[ServoSample], begin: int, end: int
+    learner: ContactLearner,
+    stream: list[ServoSample],
+    begin: int,
+    end: int,
+    doubt: Doubt = "descents",
 ) -> list[ContactEvent]:
-    """Play, with the leg ambiguous from one tick to another, as a leg that will not settle is."""
+    """Play, with the leg ambiguous from one tick to another."""
     events = play(learner, stream[:begin])
     follower = learner._follower
     assert follower is not None
-    monitor = follower.monitor
     for sample in stream[begin:end]:
-        monitor.status = "ambiguous"
+        if doubt == "descents":
+            follower._belied.told = True
+        else:
+            follower.monitor.status = "ambiguous"
         event = learner.update(sample)
         events += [] if event is None else [event]
-    monitor.status = "valid"
+    follower._belied.forget()
+    follower.monitor.status = "valid"
     return events + play(learner, stream[end:])
 
 
@@ -318,7 +325,7 @@ def test_contacts_of_an_ambiguous_leg_are_withheld(robot: Robot, baseline: Basel
     assert not any(e.contact for e in within)
     held_back = [e for e in within if e.withheld and e.score > 1.0]
     assert {e.seq // PERIOD for e in held_back} == set(range(25, 30))
-    assert {(e.status, e.doubt) for e in held_back} == {("ambiguous", "unsettled")}
+    assert {(e.status, e.doubt) for e in held_back} == {("ambiguous", "descents")}
     after = {e.seq // PERIOD for e in events if e.contact and e.seq >= 30 * PERIOD}
     assert after == set(range(30, 40))
     status = learner.status
@@ -350,8 +357,22 @@ def test_published_all_the_same_where_asked(robot: Robot, baseline: Baseline) ->
     events = ambiguous_from(learner, stream, 25 * PERIOD, 30 * PERIOD)
     assert [(e.seq, e.contact) for e in events] == [(e.seq, e.contact) for e in told]
     within = [e for e in events if 25 * PERIOD < e.seq < 30 * PERIOD]
-    assert {e.doubt for e in within} == {"unsettled"}
+    assert {e.doubt for e in within} == {"descents"}
     assert not any(e.withheld for e in within)
+
+
+@pytest.mark.parametrize("conduct", list(WhenAmbiguous))
+def test_a_leg_that_only_fits_badly_is_withheld_where_that_is_asked(
+    robot: Robot, baseline: Baseline, conduct: WhenAmbiguous
+) -> None:
+    stream = touching(40, range(20, 40))
+    learner = learner_of(robot, baseline, conduct)
+    events = ambiguous_from(learner, stream, 25 * PERIOD, 30 * PERIOD, "unsettled")
+    within = [e for e in events if 25 * PERIOD < e.seq < 30 * PERIOD and e.score > 1.0]
+    assert {e.doubt for e in within} == {"unsettled"}
+    assert {(e.contact, e.withheld) for e in within} == {
+        (conduct is not WhenAmbiguous.STRICT, conduct is WhenAmbiguous.STRICT)
+    }
 
 
 def test_a_leg_that_is_well_says_nothing_of_it() -> None:
