@@ -247,8 +247,6 @@ class ContactLearner:
             self._connect(result, sample, missed)
             self._source.connect(restart=result.restart)
         self._source.follow(sample)
-        if self._source.doubtful:
-            self._quarantine.break_off()
         self._follow_phase(sample)
         if self._source.look(sample, self._swing.ticks):
             self._follow_source()

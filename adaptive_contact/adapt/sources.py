@@ -67,9 +67,6 @@ SLOW_SWINGS: Final = 2
 # Parts of fewer ticks have no mean speed worth comparing, nor has the beginning of one.
 LEAST_TICKS: Final = 3
 BEGINNING: Final = 8
-# A foot that comes down by less in a swing that much slower than the one before may stand: the
-# swing is not learned from.
-STANDS_M: Final = 0.005
 # Commands kept of a swing or stance.
 PART_TICKS: Final = 400
 
@@ -220,11 +217,10 @@ class PhaseWatch:
 
     Attributes:
         swapped: stance is published as swing.
-        doubtful: the swing that has just ended may have been a stance.
     """
 
     def __init__(self, leg: Leg) -> None:
-        self.swapped = self.doubtful = False
+        self.swapped = False
         self._leg = leg
         self._before: Sequence[float] | None = None
         self._part = _Part()
@@ -242,7 +238,6 @@ class PhaseWatch:
 
     def take(self, sample: ServoSample) -> None:
         """Take in a sample."""
-        self.doubtful = False
         phase, desired = sample.phase, sample.desired
         if phase is None:
             if self._swing is not None:
@@ -269,7 +264,6 @@ class PhaseWatch:
             if self._whole and part.ticks >= LEAST_TICKS:
                 if over:
                     self._compare(over, ended=True)
-                    self.doubtful = self._may_stand(part)
                 self._last[over] = part
             self._whole = True
         self._swing, self._part = swing, _Part()
@@ -294,15 +288,6 @@ class PhaseWatch:
             fall = in_stance.fall(self._leg)
             self.swapped = fall > LEAST_FALL_M and in_swing.fall(self._leg) <= FALL_SHARE * fall
 
-    def _may_stand(self, part: _Part) -> bool:
-        last = self._last[True]
-        return (
-            self._leg.lengths_m is not None
-            and last is not None
-            and part.speed < SWAPPED_RATIO * last.speed
-            and part.fall(self._leg) < STANDS_M
-        )
-
 
 class SourceWatch:
     """Watches the source of one leg's samples for both faults.
@@ -313,12 +298,10 @@ class SourceWatch:
 
     Attributes:
         cause: ``echo`` or ``phase`` while the samples say nothing of the leg, else None.
-        doubtful: the swing that has just ended may have been a stance, and teaches nothing.
     """
 
     def __init__(self, leg: Leg, quantum_rad: float) -> None:
         self.cause: Doubt | None = None
-        self.doubtful = False
         self._leg = leg
         self._echo = EchoWatch(len(leg.joints), quantum_rad)
         self._phase = PhaseWatch(leg)
@@ -354,7 +337,6 @@ class SourceWatch:
         """Take in a sample, before its phase is acted upon."""
         self._echo.command(sample.desired)
         self._phase.take(sample)
-        self.doubtful = self._phase.doubtful
 
     def look(self, sample: ServoSample, ticks: int) -> bool:
         """Judge the sample taken in last.
