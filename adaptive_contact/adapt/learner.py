@@ -7,6 +7,7 @@ six cost little more than one.  Recursive updates and refits come after the even
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, Final
 
 import numpy as np
@@ -94,7 +95,7 @@ class ContactLearner:
         self._swing = SwingWatch(self.leg)
         self._state = ContactState()
         self._reported = False  # the state by the last event; differs while one is withheld
-        self._when_ambiguous = when_ambiguous
+        self._when_ambiguous = WhenAmbiguous(when_ambiguous)
         self.owes_release = False
         self._tally = Tally(len(self.leg.joints))
         self._t_ns = 0
@@ -107,7 +108,8 @@ class ContactLearner:
         self._track = self._conventions.track(self.leg)
         self._misread = False  # the leg's angles are not counted as described
         self._source = SourceWatch(self.leg, robot.quantum(leg))
-        self._swing_began = (0, 0)  # ns, and samples accepted
+        # The last swings: when they began, ns, and how many samples had been accepted.
+        self._swings_began = deque([(0, 0)], maxlen=2)
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -390,6 +392,8 @@ class ContactLearner:
             self._swing.restart()
             self._quarantine.restart()
             self._command = self._command_before = sample.desired
+            self._swings_began.clear()
+            self._swings_began.append((self._rate.at_ns, self._tally.counts["ticks"]))
             if tracker is not None:
                 tracker.restart()
             if self._follower is not None:
@@ -444,7 +448,8 @@ class ContactLearner:
             self._state.begin_swing()
             return
         self._let_go()
-        since_ns, ticks = self._swing_began
+        # It may have begun in the swing before, too late in it to be found.
+        since_ns, ticks = self._swings_began[0]
         if follower is not None:
             follower.retract(since_ns)
         if self._knowledge.cold is not None:
@@ -460,7 +465,7 @@ class ContactLearner:
         if self._swing.ticks == 0:
             self._quarantine.resolve()
         elif self._swing.ticks == 1:
-            self._swing_began = (self._rate.at_ns, self._tally.counts["ticks"])
+            self._swings_began.append((self._rate.at_ns, self._tally.counts["ticks"]))
             self._quarantine.begin()
             self._state.begin_swing()
             if self.tracker is not None:
