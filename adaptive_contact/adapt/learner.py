@@ -18,6 +18,7 @@ from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.mode import LearnerMode, WhenAmbiguous
+from adaptive_contact.adapt.monitor import UNFIT_LEVEL
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
@@ -500,8 +501,12 @@ class ContactLearner:
             return True
         if self._when_ambiguous is WhenAmbiguous.PUBLISH:
             return False
-        strict = self._when_ambiguous is WhenAmbiguous.STRICT
-        return self._doubt not in (None, *(() if strict else ("unsettled",)))
+        doubt = self._doubt
+        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
+            return doubt is not None
+        # A foot that comes short of its command in lifts that fit the model is slow, not held.
+        fits = doubt == "held" and self._quarantine.lift_level <= UNFIT_LEVEL
+        return not fits and doubt != "unsettled"
 
     @property
     def _follower(self) -> Follower | None:

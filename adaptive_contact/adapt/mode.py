@@ -35,10 +35,10 @@ class LearnerMode(enum.StrEnum):
 class WhenAmbiguous(enum.StrEnum):
     """What becomes of the contacts of a leg whose status is ``ambiguous`` (decision 24).
 
-    WITHHOLD reports none where the readings do not follow the leg, or its foot is held, and
-    releases one that stands.  Those of a leg that only fits its model badly (``unsettled``) it
-    reports, as that leg's threshold is as wide as its lifts are far.  STRICT withholds these, too.
-    PUBLISH withholds none.
+    WITHHOLD reports none where the readings do not follow the leg, or something holds its foot, and
+    releases one that stands.  It reports those of a leg that only fits its model badly
+    (``unsettled``), whose threshold is as wide as its lifts are far, and of a foot that counts as
+    held in a swing whose lift fits.  STRICT withholds these, too.  PUBLISH withholds none.
     """
 
     WITHHOLD = "withhold"

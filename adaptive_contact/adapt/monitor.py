@@ -20,7 +20,14 @@ from scipy.special import chdtri  # scipy.stats takes half a second to import
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.wire import Doubt, DriftLevel, Status
 
-__all__ = ["LEVEL_RANGE", "PATIENCE_SWINGS", "SETTLED_LEVEL", "DriftMonitor", "Heard"]
+__all__ = [
+    "LEVEL_RANGE",
+    "PATIENCE_SWINGS",
+    "SETTLED_LEVEL",
+    "UNFIT_LEVEL",
+    "DriftMonitor",
+    "Heard",
+]
 
 # A good model's lift exceeds the doubt level once in so many.
 DOUBT_PROBABILITY: Final = 1e-4

@@ -143,8 +143,8 @@ AmbiguousOption = Annotated[
     WhenAmbiguous,
     typer.Option(
         "--when-ambiguous",
-        help="Withhold contacts of an ambiguous leg, but for one that merely fits badly; withhold "
-        "those, too; or publish all.",
+        help="Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of them; "
+        "or publish them.",
     ),
 ]
 LogLevelOption = Annotated[
