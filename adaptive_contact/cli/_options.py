@@ -143,8 +143,8 @@ AmbiguousOption = Annotated[
     WhenAmbiguous,
     typer.Option(
         "--when-ambiguous",
-        help="Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of them; "
-        "or publish them.",
+        help="Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of "
+        "them; or publish them.",
     ),
 ]
 LogLevelOption = Annotated[
