@@ -11,7 +11,7 @@ from adaptive_contact.adapt.baseline import (
     shipped_baseline,
 )
 from adaptive_contact.adapt.learner import ContactLearner
-from adaptive_contact.adapt.mode import LearnerMode
+from adaptive_contact.adapt.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.adapt.snapshot import FORMAT as SNAPSHOT_FORMAT
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "LearnerBank",
     "LearnerMode",
     "LegBaseline",
+    "WhenAmbiguous",
     "load_baseline",
     "save_baseline",
     "shipped_baseline",

@@ -11,6 +11,7 @@ from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.learner import ContactLearner
 from adaptive_contact.adapt.legids import IdWatch
+from adaptive_contact.adapt.mode import WhenAmbiguous
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.team import OnFault, Team, check_sample
 from adaptive_contact.robot import Leg, Robot
@@ -32,6 +33,7 @@ class LearnerBank:
         refitter: does the sparse refits and cold starts; in line where absent.
         on_fault: told of a fault in one leg's learning, which makes that leg begin anew; without,
             faults are raised.
+        when_ambiguous: whether contacts are reported while a leg is ambiguous.
 
     Raises:
         BaselineError: the baseline belongs to another robot.
@@ -44,6 +46,7 @@ class LearnerBank:
         *,
         refitter: Refitter | None = None,
         on_fault: OnFault | None = None,
+        when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -54,6 +57,7 @@ class LearnerBank:
         self._ids = IdWatch(robot, baseline, self._refitter)
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
+        self._when_ambiguous = when_ambiguous
         self._team = Team(())
 
     @property
@@ -91,6 +95,7 @@ class LearnerBank:
             refitter=self._refitter,
             conventions=self._conventions,
             ids=self._ids,
+            when_ambiguous=self._when_ambiguous,
         )
         self._team.finish()
         self._team = Team(tuple(self._learners.values()), on_fault=self._on_fault)

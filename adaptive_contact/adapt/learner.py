@@ -7,6 +7,7 @@ six cost little more than one.  Recursive updates and refits come after the even
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, Final
 
 import numpy as np
@@ -17,10 +18,12 @@ from adaptive_contact.adapt.detector import LegDetector, Verdict
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
 from adaptive_contact.adapt.legids import IdWatch
-from adaptive_contact.adapt.mode import LearnerMode
+from adaptive_contact.adapt.mode import LearnerMode, WhenAmbiguous
+from adaptive_contact.adapt.monitor import UNFIT_LEVEL
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
+from adaptive_contact.adapt.sources import SourceWatch
 from adaptive_contact.adapt.stream import Accepted, RateWatch, Seams, StreamGuard
 from adaptive_contact.adapt.swing import Landings, SwingWatch
 from adaptive_contact.adapt.tally import Tally
@@ -32,6 +35,7 @@ from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
+    Doubt,
     DriftLevel,
     LearnerStatus,
     ModelReport,
@@ -59,6 +63,7 @@ class ContactLearner:
         conventions: watches whether the robot's angles are counted as described, together with its
             other legs; the leg by itself where absent.
         ids: watches whether the samples are this leg's, together with the other legs.
+        when_ambiguous: whether contacts are reported while the leg is ambiguous.
 
     Attributes:
         frame: turns the wire's angles into the description's; None where they are the same.
@@ -80,6 +85,7 @@ class ContactLearner:
         refitter: Refitter | None = None,
         conventions: ConventionWatch | None = None,
         ids: IdWatch | None = None,
+        when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -93,6 +99,8 @@ class ContactLearner:
         self._swing = SwingWatch(self.leg)
         self._landings = Landings()
         self._state = ContactState()
+        self._reported = False  # the state by the last event; differs while one is withheld
+        self._when_ambiguous = WhenAmbiguous(when_ambiguous)
         self.owes_release = False
         self._tally = Tally(len(self.leg.joints))
         self._t_ns = 0
@@ -105,6 +113,9 @@ class ContactLearner:
         self._track = self._conventions.track(self.leg)
         self._ids = None if ids is None else ids.track(self.leg)
         self._misread = False  # the leg's angles are not counted as described
+        self._source = SourceWatch(self.leg, robot.quantum(leg))
+        # The last swings: when they began, ns, and how many samples had been accepted.
+        self._swings_began = deque([(0, 0)], maxlen=2)
         self._quarantine = Quarantine(self._swing, self._knowledge)
 
     # -- public --------------------------------------------------------------------------------
@@ -146,8 +157,8 @@ class ContactLearner:
 
     @property
     def contact(self) -> bool:
-        """Whether the leg is held to touch."""
-        return self._state.contact
+        """Whether the leg touches, by its last event."""
+        return self._reported
 
     @property
     def detector(self) -> LegDetector | None:
@@ -191,8 +202,10 @@ class ContactLearner:
             rejects={str(reason): n for reason, n in sorted(self._tally.rejects.items())},
             missed=self._guard.missed,
             restarts=self._guard.restarts,
-            contact=self._state.contact,
+            contact=self._reported,
             contacts=self._tally.counts["contacts"],
+            withheld=self._tally.counts["withheld"],
+            doubt=self._doubt,
             jitter_ms=self._rate.jitter * self._period_ns / 1e6,
             untouched=self._landings.untouched,
             untouched_ns=self._landings.untouched_ns,
@@ -246,14 +259,20 @@ class ContactLearner:
         broken = result.restart or missed != 0
         if broken:
             self._connect(result, sample, missed)
+            self._source.connect(restart=result.restart)
+        self._source.follow(sample)
         self._follow_phase(sample)
+        if self._source.look(sample, self._swing.ticks):
+            self._follow_source()
         if self._ids is not None:
             if result.restart:
                 self._ids.restart()
             self._ids.take(sample)
         if self._track is not None:
             self._follow_convention(sample, restart=result.restart)
-        if self._misread:
+        if self._reported and self._withholds:
+            self.owes_release = True
+        if self._void:
             return sample
         if self._knowledge.cold is not None:
             swing = self._swing.ticks > 0
@@ -288,7 +307,7 @@ class ContactLearner:
             if self._follower is not None:
                 self._follower.distrust(self._rate.since_ns)
             return False
-        if self._misread:  # what is high and what is low is not known
+        if self._void:
             self._quarantine.break_off()
             return False
         if not judged:
@@ -342,13 +361,15 @@ class ContactLearner:
             t_ns=now_ns,
             at=sample.desired,
             free=not (loaded or self._state.contact),
+            copied=self._source.suspected,
         )
         if decision is None:
             return None
         if decision.contact:
-            self._tally.counts["contacts"] += 1
             self._quarantine.alarm(decision.onset_ns, now_ns, self._period_ns, detector)
             self._landings.touched(after - (now_ns - decision.onset_ns) // self._period_ns)
+        elif not self._reported:  # the end of one that was withheld
+            return None
         return self._event(decision, sample, tracker.residuals[0].tolist())
 
     def command(self, sample: ServoSample) -> bool:
@@ -370,7 +391,7 @@ class ContactLearner:
 
     def learn(self) -> None:
         """The tick's share of learning: rows that wait, and refits that are due."""
-        if self._misread:
+        if self._void:
             return
         if self._knowledge.cold is not None:
             self._knowledge.try_cold()
@@ -395,6 +416,8 @@ class ContactLearner:
             self._swing.restart()
             self._quarantine.restart()
             self._command = self._command_before = sample.desired
+            self._swings_began.clear()
+            self._swings_began.append((self._rate.at_ns, self._tally.counts["ticks"]))
             if tracker is not None:
                 tracker.restart()
             if self._follower is not None:
@@ -440,9 +463,26 @@ class ContactLearner:
             self._let_go()
         self._misread = self._track.spoils
 
+    def _follow_source(self) -> None:
+        """The source has begun to send what says nothing of the leg, or has stopped to."""
+        follower, tracker = self._follower, self.tracker
+        self._quarantine.break_off()
+        if self._source.cause is None:
+            if tracker is not None:
+                tracker.restart()
+            self._state.begin_swing()
+            return
+        self._let_go()
+        # It may have begun in the swing before, too late in it to be found.
+        since_ns, ticks = self._swings_began[0]
+        if follower is not None:
+            follower.retract(since_ns)
+        if self._knowledge.cold is not None:
+            self._knowledge.cold.drop_newest(self._tally.counts["ticks"] - ticks)
+
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
-        self.owes_release |= self._state.contact
+        self.owes_release |= self._reported
         self._state.reset()
 
     def _follow_phase(self, sample: ServoSample) -> None:
@@ -454,6 +494,7 @@ class ContactLearner:
             self._quarantine.resolve()
             self._landings.end(sample.t_ns, expired=self._swing.expired)
         elif self._swing.ticks == 1:
+            self._swings_began.append((self._rate.at_ns, self._tally.counts["ticks"]))
             self._quarantine.begin()
             self._state.begin_swing()
             if self.tracker is not None:
@@ -462,28 +503,62 @@ class ContactLearner:
     def _event(
         self, decision: Decision, sample: ServoSample, residual: list[float]
     ) -> ContactEvent:
+        doubt, withheld = self._doubt, self._withholds
+        self._reported = decision.contact and not withheld
+        if decision.contact:
+            self._tally.counts["withheld" if withheld else "contacts"] += 1
         return ContactEvent(
             leg=self.leg.id,
             t_ns=sample.t_ns,
             seq=sample.seq,
             # In the stamps' own time, of which the schedule is a smoothed one.
             onset_ns=sample.t_ns - max(self._rate.at_ns - decision.onset_ns, 0),
-            contact=decision.contact,
+            contact=self._reported,
             status=self._status,
             score=decision.score,
             residual=residual,
             model_version=self._version,
+            withheld=withheld,
+            doubt=doubt,
         )
+
+    @property
+    def _withholds(self) -> bool:
+        """Whether contacts are not reported, as the leg is ambiguous."""
+        if self._void:
+            return True
+        if self._when_ambiguous is WhenAmbiguous.PUBLISH:
+            return False
+        doubt = self._doubt
+        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
+            return doubt is not None
+        # A foot that comes short of its command in lifts that fit the model is slow, not held.
+        fits = doubt == "held" and self._quarantine.lift_level <= UNFIT_LEVEL
+        return not fits and doubt != "unsettled"
 
     @property
     def _follower(self) -> Follower | None:
         return self._knowledge.follower
 
     @property
+    def _void(self) -> bool:
+        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
+        return self._misread or self._source.cause is not None
+
+    @property
     def _status(self) -> Status:
-        if self._misread:
+        if self._void:
             return "ambiguous"
         return "learning" if self._follower is None else self._follower.status
+
+    @property
+    def _doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self._source.cause is not None:
+            return self._source.cause
+        if self._misread:
+            return "angles"
+        return None if self._follower is None else self._follower.doubt
 
     @property
     def _version(self) -> int:
@@ -505,6 +580,7 @@ class ContactLearner:
             self._tally.fault_note,
             self._guard.note,
             self._rate.note,
+            self._source.note,
             None if self._ids is None else self._ids.note,
             self._convention_note,
             self._swing.blind_note,

@@ -10,6 +10,7 @@ the word on other legs must not wait for it.
 from __future__ import annotations
 
 import functools
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -41,6 +42,9 @@ class Quarantine:
     Args:
         swing: where the leg is in it; followed by its owner.
         knowledge: who learns, if anybody does.
+
+    Attributes:
+        lift_level: of the lift of the swing in hand, as of its rows; infinite while there is none.
     """
 
     def __init__(self, swing: SwingWatch, knowledge: Knowledge) -> None:
@@ -52,6 +56,7 @@ class Quarantine:
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
+        self.lift_level = math.inf
         self._foretell: Foretell | None = None  # from where the leg was before the swing
         self._unheard = 0  # whole swings since a lift was handed on
         # What this tick has found for the follower, in order.
@@ -102,6 +107,7 @@ class Quarantine:
         """A swing begins."""
         self._open = True
         self._lift_judged = False
+        self.lift_level = math.inf
         self._touching.clear()
         self._book.begin()
         # By its ticks alone nobody can tell its lift from its descent.
@@ -137,7 +143,7 @@ class Quarantine:
 
     def enter(
         self, theta: Array, verdict: Verdict, detector: LegDetector, *, t_ns: int,
-        at: Sequence[float], free: bool,
+        at: Sequence[float], free: bool, copied: bool,
     ) -> None:  # fmt: skip
         """Enter a judged tick, and hand on the lift where this tick is past its top.
 
@@ -148,6 +154,7 @@ class Quarantine:
             t_ns: of the tick.
             at: (J,) rad, the command in force.
             free: the leg had been found free before, and is not held to touch.
+            copied: readings may be copies of commands; a lift that ends so is not learned from.
         """
         follower, swing = self.follower, self._swing
         if follower is None or not follower.learning:
@@ -187,7 +194,9 @@ class Quarantine:
             if held is not None:
                 monitor.foot_held(held=held, came=swing.came)
         lift = book.take_lift()
-        if lift is not None and swing.lifted and not swing.held:
+        if lift is not None:
+            self.lift_level = sum(row.level for row in lift) / len(lift)
+        if lift is not None and swing.lifted and not (swing.held or copied):
             self._unheard = 0
             self._region = self._regions.of(at)
             follower.lift(lift, self._region, t_ns)

@@ -28,6 +28,9 @@ LEAST_WAY_M: Final = 0.015
 # for free again above the second share, which free ones reach 9 times in 10.
 HELD_SHARE: Final = 0.75
 FREE_SHARE: Final = 0.9
+# Readings that fall by more than this share of their command's rise are turned around: what hangs
+# on a foot pulls it down by less.
+TURNED_SHARE: Final = 0.5
 # A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
 # model decides then, as it would have without.
 FORGET_SWINGS: Final = 5
@@ -169,6 +172,7 @@ class SwingWatch:
         self._heights: deque[float] = deque(maxlen=HEIGHTS)  # m, newest last
         self._surface = -math.inf  # height of soft ground that the swing began in, m
         self._touch: tuple[float, float] | None = None  # heights at a touch, and before it
+        self._low = math.inf  # height of the foot, the lowest of the swing so far, m
         self._top = -math.inf  # height of the foot, the highest of the swing so far, m
         self._fallen: float | None = None  # from there to where its first touch began, m
 
@@ -258,8 +262,19 @@ class SwingWatch:
             whole = len(places) == len(self._path)  # else the model ran away
             if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
                 self.came = self._moved / way
+        if self._turned_around():
+            self.came = 0.0
         self.held = self.came < enough
         return self.held
+
+    def _turned_around(self) -> bool:
+        """Whether readings went down instead of up, by most of what the command rose."""
+        fell = self._start[2] - self._low
+        if self.lifted or fell < LEAST_WAY_M * TURNED_SHARE:
+            return False
+        heights = [self._place(angles)[2] for angles in self._path]
+        asked = max(heights) - min(heights[0], self._start[2])
+        return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
 
     def touch_belied(self) -> bool | None:
         """Whether the swing that ends told a touch where its foot had hardly begun to come down.
@@ -333,6 +348,7 @@ class SwingWatch:
                 self._surface = before if self._start[2] < at - SUNK_M else -math.inf
                 self._touch = None
                 self._top, self._fallen = self._start[2], None
+                self._low = self._start[2]
             if len(self._path) < PATH_TICKS:  # what is longer is not foretold
                 self._path.append(sample.desired)
             self._path_seq = (self._path_seq[0], sample.seq)
@@ -374,6 +390,7 @@ class SwingWatch:
         if self.after:
             return  # where the stance takes the foot says nothing of whether it lifted or is held
         self._top = max(self._top, now[2])
+        self._low = min(self._low, now[2])
         self._rise = max(self._rise, now[2] - self._start[2])
         self._moved = max(self._moved, math.dist(now, self._start))
         self._asked.append(math.dist(self._commanded, self._start))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
 
 __all__ = [
+    "AmbiguousOption",
     "BaselineOption",
     "Commands",
     "ConfigOption",
@@ -36,6 +37,7 @@ __all__ = [
     "NoStateOption",
     "RealtimeOption",
     "StateOption",
+    "WhenAmbiguous",
     "ZenohConfigOption",
     "check_output",
     "client",
@@ -109,6 +111,14 @@ def seconds_option(
     if most < math.inf:
         help = f"{help.rstrip('.')}, {least:g} to {most:g} s."  # noqa: A001
     return typer.Option(*names, metavar="DURATION", parser=parse, help=help, **settings)
+
+
+class WhenAmbiguous(StrEnum):
+    """What becomes of the contacts of an ambiguous leg; by value that of `adapt`."""
+
+    WITHHOLD = "withhold"
+    STRICT = "strict"
+    PUBLISH = "publish"
 
 
 class LogLevel(StrEnum):
@@ -219,6 +229,14 @@ StateOption = Annotated[
 ]
 NoStateOption = Annotated[
     bool, typer.Option("--no-state", help="Neither restore nor keep what is learned.")
+]
+AmbiguousOption = Annotated[
+    WhenAmbiguous,
+    typer.Option(
+        "--when-ambiguous",
+        help="Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of "
+        "them; or publish them.",
+    ),
 ]
 LogLevelOption = Annotated[
     LogLevel,

@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from adaptive_contact.cli._options import (
+    AmbiguousOption,
     BaselineOption,
     ConfigOption,
     ConnectOption,
     NamespaceOption,
+    WhenAmbiguous,
     ZenohConfigOption,
     check_output,
     client,
@@ -67,6 +69,7 @@ def replay(
     ] = None,
     baseline: BaselineOption = None,
     config: ConfigOption = None,
+    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
     everything: Annotated[
         bool,
         typer.Option("--all", help="Also publish recorded events, status and COMMANDS."),
@@ -90,10 +93,15 @@ def replay(
         "--namespace": namespace,
         "--zenoh-config": zenoh_config,
     }
-    through_learners = {"--baseline": baseline, "--config": config}
+    published = when_ambiguous is not WhenAmbiguous.WITHHOLD
+    through_learners = {
+        "--baseline": baseline,
+        "--config": config,
+        "--when-ambiguous": published,
+    }
     if events is not None:
         _refuse(on_wire, "--events uses no network; leave {} out")
-        _to_events(read_recording(file), events, baseline, config)
+        _to_events(read_recording(file), events, baseline, config, when_ambiguous)
     else:
         _refuse(through_learners, "{} is for --events; the service on the wire has its own")
         factor = _speed(speed)
@@ -122,9 +130,16 @@ def _speed(text: str | None) -> float | None:
     return factor
 
 
-def _to_events(recording: Recording, out: Path, baseline: Path | None, config: Path | None) -> None:
+def _to_events(
+    recording: Recording,
+    out: Path,
+    baseline: Path | None,
+    config: Path | None,
+    when_ambiguous: WhenAmbiguous,
+) -> None:
     from threadpoolctl import threadpool_limits
 
+    from adaptive_contact import adapt
     from adaptive_contact.adapt.bank import LearnerBank
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
@@ -144,7 +159,12 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     to_stdout = str(out) == "-"
     file = sys.stdout.buffer if to_stdout else kept
     with closing(WaitingRefitter()) as refitter:
-        bank = LearnerBank(robot, learned, refitter=refitter)
+        bank = LearnerBank(
+            robot,
+            learned,
+            refitter=refitter,
+            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+        )
         robots = OneRobot(recording)
         for event in replay_events(robots, bank, counts):
             file.write(encode(event, JSON) + b"\n")
@@ -187,6 +207,8 @@ def _tell_legs(bank: LearnerBank) -> None:
         words = [f"{reason} {n}" for reason, n in status.rejects.items()]
         if status.missed:
             words.append(f"{status.missed} samples missing")
+        if status.withheld:
+            words.append(f"{status.withheld} contacts withheld while it was ambiguous")
         if status.note:
             words.append(status.note)
         if words:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.cli._options import (
+    AmbiguousOption,
     BaselineOption,
     ConfigOption,
     ConnectOption,
@@ -29,6 +30,7 @@ from adaptive_contact.cli._options import (
     NoStateOption,
     RealtimeOption,
     StateOption,
+    WhenAmbiguous,
     ZenohConfigOption,
 )
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
@@ -62,6 +64,7 @@ def serve(
     insecure: InsecureOption = False,
     max_sessions: MaxSessionsOption = None,
     realtime: RealtimeOption = False,
+    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: JsonPayloadOption = False,
     log_json: LogJsonOption = False,
     log_level: LogLevelOption = LogLevel.INFO,
@@ -81,7 +84,7 @@ def serve(
     with _refitting() as process:
         from threadpoolctl import threadpool_limits
 
-        from adaptive_contact.adapt import LearnerBank
+        from adaptive_contact import adapt
         from adaptive_contact.service.faults import FaultLog
         from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
@@ -107,7 +110,13 @@ def serve(
             say(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
         refitter = ProcessRefitter(process=process)
-        bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
+        bank = adapt.LearnerBank(
+            robot,
+            learned,
+            refitter=refitter,
+            on_fault=FaultLog(),
+            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+        )
         try:
             link = Link.open(settings, on_wait=say_waiting, stop=stop)
         except LinkError:

@@ -29,6 +29,7 @@ from adaptive_contact.service.findings import (
 )
 from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
 from adaptive_contact.service.link import Link
+from adaptive_contact.service.readings import ECHO_FOUND, ECHO_REMEDY
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.service.traffic import Received
@@ -429,6 +430,13 @@ def _about_learner(
         yield Fault(level, Cause.SIGNS, what, remedy, note)
     elif status.status == "learning":
         yield _learning(status, service)
+    elif status.doubt == "echo":
+        if Cause.ECHO not in causes:
+            yield Fault("error", Cause.ECHO, ECHO_FOUND, ECHO_REMEDY, note, key="some")
+    elif status.doubt == "phase":
+        what = "phase is swapped: stance is published as swing, and swing as stance"
+        remedy = "publish phase = swing while the foot is off the ground, or leave phase out"
+        yield Fault("error", Cause.PHASE, what, remedy, key="swapped")
     elif status.status == "ambiguous":
         yield Fault(
             "error",

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.adapt.gather import stray_readings
+from adaptive_contact.adapt.sources import EchoWatch
 from adaptive_contact.service.findings import Cause, Fault
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["check_readings", "position_step"]
+__all__ = ["ECHO_FOUND", "ECHO_REMEDY", "check_readings", "position_step"]
 
 Array = NDArray[np.float64]
 
@@ -39,11 +40,10 @@ _FAR_RAD: Final = 0.4
 _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _BEYOND_TURNS_RAD: Final = 8 * math.pi
 _BACKWARDS_CORRELATION: Final = -0.7
-# A command that moves this far in a tick, rad: no servo is where it is sent one tick later, to the
-# last bit, tick after tick.
-_FAST_RAD: Final = 0.01
-_ECHO_TICKS: Final = 3  # a copy may be of the command of so many ticks before
-_ECHO_SHARE: Final = 0.9
+ECHO_FOUND: Final = "measured copies desired while the joints move: no servo follows so closely"
+ECHO_REMEDY: Final = (
+    "publish the servos' present positions as measured, and the goals written to them as desired"
+)
 # Readings that follow another joint's command: so much nearer than their own, and this near.
 _ORDER_SHARE: Final = 0.35
 _ORDER_RAD: Final = 0.2
@@ -92,13 +92,16 @@ def check_readings(
     if units is not None:
         yield units
         return
-    if _is_echo(measured, desired):
+    echoing = _echoing(samples, len(names), quantum_rad)
+    if echoing:
+        every = len(echoing) == len(names)
         yield Fault(
             "error",
             Cause.ECHO,
-            "measured is desired to the last bit while the joints move: one is a copy of the other",
-            "publish the servos' present positions as measured, and the goals written to them as "
-            "desired",
+            ECHO_FOUND,
+            ECHO_REMEDY,
+            None if every else ", ".join(names[j] for j in sorted(echoing)),
+            key="" if every else "some",
         )
         return
     measured, jumps = _without_turns(measured)
@@ -149,15 +152,27 @@ def _far_out(angles: Array) -> Array:
     return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
 
 
-def _is_echo(measured: Array, desired: Array) -> bool:
-    """Whether readings are commands of a few ticks before, or commands are readings."""
-    moving = np.abs(np.diff(desired, axis=0)) > _FAST_RAD
-    for back in range(_ECHO_TICKS + 1):
-        same = measured[back:] == desired[: len(desired) - back]
-        told = same[1:][moving[: len(same) - 1]]
-        if len(told) >= _FEWEST and told.mean() > _ECHO_SHARE:
-            return True
-    return False
+def _echoing(samples: Sequence[ServoSample], joints: int, quantum_rad: float | None) -> set[int]:
+    """Joints, by number, whose readings copy their commands: as the learner judges it."""
+    watch = EchoWatch(joints, quantum_rad)
+    found: set[int] = set()
+    before: ServoSample | None = None
+    for sample in samples:
+        follows = before is not None and (before.run, before.seq + 1) == (sample.run, sample.seq)
+        if not follows:
+            watch.restart()
+        if all(map(math.isfinite, itertools.chain(sample.measured, sample.desired))):
+            watch.command(sample.desired)
+            # As each swing is judged by itself: at one speed a servo may follow for long.
+            if sample.phase == "swing" and (before is None or before.phase != "swing"):
+                watch.begin()
+            if sample.phase != "stance":
+                watch.take(sample.measured, sample.valid)
+                found |= watch.echoing
+            before = sample
+        else:
+            before = None
+    return found
 
 
 def _without_turns(angles: Array) -> tuple[Array, NDArray[np.int64]]:

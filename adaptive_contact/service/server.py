@@ -302,7 +302,7 @@ class Service:
             self._desks[event.leg].publish_event(event, arrival_ns, self._outbox)
             self._events += 1
             _log.debug(
-                "contact" if event.contact else "release",
+                "contact" if event.contact else "withheld" if event.withheld else "release",
                 leg=event.leg,
                 seq=event.seq,
                 score=round(event.score, 2),

@@ -72,6 +72,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     missed: int = 0
     restarts: int = 0
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
+    withheld: int = 0
     note: str | None = None
     stale: bool = False
 
@@ -302,6 +303,7 @@ class Watch:
             missed=status.missed,
             restarts=status.restarts,
             rejects=status.rejects,
+            withheld=status.withheld,
             note=status.note,
             stale=now_ns - leg.status_ns > _STALE_NS,
         )

@@ -174,7 +174,7 @@ def _columns(legs: Sequence[LegView]) -> list[_Column]:
     """Columns from left to right; those that need truth only where there is some."""
     columns = [
         _Column("leg", 0, lambda leg: Text(printable(leg.leg), style="bold"), right=False),
-        _Column("state", 1, lambda leg: _state(leg.contact), right=False),
+        _Column("state", 1, _state, right=False),
         _Column("status", 2, _status, right=False),
     ]
     if any(leg.changed_s is not None or leg.kind is not None for leg in legs):
@@ -221,10 +221,15 @@ def _lost(leg: LegView) -> Text:
     return Text(words, style="yellow" if leg.missed or leg.restarts else "dim")
 
 
-def _state(contact: bool | None) -> Text:
-    if contact is None:
+def _state(leg: LegView) -> Text:
+    """Free or contact; and of an ambiguous leg how many contacts have been withheld."""
+    if leg.contact is None:
         return Text("?", style="dim")
-    return Text("CONTACT", style="bold reverse") if contact else Text("free")
+    if leg.contact:
+        return Text("CONTACT", style="bold reverse")
+    if leg.withheld and leg.status == "ambiguous":
+        return Text(f"{leg.withheld} withheld", style="yellow")
+    return Text("free")
 
 
 def _status(leg: LegView) -> Text:

@@ -187,6 +187,7 @@ def main() -> None:
     module = types.ModuleType("adaptive_contact.adapt")
     module.LearnerBank = FakeBank  # type: ignore[attr-defined]
     module.SNAPSHOT_FORMAT = 3  # type: ignore[attr-defined]
+    module.WhenAmbiguous = str  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.adapt"] = module
     sys.modules["adaptive_contact.adapt.stream"] = STREAM
     refits = types.ModuleType("adaptive_contact.service.refits")
