@@ -8,6 +8,7 @@ STAMP  := $(VENV)/.installed
 SEED   ?= 1
 MINUTES ?= 30
 KILLS ?= 100
+LEGS ?= 64
 BRIDGE_MINUTES ?= 10
 REV ?= HEAD
 # Of `make same`: AGAINST another revision, a TOLERANCE, recordings to EXPECT differences in, ONLY
@@ -26,7 +27,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills lock wheel clean same same-faults
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills many lock wheel clean same same-faults
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -70,6 +71,10 @@ check: env  ## ruff, types, import contracts
 
 same: env  ## revision REV against the working tree on recorded runs, bit by bit (or TOLERANCE=1e-9)
 	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
+
+many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
+	$(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \
+	  $(MANY_OPTIONS)
 
 same-faults: env  ## faults of one line that `make same` must find, planted one after another
 	PYTHONPATH=tests $(BIN)/python -m same --faults

@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numba
 import numpy as np
@@ -24,7 +24,6 @@ from numba.core import config as _numba_config
 __all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "is_cached", "records"]
 
 config: Any = _numba_config  # its settings are made at import, and have no types
-F = TypeVar("F", bound=Callable[..., Any])
 
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
@@ -70,7 +69,7 @@ def records(scalars: Any) -> Any:
     return scalars.view(np.recarray) if config.DISABLE_JIT else scalars
 
 
-def compiled(function: F) -> F:
+def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of arrays when it is first called, or load what was compiled before."""
     if config.DISABLE_JIT:
         return function
@@ -79,13 +78,11 @@ def compiled(function: F) -> F:
     config.CACHE_DIR = "" if folder is None else str(folder)
     try:
         # Other floating-point rules than IEEE's would make results depend on the machine.
-        made: Any = numba.njit(
+        return numba.njit(
             cache=folder is not None, inline="never", error_model="numpy", nogil=True
         )(function)
     finally:
         config.CACHE_DIR = before
-    compiled_function: F = made
-    return compiled_function
 
 
 def _expanded(name: str | None) -> Path | None:

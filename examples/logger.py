@@ -20,6 +20,7 @@ from pathlib import Path
 
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.printable import printable
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.probe import Finding
 from adaptive_contact.wire import (
@@ -116,7 +117,7 @@ def log(options: argparse.Namespace, stop: threading.Event) -> None:
                 continue  # a status comes every second: only changes are news
             last[received.key] = line
             now = datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")
-            print(now, line, flush=True)
+            print(now, printable(line), flush=True)
 
 
 if __name__ == "__main__":

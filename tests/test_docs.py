@@ -139,3 +139,34 @@ def test_python_compiles(page: Path) -> None:
     for language, body in parts(page)[1]:
         if language == "python":
             compile(body, str(page), "exec")
+
+
+def test_the_readme_s_control_loop_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As it stands there, on a walk of the simulator: it reports touches and their ends."""
+    pytest.importorskip("mujoco")
+    from adaptive_contact.adapt import save_baseline, shipped_baseline
+    from adaptive_contact.robot import shipped_robot
+    from adaptive_contact_sim import SimulationSettings, WalkSettings
+    from adaptive_contact_sim.arrays import record_arrays
+
+    loops = [body for kind, body in parts(ROOT / "README.md")[1] if "control_loop" in body]
+    assert len(loops) == 1
+    models = ROOT / "models" / "adaptive_contact_models" / "hexapod"
+    (tmp_path / "robot.toml").write_text((models / "robot.toml").read_text())
+    learned = shipped_baseline(shipped_robot().name)
+    assert learned is not None
+    save_baseline(learned, tmp_path / "legs.json")
+    walk = record_arrays(SimulationSettings(motion=WalkSettings(), seed=3), 6.0)
+    leg = walk.legs["rf"]
+
+    def control_loop() -> Any:
+        for k, t_ns in enumerate(walk.t_ns):
+            yield int(t_ns), leg.measured[k].tolist(), leg.desired[k].tolist()
+
+    monkeypatch.chdir(tmp_path)
+    exec(compile(loops[0], "README.md", "exec"), {"control_loop": control_loop})
+    said = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("touches at ") for line in said) >= 2
+    assert sum(line.startswith("lets go at ") for line in said) >= 2

@@ -10,14 +10,17 @@ import msgspec
 from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.conventions import ConventionWatch
 from adaptive_contact.adapt.learner import ContactLearner
+from adaptive_contact.adapt.legids import IdWatch
+from adaptive_contact.adapt.mode import WhenAmbiguous
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
-from adaptive_contact.adapt.team import OnFault, Team
+from adaptive_contact.adapt.team import OnFault, Team, check_sample
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
 __all__ = ["MAX_LEGS", "LearnerBank"]
 
-# Described legs and those that turn up; a bound against a publisher that invents names.
+# A leg that is not described is one too many from here on, against a publisher that invents names.
+# A described one never is.
 MAX_LEGS: Final = 32
 
 
@@ -30,6 +33,7 @@ class LearnerBank:
         refitter: does the sparse refits and cold starts; in line where absent.
         on_fault: told of a fault in one leg's learning, which makes that leg begin anew; without,
             faults are raised.
+        when_ambiguous: whether contacts are reported while a leg is ambiguous.
 
     Raises:
         BaselineError: the baseline belongs to another robot.
@@ -42,6 +46,7 @@ class LearnerBank:
         *,
         refitter: Refitter | None = None,
         on_fault: OnFault | None = None,
+        when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -49,8 +54,10 @@ class LearnerBank:
         self.baseline = baseline
         self._refitter = refitter or InlineRefitter()
         self._conventions = ConventionWatch(robot, self._refitter)
+        self._ids = IdWatch(robot, baseline, self._refitter)
         self._learners: dict[str, ContactLearner] = {}
         self._on_fault = on_fault
+        self._when_ambiguous = when_ambiguous
         self._team = Team(())
 
     @property
@@ -72,17 +79,23 @@ class LearnerBank:
         known = self._learners.get(leg)
         if known is not None:
             return known
-        if not is_leg_id(leg) or len(self._learners) >= MAX_LEGS:
+        if not is_leg_id(leg):
             return None
         robot, baseline = self.robot, self.baseline
         if leg not in robot.leg_ids:
-            if joints is None or not 1 <= joints <= 16:
+            if len(self._learners) >= MAX_LEGS or joints is None or not 1 <= joints <= 16:
                 return None
             stranger = Leg(id=leg, joints=tuple(f"joint{i + 1}" for i in range(joints)))
             robot = msgspec.structs.replace(robot, legs=(*robot.legs, stranger))
             baseline = None  # one of that name there would be of another leg
         self._learners[leg] = ContactLearner(
-            robot, leg, baseline, refitter=self._refitter, conventions=self._conventions
+            robot,
+            leg,
+            baseline,
+            refitter=self._refitter,
+            conventions=self._conventions,
+            ids=self._ids,
+            when_ambiguous=self._when_ambiguous,
         )
         self._team.finish()
         self._team = Team(tuple(self._learners.values()), on_fault=self._on_fault)
@@ -97,7 +110,12 @@ class LearnerBank:
 
         Returns:
             The events they decide, in the order of ``samples``.
+
+        Raises:
+            TypeError: one is no sample, such as the map of a payload.
         """
+        for sample in samples.values():
+            check_sample(sample)
         events = self.judge(samples)
         self.finish()
         return events
@@ -124,3 +142,4 @@ class LearnerBank:
         """Learn from what was judged; statuses and states are whole after it."""
         self._team.finish()
         self._conventions.look()
+        self._ids.look()

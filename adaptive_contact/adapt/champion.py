@@ -115,6 +115,14 @@ class Champion:
         """All is well: this is the model to go back to."""
         self._good = _Good(self.model, self._rls.copy(), self.loosened)
 
+    def recall(self) -> None:
+        """What was learned since the last good swing was of something else: go back to that."""
+        good = self._good
+        if good is None or good.model.version != self.model.version:
+            return
+        self._model, self._moved = good.model, False
+        self._rls, self.loosened = good.rls.copy(), good.loosened
+
     def replace(self, model: LegModel) -> None:
         """Another model is in force; the recursion begins from it."""
         self._model, self._moved = model, False

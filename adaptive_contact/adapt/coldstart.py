@@ -161,8 +161,8 @@ class ColdStart:
             self._starts.append(self.samples)
         self._swung = False
 
-    def drop_off_rate(self, ticks: int) -> None:
-        """Ticks have another length: as many as showed it are as far off as those that come."""
+    def drop_newest(self, ticks: int) -> None:
+        """So many ticks, the newest, have turned out to say nothing of the leg."""
         self.samples = max(self.samples - ticks, self._starts[-1])
         self.interrupt()
 

@@ -77,17 +77,18 @@ class MotionTrack:
         joints = self._joints = len(leg.joints)
         self._angles = np.zeros((0, 2 * joints))
         self._times = np.zeros(0, dtype=np.int64)
+        self._seq = np.zeros(0, dtype=np.int64)
+        self._first_seq = 0
         self._swing = np.zeros(0, dtype=np.bool_)
 
     @property
     def spoils(self) -> bool:
-        """Whether what is found makes heights of the foot wrong; a yaw alone does not."""
-        if self.finding is None:
-            return False
-        axes = dict(zip(self._leg.joints, self._leg.joint_axes, strict=True))
-        return any(axes[name] == "pitch" for name in self.finding.joints)
+        """Whether what is found makes heights of the foot wrong."""
+        return self.finding is not None and self.finding.grave
 
-    def take(self, measured: Array, desired: Array, t_ns: int, phase: Phase | None) -> None:
+    def take(
+        self, measured: Array, desired: Array, t_ns: int, seq: int, phase: Phase | None
+    ) -> None:
         """Take in an accepted sample, (J,) rad in the frame of the description."""
         if self.settled:
             return
@@ -96,6 +97,9 @@ class MotionTrack:
         angles = self._angles[self._count]
         angles[: self._joints], angles[self._joints :] = measured, desired
         self._times[self._count] = t_ns
+        if self._count == 0:
+            self._first_seq = seq
+        self._seq[self._count] = seq - self._first_seq
         self._swing[self._count] = phase == "swing"
         self._untold += phase is None
         self._count += 1
@@ -110,7 +114,7 @@ class MotionTrack:
         self.settled = True
         self._count = 0
         self._angles, self._times = self._angles[:0].copy(), self._times[:0].copy()
-        self._swing = self._swing[:0].copy()
+        self._seq, self._swing = self._seq[:0].copy(), self._swing[:0].copy()
 
     @property
     def motion(self) -> LegMotion:
@@ -121,6 +125,7 @@ class MotionTrack:
             self._angles[:n, :joints].copy(),
             self._angles[:n, joints:].copy(),
             None if self._untold else self._swing[:n].copy(),
+            self._seq[:n].copy(),
         )
 
     def _make_room(self) -> None:
@@ -128,10 +133,11 @@ class MotionTrack:
             more = max(self._count, KEPT // 8)
             self._angles = np.concatenate([self._angles, np.zeros((more, 2 * self._joints))])
             self._times = np.concatenate([self._times, np.zeros(more, dtype=np.int64)])
+            self._seq = np.concatenate([self._seq, np.zeros(more, dtype=np.int64)])
             self._swing = np.concatenate([self._swing, np.zeros(more, dtype=np.bool_)])
             return
         half = self._count // 2
-        for kept in (self._angles, self._times, self._swing):
+        for kept in (self._angles, self._times, self._seq, self._swing):
             kept[: self._count - half] = kept[half : self._count].copy()
         self._count -= half
 
@@ -208,7 +214,7 @@ class ConventionWatch:
                 track.finding = track.suspected = None
                 continue
             finding = found.get(leg)
-            if finding is not None and finding == track.suspected:
+            if finding is not None and finding.agrees(track.suspected):
                 track.finding = finding
             track.suspected = finding
         # Legs are judged by each other: none is let go before all are confirmed.

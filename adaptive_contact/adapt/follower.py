@@ -40,7 +40,7 @@ from adaptive_contact.adapt.snapshot import (
 )
 from adaptive_contact.detect.batch import LegBatch
 from adaptive_contact.identify import LegModel
-from adaptive_contact.wire import RefitCounts, Status
+from adaptive_contact.wire import Doubt, RefitCounts, Status
 
 __all__ = ["Follower"]
 
@@ -104,6 +104,7 @@ class Follower:
         self._scale = known.scale
         self._champion = Champion(known, recent, provisional=provisional, on_fall=self._fallen)
         self._queue: deque[Row] = deque()
+        self._learned_ns = -1  # the newest row learned
         self._doubted: list[Row] = []  # the descent after a lift that was not believed
         self._evidence: ChangeEvidence | None = None  # of the newest change
         self._era = 0
@@ -152,6 +153,12 @@ class Follower:
         """What is thought of the leg."""
         status = self.monitor.status
         return "ambiguous" if status == "valid" and self._belied.told else status
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        doubt = self.monitor.doubt
+        return "descents" if doubt is None and self.status == "ambiguous" else doubt
 
     @property
     def note(self) -> str | None:
@@ -211,11 +218,18 @@ class Follower:
         kept = [t_ns for t_ns in self.confirmed_ns if t_ns < since_ns]
         self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
 
+    def retract(self, since_ns: int) -> None:
+        """The ticks from a time on were not of this leg: nothing of them stays learned."""
+        self.distrust(since_ns)
+        if self._learned_ns >= since_ns:
+            self._champion.recall()
+
     def new_source(self) -> None:
         """The source began anew: times from before do not compare with its own."""
         while self._queue:
             self._learn(self._queue.popleft())
         self._doubted.clear()
+        self._learned_ns = -1
         self.confirmed_ns.clear()
         self.buffer.new_source()
         self.monitor.new_clock()
@@ -365,6 +379,7 @@ class Follower:
 
     def _learn(self, row: Row) -> None:
         """Learn a row, and let a candidate, if there is one, be tried on it."""
+        self._learned_ns = row.t_ns
         innovations = self._champion.learn(row)
         if self._challenger.trying:
             # Made anew for the row that decides only: it stands by as it was when it was displaced.

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from adaptive_contact.adapt.stream import (
     RESET_SAMPLES,
     RateWatch,
+    Seams,
     StreamGuard,
 )
 from adaptive_contact.adapt.training import Stretch, swing_ticks
@@ -34,12 +35,13 @@ from adaptive_contact.robot.conventions import (
     ConventionFinding,
     LegMotion,
     Verdict,
+    judge_hanging,
     judge_motion,
 )
 from adaptive_contact.robot.phase import infer_phase
 from adaptive_contact.wire import ContactTruth, Reject, ServoSample
 
-__all__ = ["LegGatherer", "cautious", "judge_conventions", "untouched"]
+__all__ = ["LegGatherer", "cautious", "judge_conventions", "stray_readings", "untouched"]
 
 Mask = NDArray[np.bool_]
 
@@ -59,6 +61,11 @@ ASTRAY_NS: Final = 1_000_000_000
 # How much of a recording is judged at a time for signs and zeros, and how often.
 JUDGED_NS: Final = 60_000_000_000
 MOST_PARTS: Final = 10
+# A reading that is off the median of five: by so many times what one tick in twenty moves, and by
+# so much, rad, at least.  At a turn a joint is off it by two ticks' movements at most.
+STRAY_TICKS: Final = 5
+STRAY_TIMES: Final = 4.0
+STRAY_RAD: Final = 0.15
 
 
 class LegGatherer:
@@ -77,6 +84,7 @@ class LegGatherer:
         self.off_rate = 0
         self._frame = AngleFrame(leg)
         self._guard = StreamGuard(len(leg.joints))
+        self._seams = Seams(len(leg.joints))
         self._rate = RateWatch(self._period_ns)
         self._runs: list[_Run] = []
         self._heard: list[_Heard] = []
@@ -98,6 +106,7 @@ class LegGatherer:
         if isinstance(result, Reject):
             self.rejects[result] += 1
             return
+        sample = self._seams.unwrap(sample, restart=result.restart)
         missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
         if result.restart:  # as the first sample is
             self._runs.append(_Run([], [[]]))
@@ -140,6 +149,12 @@ class LegGatherer:
         """All samples that were collected, in order of time."""
         rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
         return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
+
+    def last_run(self) -> list[ServoSample]:
+        """Samples of the last start of the source, in order."""
+        return (
+            [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
+        )
 
     def _truths(self) -> list[_Truth]:
         """Every run's truth."""
@@ -188,13 +203,14 @@ class LegGatherer:
         t_ns = _tick_times(rows, self._period_ns)
         for changes in truth.readings():
             mask &= untouched(t_ns, changes, self._period_ns)
-        sound = [s.valid is None or all(s.valid) for s in rows]
+        measured = np.array([s.measured for s in rows]).reshape(-1, joints)
+        answered = np.array([s.valid is None or all(s.valid) for s in rows])
         return Stretch(
-            measured=np.array([s.measured for s in rows]).reshape(-1, joints),
+            measured=measured,
             desired=desired,
             swing=swing,
             free=mask,
-            sound=np.array(sound),
+            sound=answered & ~stray_readings(measured).any(axis=1),
             certain=certain,
         )
 
@@ -208,6 +224,25 @@ class LegGatherer:
             )
         swing = np.array([s.phase == "swing" for s in rows])
         return swing if inferred is None else np.where(told, swing, inferred)
+
+
+def stray_readings(measured: NDArray[np.float64]) -> Mask:
+    """Find readings that leave a joint's path for a tick or two: what failed reads leave behind.
+
+    Args:
+        measured: (n, J) rad, of ticks in a row.
+
+    Returns:
+        (n, J) True where a reading is none.
+    """
+    if len(measured) < STRAY_TICKS:
+        return np.zeros(measured.shape, dtype=bool)
+    usual = np.quantile(np.abs(np.diff(measured, axis=0)), 0.95, axis=0)
+    ends = STRAY_TICKS // 2
+    padded = np.pad(measured, ((ends, ends), (0, 0)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, STRAY_TICKS, axis=0)
+    off = np.abs(measured - np.median(around, axis=-1))
+    return np.asarray(off > np.maximum(STRAY_TIMES * usual, STRAY_RAD))
 
 
 def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int) -> Mask:
@@ -349,10 +384,17 @@ def _time(change: ContactTruth) -> int:
     return change.t_ns
 
 
-def judge_conventions(robot: Robot, gathered: Mapping[str, LegGatherer]) -> Verdict:
+def judge_conventions(
+    robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
+) -> Verdict:
     """Whether the angles of what was gathered are counted as the robot's description says.
 
     A recording is judged a minute at a time, as legs may move by turns.
+
+    Args:
+        robot: its description.
+        gathered: by leg.
+        hangs: the legs hung free, so that gravity tells of them, too.
 
     Returns:
         Findings of any minute in legs that no minute confirms; the first of each leg.
@@ -373,6 +415,9 @@ def judge_conventions(robot: Robot, gathered: Mapping[str, LegGatherer]) -> Verd
         )
         fits.update(verdict.fits)
         for finding in verdict.findings:
+            found.setdefault(finding.leg, finding)
+    if hangs:
+        for finding in judge_hanging(robot, motions).findings:
             found.setdefault(finding.leg, finding)
     left = tuple(finding for leg, finding in found.items() if leg not in fits)
     return Verdict(left, tuple(leg for leg in motions if leg in fits))

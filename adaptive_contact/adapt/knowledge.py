@@ -124,7 +124,7 @@ class Knowledge:
         if self.cold is None:
             return
         if off:
-            self.cold.drop_off_rate(off)
+            self.cold.drop_newest(off)
             return
         if broken:
             self.cold.interrupt()

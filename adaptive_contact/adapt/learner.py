@@ -16,14 +16,17 @@ from adaptive_contact.adapt.baseline import Baseline
 from adaptive_contact.adapt.conventions import ConventionWatch, MotionTrack
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.knowledge import Knowledge
-from adaptive_contact.adapt.mode import LearnerMode
+from adaptive_contact.adapt.legids import IdWatch
+from adaptive_contact.adapt.mode import LearnerMode, WhenAmbiguous
+from adaptive_contact.adapt.monitor import UNFIT_LEVEL
 from adaptive_contact.adapt.quarantine import Quarantine
 from adaptive_contact.adapt.refit import InlineRefitter, Refitter
 from adaptive_contact.adapt.report import report_of
+from adaptive_contact.adapt.sources import SourceWatch
 from adaptive_contact.adapt.stream import RateWatch, StreamGuard
 from adaptive_contact.adapt.swing import SwingJudge
 from adaptive_contact.adapt.tally import Tally
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.adapt.team import Team, check_sample
 from adaptive_contact.detect import statistic
 from adaptive_contact.detect.batch import LegBatch, LegPlace
 from adaptive_contact.detect.history import MAX_STEP_RAD_S
@@ -36,6 +39,7 @@ from adaptive_contact.detect.tick import (
     RATE_OFF,
     RESOLVED,
     RESTARTED,
+    SOURCE,
     TOUCHED,
     TOUCHING,
 )
@@ -44,6 +48,7 @@ from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     BufferCounts,
     ContactEvent,
+    Doubt,
     DriftLevel,
     LearnerStatus,
     ModelReport,
@@ -59,7 +64,9 @@ __all__ = ["ContactLearner"]
 ROWS_PER_TICK: Final = 3
 _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
 # What a tick may leave to be handed on.
-_MOVES: Final = RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF
+_MOVES: Final = (
+    RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF | SOURCE
+)
 
 
 class JudgedTick(NamedTuple):
@@ -87,6 +94,8 @@ class ContactLearner:
         refitter: does the sparse refits; in line where absent.
         conventions: watches whether the robot's angles are counted as described, together with its
             other legs; the leg by itself where absent.
+        ids: watches whether the samples are this leg's, together with the other legs.
+        when_ambiguous: whether contacts are reported while the leg is ambiguous.
 
     Attributes:
         place: the leg's arrays.
@@ -105,6 +114,8 @@ class ContactLearner:
         mode: LearnerMode = LearnerMode.FULL,
         refitter: Refitter | None = None,
         conventions: ConventionWatch | None = None,
+        ids: IdWatch | None = None,
+        when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
     ) -> None:
         if baseline is not None:
             baseline.check_fits(robot)
@@ -120,6 +131,9 @@ class ContactLearner:
         self._alone: Team | None = None
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg)
+        self._ids = None if ids is None else ids.track(self.leg)
+        self._when_ambiguous = WhenAmbiguous(when_ambiguous)
+        self._source = SourceWatch(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
@@ -139,7 +153,11 @@ class ContactLearner:
 
         Returns:
             The change of contact that this sample decides, if it does.
+
+        Raises:
+            TypeError: it is no sample, such as the map of a payload.
         """
+        check_sample(sample)
         if self._alone is None:
             self._alone = Team([self])
         event = self._alone.advance([sample])[0]
@@ -168,8 +186,8 @@ class ContactLearner:
 
     @property
     def contact(self) -> bool:
-        """Whether the leg is held to touch."""
-        return bool(self.place.leg["contact"])
+        """Whether the leg touches, by its last event."""
+        return bool(self.place.leg["reported"])
 
     @property
     def model(self) -> LegModel | None:
@@ -220,6 +238,8 @@ class ContactLearner:
             restarts=self._guard.restarts,
             contact=self.contact,
             contacts=self._tally.counts["contacts"],
+            withheld=self._tally.counts["withheld"],
+            doubt=self._doubt,
             jitter_ms=self._rate.jitter_ms,
             untouched=int(self.place.leg["untouched"]),
             untouched_ns=None if untouched_ns < 0 else untouched_ns,
@@ -281,7 +301,8 @@ class ContactLearner:
             # A lift whose top is past changes the status that the event carries.
             self._assess(flags)
             contact = bool(leg["contact"])
-            self._tally.counts["contacts"] += contact
+            if not (contact or leg["reported"]):  # the end of one that was withheld
+                return None
             residual = self.place.residuals[0].tolist()
             return self._event(contact, int(leg["onset_ns"]), float(leg["score"]), residual)
         if flags & OWES:
@@ -297,7 +318,14 @@ class ContactLearner:
                 track.restart()
             sample, (batch, row) = self._sample, self.place.at
             assert sample is not None
-            track.take(batch.measured[row], batch.desired[row], sample.t_ns, sample.phase)
+            measured, desired = batch.measured[row], batch.desired[row]
+            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
+        ids = self._ids
+        if ids is not None and ids.wants:
+            if flags & RESTARTED:
+                ids.restart()
+            assert self._sample is not None
+            ids.take(self.place.sample(self._sample))
         if flags & RESTARTED:
             self._swing.restart()
             if knowledge.follower is not None:
@@ -310,8 +338,10 @@ class ContactLearner:
             self._quarantine.hand_over(flags)
             if flags & RATE_OFF and knowledge.follower is not None:
                 knowledge.follower.distrust(self._rate.since_ns)
+            if flags & SOURCE and self._source.cause is not None:
+                self._retract()
         self._assessed = False
-        if self._misread:
+        if self._void:
             return
         if knowledge.cold is not None:
             self._collect(flags)
@@ -375,6 +405,7 @@ class ContactLearner:
         leg["inflated"] = inflated = follower.loosened
         leg["changed"] = changed = follower.changed
         leg["sure"] = follower.status == "valid" and not changed
+        leg["withholds"] = self._withholds
         revision, domain = self._shown
         if revision != recent.revision or domain is not recent.domain:
             self._shown = (recent.revision, recent.domain)
@@ -412,7 +443,7 @@ class ContactLearner:
     def _let_go(self) -> None:
         """Forget whether the leg touches: nobody can tell any more."""
         leg = self.place.leg
-        leg["owes_release"] |= leg["contact"]
+        leg["owes_release"] |= leg["reported"]
         leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
 
     def _collect_counts(self) -> None:
@@ -428,18 +459,62 @@ class ContactLearner:
     ) -> ContactEvent:
         sample, leg = self._sample, self.place.leg
         assert sample is not None
+        doubt, withheld = self._doubt, self._withholds
+        reported = contact and not withheld
+        leg["reported"] = reported
+        if contact:
+            self._tally.counts["withheld" if withheld else "contacts"] += 1
         return ContactEvent(
             leg=self.leg.id,
             t_ns=sample.t_ns,
             seq=sample.seq,
             # In the stamps' own time, of which the schedule is a smoothed one.
             onset_ns=sample.t_ns - max(int(leg["at_ns"]) - onset_ns, 0),
-            contact=contact,
+            contact=reported,
             status=self._status,
             score=score,
             residual=residual,
             model_version=self._version,
+            withheld=withheld,
+            doubt=doubt,
         )
+
+    def _retract(self) -> None:
+        """What the source has sent says nothing of the leg: nothing of it stays learned."""
+        leg, knowledge = self.place.leg, self._knowledge
+        # It may have begun in the swing before, too late in it to be found.
+        if knowledge.follower is not None:
+            knowledge.follower.retract(int(leg["began_ns"]))
+        if knowledge.cold is not None:
+            knowledge.cold.drop_newest(int(leg["total_n"]) - int(leg["began_n"]))
+
+    @property
+    def _withholds(self) -> bool:
+        """Whether contacts are not reported, as the leg is ambiguous."""
+        if self._void:
+            return True
+        if self._when_ambiguous is WhenAmbiguous.PUBLISH:
+            return False
+        doubt = self._doubt
+        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
+            return doubt is not None
+        # A foot that comes short of its command in lifts that fit the model is slow, not held.
+        fits = doubt == "held" and self._quarantine.lift_level <= UNFIT_LEVEL
+        return not fits and doubt != "unsettled"
+
+    @property
+    def _void(self) -> bool:
+        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
+        return self._misread or bool(self.place.leg["cause"])
+
+    @property
+    def _doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self._source.cause is not None:
+            return self._source.cause
+        if self._misread:
+            return "angles"
+        return None if self._follower is None else self._follower.doubt
 
     @property
     def _follower(self) -> Follower | None:
@@ -447,7 +522,7 @@ class ContactLearner:
 
     @property
     def _status(self) -> Status:
-        if self._misread:
+        if self._void:
             return "ambiguous"
         return "learning" if self._follower is None else self._follower.status
 
@@ -461,11 +536,8 @@ class ContactLearner:
         found = None if self._track is None else self._track.finding
         if found is None:
             return None
-        advice = found.advice
-        if self.leg.servos is not None:  # the bridge refuses a leg with [leg.angles]
-            advice += f" (where the bridge reads this leg, {found.servo_advice(self.leg)})"
         until = "; no contacts are reported until then" if self._misread else ""
-        return f"{found.message}: {advice}{until}"
+        return found.line(self.leg) + until
 
     def _ailment(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""
@@ -474,6 +546,8 @@ class ContactLearner:
             self._tally.fault_note,
             self._guard.note,
             self._rate.note,
+            self._source.note,
+            None if self._ids is None else self._ids.note,
             self._convention_note,
             self._swing.blind_note,
             self._knowledge.note_now,

@@ -1,10 +1,10 @@
-"""What a learner may do to follow its leg."""
+"""What a learner may do to follow its leg, and to report of one that is ambiguous."""
 
 from __future__ import annotations
 
 import enum
 
-__all__ = ["LearnerMode"]
+__all__ = ["LearnerMode", "WhenAmbiguous"]
 
 
 class LearnerMode(enum.StrEnum):
@@ -30,3 +30,17 @@ class LearnerMode(enum.StrEnum):
     def gated(self) -> bool:
         """Whether it learns from what is confirmed only, and lifts are heard as witnesses."""
         return self.recursive or self.refits
+
+
+class WhenAmbiguous(enum.StrEnum):
+    """What becomes of the contacts of a leg whose status is ``ambiguous`` (decision 24).
+
+    WITHHOLD reports none where the readings do not follow the leg, or something holds its foot, and
+    releases one that stands.  It reports those of a leg that only fits its model badly
+    (``unsettled``), whose threshold is as wide as its lifts are far, and of a foot that counts as
+    held in a swing whose lift fits.  STRICT withholds these, too.  PUBLISH withholds none.
+    """
+
+    WITHHOLD = "withhold"
+    STRICT = "strict"
+    PUBLISH = "publish"

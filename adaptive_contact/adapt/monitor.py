@@ -18,9 +18,16 @@ import numpy as np
 from scipy.special import chdtri  # scipy.stats takes half a second to import
 
 from adaptive_contact.adapt.segments import Row
-from adaptive_contact.wire import DriftLevel, Status
+from adaptive_contact.wire import Doubt, DriftLevel, Status
 
-__all__ = ["LEVEL_RANGE", "PATIENCE_SWINGS", "SETTLED_LEVEL", "DriftMonitor", "Heard"]
+__all__ = [
+    "LEVEL_RANGE",
+    "PATIENCE_SWINGS",
+    "SETTLED_LEVEL",
+    "UNFIT_LEVEL",
+    "DriftMonitor",
+    "Heard",
+]
 
 # A good model's lift exceeds the doubt level once in so many.
 DOUBT_PROBABILITY: Final = 1e-4
@@ -105,6 +112,7 @@ class DriftMonitor:
         self._worn_swings = 0
         self._held_swings = self._far_swings = self._free_swings = 0
         self._sign = ""
+        self._held_by: Doubt = "held"
         self._told_free = False  # in this swing
         self._trusted = True
         self._lifts = self._lifts_far = 0
@@ -130,6 +138,13 @@ class DriftMonitor:
         if self.held or far < UNFIT_LIFTS:
             return False
         return far == lifts or (lifts >= PATIENCE_SWINGS and far >= UNFIT_SHARE * lifts)
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self.status != "ambiguous":
+            return None
+        return self._held_by if self.held else "unsettled"
 
     @property
     def heard(self) -> tuple[int, int]:
@@ -242,7 +257,7 @@ class DriftMonitor:
                 self._no_hold()
         else:
             self._far_swings = 0
-            self._hold(f"the foot came {100 * came:.0f} % of its command's way")
+            self._hold("held", f"the foot came {100 * came:.0f} % of its command's way")
 
     @property
     def held(self) -> bool:
@@ -292,7 +307,8 @@ class DriftMonitor:
         self._newest.clear()
         self._settled = 0
         self._far_swings += 1
-        self._hold(f"the lift is {level**0.5:.0f} times as far from the model as it should be")
+        sign = f"the lift is {level**0.5:.0f} times as far from the model as it should be"
+        self._hold("far", sign)
         if self._far_swings < PATIENCE_SWINGS:
             return Heard([])
         # The foot comes all its way, and each time so: a horn that slipped, another leg's horn.
@@ -301,8 +317,8 @@ class DriftMonitor:
         self._trusted = True
         return self._changed(rows, t_ns)
 
-    def _hold(self, sign: str) -> None:
-        self._sign = sign
+    def _hold(self, by: Doubt, sign: str) -> None:
+        self._held_by, self._sign = by, sign
         self._held_swings += 1
         self._free_swings = 0
         self._trusted = False

@@ -7,6 +7,7 @@ a lift goes on at its top, a descent once the swing is over, and nothing of a fo
 from __future__ import annotations
 
 import functools
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
@@ -45,6 +46,7 @@ class Quarantine:
 
     Attributes:
         landings: how late touches come.
+        lift_level: of the lift of the swing in hand, as of its rows; infinite while there is none.
     """
 
     def __init__(self, place: LegPlace, swing: SwingJudge, knowledge: Knowledge) -> None:
@@ -56,6 +58,7 @@ class Quarantine:
         self._regions = _Regions()
         self._touching: list[Touch] = []  # the first ticks of a contact in hand
         self._lift_judged = False
+        self.lift_level = math.inf
         self._foretell: Foretell | None = None  # from where the leg was before the swing
         self._unheard = 0  # whole swings since a lift was handed on
 
@@ -104,7 +107,9 @@ class Quarantine:
             if held is not None:
                 follower.monitor.foot_held(held=held, came=swing.came)
         lift = let_go_rows(self._rows(0, int(leg["lift_n"])))
-        if lift is not None and swing.lifted and not swing.held:
+        if lift is not None:
+            self.lift_level = sum(row.level for row in lift) / len(lift)
+        if lift is not None and swing.lifted and not (swing.held or leg["suspected"]):
             self._unheard = 0
             self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
             follower.lift(lift, self._region, int(leg["at_ns"]))
@@ -141,6 +146,7 @@ class Quarantine:
 
     def _begin(self) -> None:
         self._lift_judged = False
+        self.lift_level = math.inf
         self._foretell = None
         follower = self._knowledge.follower
         assert follower is not None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +18,10 @@ from adaptive_contact.compiled import records
 from adaptive_contact.detect.batch import LegPlace
 from adaptive_contact.detect.clock import PAUSE, follow_one
 from adaptive_contact.detect.layout import RING, new_legs
+from adaptive_contact.detect.tick import unwrap
 from adaptive_contact.wire import MAX_PREVIEW_TICKS, Reject, ServoSample
 
-__all__ = ["Accepted", "RateWatch", "StreamGuard"]
+__all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
 
 # A joint reads within a few turns of zero; what is further out is not an angle of a leg.
 MAX_ANGLE_RAD: Final = 8 * math.pi
@@ -29,6 +31,22 @@ MAX_RUN: Final = 2**63 - 1
 # A gap is believed up to a day of samples at 100 Hz; a number further ahead is wild, or counts
 # anew from somewhere else.  It also keeps every count of losses far inside 64 bits.
 LONGEST_GAP: Final = 10_000_000
+# A longer gap could be one sample of somebody who may write the key.  It is believed from the third
+# sample of a stream of its own on; the source before it is used meanwhile.  Losses of up to a
+# second at 50 Hz, as of a busy network, cost nothing.
+SHORT_GAP: Final = 50
+CONFIRM_SAMPLES: Final = 3
+# A new `run` is believed at once, until one has taken over that did not last.  Then the next one
+# needs three samples of its own that follow each other, and twice as many after each further one,
+# up to 48.  So many samples of one source make up for one that did not last: a minute at 50 Hz.
+MOST_DOUBTS: Final = 5
+SETTLED_SAMPLES: Final = 3000
+# Such a run speaks at least once in so many samples of the one in force.
+PACE: Final = 5
+# New runs that may be on their way to be believed; a bound on memory.
+MAX_NEWCOMERS: Final = 8
+# New runs that did not last are in the note for so many accepted samples (10 s at 50 Hz).
+NOTED_SAMPLES: Final = 500
 # So many samples in a row that do not follow the last one accepted, but are in order among
 # themselves, mean that the source counts anew: its clock was set back, it was restarted without
 # telling so by `run`, or one wild time or number was taken for true.
@@ -63,6 +81,43 @@ class Accepted(NamedTuple):
 _NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
 
 
+class _Place(NamedTuple):
+    """Where a stream is: the time and number of its newest sample."""
+
+    t_ns: int
+    seq: int
+
+    def is_followed_by(self, now: _Place) -> bool:
+        """Whether ``now`` may be the next sample of the same stream, few being lost between."""
+        return now.t_ns > self.t_ns and 0 < now.seq - self.seq <= SHORT_GAP + 1
+
+
+class _Newcomer(NamedTuple):
+    """A run that is not believed yet.
+
+    Attributes:
+        place: of its newest sample.
+        in_a_row: samples of it that follow each other.
+        accepted: samples of others accepted by then.
+    """
+
+    place: _Place
+    in_a_row: int
+    accepted: int
+
+
+class _Jump(NamedTuple):
+    """A gap that was believed: where the stream was, what was missed by then, where it went on."""
+
+    before: _Place
+    missed: int
+    to: _Place
+
+    def goes_on_at(self, now: _Place) -> bool:
+        """Whether a sample belongs to the stream as it was before the gap."""
+        return now.t_ns > self.before.t_ns and self.before.seq < now.seq < self.to.seq
+
+
 class StreamGuard:
     """Follows one leg's stream.
 
@@ -77,9 +132,16 @@ class StreamGuard:
         self.joints = joints
         self.run: int | None = None
         self.missed = self.restarts = 0
-        self._last: tuple[int, int] | None = None  # (t_ns, seq)
-        self._late: tuple[int, int] | None = None
+        self._last: _Place | None = None
+        self._late: _Place | None = None  # newest sample that does not follow the last one
         self._late_count = 0
+        self._jump: _Jump | None = None
+        self._since_jump = 0  # samples accepted
+        self._newcomers: dict[int | None, _Newcomer] = {}
+        self._accepted = 0
+        self._doubts = 0  # runs that took over and did not last
+        self._strays = 0  # new runs of late that are not believed
+        self._stray_at = 0  # samples accepted when the newest came
         # Publishers in the order in which they were first heard, the one in force among them.
         self._runs: list[int | None] = []
         self._other_count = 0
@@ -96,11 +158,16 @@ class StreamGuard:
     @property
     def note(self) -> str | None:
         """One line for a person while the source starts anew again and again."""
-        if self._short_runs < SHORT_RUNS:
+        if self._short_runs >= SHORT_RUNS:
+            return (
+                "the source starts anew every few samples: nothing can be judged; `run` is to be "
+                "one number from a start of the source to its end"
+            )
+        if self._strays < SHORT_RUNS or self._accepted - self._stray_at > NOTED_SAMPLES:
             return None
         return (
-            "the source starts anew every few samples: nothing can be judged; `run` is to be one "
-            "number from a start of the source to its end"
+            f"{self._strays} new runs came and did not last: another program publishes this leg, "
+            "or the source changes `run`, which is to be one number from its start to its end"
         )
 
     def snapshot(self) -> dict[str, Any]:
@@ -131,29 +198,58 @@ class StreamGuard:
         fault = self._form(sample)
         if fault is not None:
             return fault
-        now = (sample.t_ns, sample.seq)
+        now = _Place(sample.t_ns, sample.seq)
         if sample.run != self.run and self._begun:
             # The run that was seen first is the older publisher; the newer start wins, also when
             # it comes back after a pause.
-            if sample.run in self.older_runs and not self._speaks_alone(sample):
+            older = sample.run in self.older_runs
+            if not (self._speaks_alone(sample) if older else self._confirmed(sample.run, now)):
                 return Reject.OTHER_PUBLISHER
             return self._restart(sample, now)
         if self._last is None:
             return self._restart(sample, now)
         self._other_count = 0
-        missed = sample.seq - self._last[1] - 1
-        if sample.t_ns <= self._last[0] and missed != -1:
+        missed = now.seq - self._last.seq - 1
+        if now.t_ns <= self._last.t_ns and missed != -1:
             return self._refuse(sample, now, Reject.TIME_BACKWARDS)
         if missed < 0:
             return self._refuse(sample, now, Reject.DUPLICATE_SEQ)
         if missed > LONGEST_GAP:
             return self._refuse(sample, now, Reject.OUT_OF_RANGE)
+        if missed > SHORT_GAP:
+            return self._refuse(sample, now, Reject.SEQ_JUMP)
+        return self._accept(now, missed)
+
+    def _accept(self, now: _Place, missed: int) -> Accepted:
         self.missed += missed
         self._last, self._late, self._late_count = now, None, 0
+        self._accepted += 1
+        self._since_jump += 1
         self._since_start += 1
         if self._since_start == SHORT_RUN_SAMPLES:
             self._short_runs = 0
+        if self._since_start % SETTLED_SAMPLES == 0:
+            self._doubts = max(0, self._doubts - 1)
         return _NEXT if missed == 0 else Accepted(missed=missed, restart=False)
+
+    def _confirmed(self, run: int | None, now: _Place) -> bool:
+        """Whether a run that is not older shows to be a stream of its own."""
+        known = self._newcomers.pop(run, None)
+        in_a_row = 1
+        if known is None:
+            if self._accepted - self._stray_at > NOTED_SAMPLES:
+                self._strays = 0
+            self._strays += 1
+            self._stray_at = self._accepted
+        elif known.place.is_followed_by(now) and self._accepted - known.accepted <= PACE:
+            in_a_row = known.in_a_row + 1
+        if self._doubts == 0 or in_a_row >= CONFIRM_SAMPLES << (self._doubts - 1):
+            self._strays = max(0, self._strays - 1)
+            return True
+        self._newcomers[run] = _Newcomer(now, in_a_row, self._accepted)
+        if len(self._newcomers) > MAX_NEWCOMERS:
+            del self._newcomers[next(iter(self._newcomers))]
+        return False
 
     def _speaks_alone(self, sample: ServoSample) -> bool:
         """Whether a superseded publisher has been the only one for long enough."""
@@ -163,24 +259,38 @@ class StreamGuard:
         long_enough = sample.t_ns - self._other[1] >= TAKE_BACK_NS
         return long_enough and self._other_count >= TAKE_BACK_SAMPLES
 
-    def _restart(self, sample: ServoSample, now: tuple[int, int]) -> Accepted:
-        # The first sample after a start of our own is no restart of the source's.
-        self.restarts += self._last is not None or (self._begun and sample.run != self.run)
+    def _restart(self, sample: ServoSample, now: _Place) -> Accepted:
+        jump = self._jump if sample.run == self.run and self._since_jump < SETTLED_SAMPLES else None
+        if jump is not None and jump.goes_on_at(now):
+            # Somebody else's samples were taken for a gap; the source itself never began anew.
+            self.missed = jump.missed + now.seq - jump.before.seq - 1
+        else:
+            # The first sample after a start of our own is no restart of the source's.
+            self.restarts += self._last is not None or (self._begun and sample.run != self.run)
+        self._jump = None
         self.run, self._last, self._begun = sample.run, now, True
         self._late, self._late_count, self._other_count = None, 0, 0
         if self.run not in self._runs:
             self._runs = [*self._runs, self.run][-MAX_OLD_RUNS - 1 :]
-        self._short_runs = self._short_runs + 1 if self._since_start < SHORT_RUN_SAMPLES else 0
+        short = self._since_start < SHORT_RUN_SAMPLES
+        self._short_runs = self._short_runs + 1 if short else 0
+        self._doubts = min(self._doubts + short, MOST_DOUBTS)
         self._since_start = 1
+        self._accepted += 1
         return Accepted(missed=0, restart=True)
 
-    def _refuse(self, sample: ServoSample, now: tuple[int, int], why: Reject) -> Accepted | Reject:
+    def _refuse(self, sample: ServoSample, now: _Place, why: Reject) -> Accepted | Reject:
         """Refuse what does not follow the last sample, until it shows to be a stream itself."""
-        late = self._late
+        last, late = self._last, self._late
         # A stream of its own is as close-knit as any: what jumps about at random is none.
-        in_order = late is None or (now[0] > late[0] and 0 < now[1] - late[1] <= LONGEST_GAP)
+        in_order = late is None or late.is_followed_by(now)
         self._late_count = self._late_count + 1 if in_order else 1
         self._late = now
+        if why is Reject.SEQ_JUMP and self._late_count >= CONFIRM_SAMPLES and last is not None:
+            if self._jump is None or self._since_jump >= SETTLED_SAMPLES:
+                self._jump = _Jump(last, self.missed, now)
+            self._since_jump = 0
+            return self._accept(now, now.seq - last.seq - 1)
         if self._late_count >= RESET_SAMPLES:
             return self._restart(sample, now)
         return why
@@ -310,7 +420,7 @@ class RateWatch:
             connect.
         """
         own, ring = records(self._own), self._own_ring
-        missed = follow_one(own, ring, t_ns, seq, restart)  # type: ignore[no-untyped-call]
+        missed = follow_one(own, ring, t_ns, seq, restart)
         return None if missed == PAUSE else int(missed)
 
     @property
@@ -321,6 +431,31 @@ class RateWatch:
     def _ring(self) -> NDArray[np.int64]:
         ring: NDArray[np.int64] = self._own_ring[0]
         return ring if self._place is None else np.asarray(self._place.batch.ring[self._place.row])
+
+
+class Seams:
+    """Takes the seam of an encoder out of one leg's angles, as a tick does.
+
+    Args:
+        joints: J.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self._legs = new_legs(1)
+        self._last = np.zeros(joints)
+
+    def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
+        """The sample with its angles in one turn; itself where they are, as nearly always."""
+        measured, desired = np.array(sample.measured), np.array(sample.desired)
+        preview = np.array(sample.preview or ()).reshape(-1, len(desired))
+        leg = records(self._legs)[0]
+        unwrap(leg, measured, desired, preview, self._last, restart)
+        angles = {"measured": measured.tolist(), "desired": desired.tolist()}
+        if sample.preview is not None:
+            angles["preview"] = preview.tolist()
+        if all(getattr(sample, name) == value for name, value in angles.items()):
+            return sample
+        return msgspec.structs.replace(sample, **angles)
 
 
 _CAUSES: Final[dict[bool | None, str]] = {

@@ -31,6 +31,9 @@ LEAST_WAY_M: Final = 0.015
 # for free again above the second share, which free ones reach 9 times in 10.
 HELD_SHARE: Final = 0.75
 FREE_SHARE: Final = 0.9
+# Readings that fall by more than this share of their command's rise are turned around: what hangs
+# on a foot pulls it down by less.
+TURNED_SHARE: Final = 0.5
 # A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
 # model decides then, as it would have without.
 FORGET_SWINGS: Final = 5
@@ -164,8 +167,22 @@ class SwingJudge:
             whole = len(places) == len(path)  # else the model ran away
             if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
                 self.came = moved / way
+        if self._turned_around():
+            self.came = 0.0
         leg["held"] = self.came < enough
         return bool(leg["held"])
+
+    def _turned_around(self) -> bool:
+        """Whether readings went down instead of up, by most of what the command rose."""
+        batch, row, leg = self._place.batch, self._place.row, self._place.leg
+        start = float(batch.start[row, 2])
+        fell = start - float(leg["low_at_m"])
+        if self.lifted or fell < LEAST_WAY_M * TURNED_SHARE:
+            return False
+        path = batch.path[row, : int(leg["path_n"])].tolist()
+        heights = [self._foot(angles)[2] for angles in path]
+        asked = max(heights) - min(heights[0], start)
+        return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
 
     def touched(self, ticks: int) -> None:
         """A touch was told, with its onset so many ticks ago."""

@@ -19,10 +19,24 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 if TYPE_CHECKING:
     from adaptive_contact.adapt.learner import ContactLearner
 
-__all__ = ["OnFault", "Team"]
+__all__ = ["OnFault", "Team", "check_sample"]
 
 # Is told the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
+
+
+def check_sample(sample: object) -> None:
+    """Refuse what is no sample; bad values in one are counted, never raised.
+
+    Raises:
+        TypeError: such as for the map of a payload.
+    """
+    if not isinstance(sample, ServoSample):
+        raise TypeError(
+            f"expected a ServoSample, found {type(sample).__name__}; pass ServoSample(t_ns=..., "
+            "seq=..., measured=[...], desired=[...]) of adaptive_contact.wire, or what its "
+            "decode() makes of a payload"
+        )
 
 
 class Team:

@@ -185,7 +185,8 @@ def learn(
     if not legs:
         raise IdentificationError(
             _of_all(skipped)
-            or f"no leg has samples; expected robot/leg/*/servo of {', '.join(robot.leg_ids)}"
+            or "no leg has two samples in a row; expected robot/leg/*/servo of "
+            + ", ".join(robot.leg_ids)
         )
     pooled = np.concatenate(statistics)
     tails = tuple(fit_tail(pooled[:, w]) for w in range(len(WINDOWS)))

@@ -11,6 +11,7 @@ Reference:
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -20,11 +21,13 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, foot
 
-__all__ = ["REST_TICKS", "free_swings"]
+__all__ = ["HELD_SWINGS", "HELD_TICKS", "REST_TICKS", "free_swings"]
 
 Array = NDArray[np.float64]
 
 REST_TICKS: Final = 4
+# Now and then a leg is held until its servos rest, so that gravity shows which way is down.
+HELD_TICKS, HELD_SWINGS = 25, 8
 # A swing rises at least so much, or it is not told from standing, m.
 _RISE_M: Final = 0.025
 # Ticks of an ascent and of a descent.
@@ -79,12 +82,13 @@ def _goals(
     max_step_rad: float,
 ) -> Iterator[list[float]]:
     here = home
-    while True:
+    for swing in itertools.count(1):
         low, high = _pair(leg, lower, upper, rng)
         for target in (high, low):
             yield from _move(here, target, rng, max_step_rad)
             here = target
-        yield from ([float(x) for x in here] for _ in range(REST_TICKS))
+        rest = REST_TICKS if swing % HELD_SWINGS else HELD_TICKS
+        yield from ([float(x) for x in here] for _ in range(rest))
 
 
 def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:

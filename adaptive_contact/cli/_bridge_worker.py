@@ -12,7 +12,7 @@ from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.status import BridgeStatus
-from adaptive_contact.cli._output import protect_output
+from adaptive_contact.cli._output import protect_output, say
 from adaptive_contact.errors import AdaptiveContactError, LinkError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
@@ -105,4 +105,4 @@ def work(
 
 
 def _say(line: str) -> None:
-    print(f"adaptive-contact bridge: {line}", file=sys.stderr, flush=True)
+    say(f"adaptive-contact bridge: {line}", err=True)

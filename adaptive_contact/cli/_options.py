@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
+from adaptive_contact.cli._output import say
+from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import why_not_writable
 from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, client_settings
 
+if TYPE_CHECKING:
+    from adaptive_contact.robot import Robot
+
 __all__ = [
+    "AmbiguousOption",
     "BaselineOption",
+    "Commands",
     "ConfigOption",
     "ConnectOption",
     "InsecureOption",
@@ -27,10 +37,88 @@ __all__ = [
     "NoStateOption",
     "RealtimeOption",
     "StateOption",
+    "WhenAmbiguous",
     "ZenohConfigOption",
     "check_output",
     "client",
+    "recorded_robot",
+    "seconds_option",
 ]
+
+
+def _without_types_of_flags(params: list[Any]) -> list[Any]:
+    """Options whose help shows no ``<bool>`` behind a flag, which takes no value."""
+    for param in params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+    return params
+
+
+class _Command(TyperCommand):
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _without_types_of_flags(super().get_params(ctx))
+
+
+class _Group(TyperGroup):
+    def get_params(self, ctx: Any) -> list[Any]:
+        return _without_types_of_flags(super().get_params(ctx))
+
+
+class Commands(typer.Typer):
+    """A group of commands whose help shows flags without a type.
+
+    Args:
+        settings: as of :class:`typer.Typer`.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(cls=_Group, **settings)
+
+    def command(self, name: str | None = None, **settings: Any) -> Callable[[Any], Any]:
+        """Add a command, as :meth:`typer.Typer.command` does."""
+        return super().command(name, cls=_Command, **settings)
+
+
+def seconds_option(
+    *names: str,
+    help: str,  # noqa: A002 - typer's name
+    least: float = 0.0,
+    most: float = math.inf,
+    **settings: Any,
+) -> Any:
+    """An option that is a duration, in seconds.
+
+    Args:
+        names: as of :func:`typer.Option`.
+        help: likewise.
+        least: s.
+        most: s; what lies outside is refused in one line.
+        settings: further ones of :func:`typer.Option`.
+
+    Returns:
+        The option; its value is a float.
+    """
+
+    def parse(given: str | float) -> float:
+        seconds = seconds_of(str(given))
+        if seconds is None:
+            raise typer.BadParameter(f"'{given}' is no duration; expected {DURATIONS}")
+        if not least <= seconds <= most:
+            between = f"{least:g} s or more" if most == math.inf else f"{least:g} to {most:g} s"
+            raise typer.BadParameter(f"'{given}' is {seconds:g} s; expected {between}")
+        return seconds
+
+    if most < math.inf:
+        help = f"{help.rstrip('.')}, {least:g} to {most:g} s."  # noqa: A001
+    return typer.Option(*names, metavar="DURATION", parser=parse, help=help, **settings)
+
+
+class WhenAmbiguous(StrEnum):
+    """What becomes of the contacts of an ambiguous leg; by value that of `adapt`."""
+
+    WITHHOLD = "withhold"
+    STRICT = "strict"
+    PUBLISH = "publish"
 
 
 class LogLevel(StrEnum):
@@ -93,6 +181,19 @@ InsecureOption = Annotated[
         rich_help_panel=_NETWORK,
     ),
 ]
+MaxSessionsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--max-sessions",
+        metavar="N",
+        min=2,
+        max=10_000,
+        help="Sessions that the embedded router takes at once (default 256, or what "
+        "--zenoh-config says); others are refused.",
+        show_default=False,
+        rich_help_panel=_NETWORK,
+    ),
+]
 JsonPayloadOption = Annotated[
     bool,
     typer.Option("--json", help="Publish JSON payloads instead of msgpack."),
@@ -128,6 +229,14 @@ StateOption = Annotated[
 ]
 NoStateOption = Annotated[
     bool, typer.Option("--no-state", help="Neither restore nor keep what is learned.")
+]
+AmbiguousOption = Annotated[
+    WhenAmbiguous,
+    typer.Option(
+        "--when-ambiguous",
+        help="Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of "
+        "them; or publish them.",
+    ),
 ]
 LogLevelOption = Annotated[
     LogLevel,
@@ -170,3 +279,30 @@ def check_output(path: Path, option: str) -> None:
     why = why_not_writable(path)
     if why is not None:
         raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")
+
+
+def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
+    """The robot that recordings are taken for; said where it is the shipped one.
+
+    Raises:
+        ConfigurationError: a recording is of another robot, by its own word.
+    """
+    from adaptive_contact.robot import load_robot, shipped_robot
+    from adaptive_contact.service.recording import read_recording
+
+    if config is not None:
+        return load_robot(config)
+    robot = shipped_robot()
+    for path in recordings:
+        name = read_recording(path).about.get("robot", robot.name)
+        if name != robot.name:
+            raise ConfigurationError(
+                f"{path}: recorded from robot '{name}', and without --config the shipped "
+                f"'{robot.name}' is meant; give the --config of '{name}'"
+            )
+    say(
+        f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
+        f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
+        err=True,
+    )
+    return robot

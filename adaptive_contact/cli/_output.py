@@ -1,4 +1,7 @@
-"""Standard output and standard error that cannot be written: a full disk, or a reader that is gone.
+"""Standard output and standard error: what is said there, and what becomes of it.
+
+Text of the wire and of files is shown, never obeyed: all lines for people go through :func:`say`.
+Where a stream cannot be written, for a full disk or a reader that is gone:
 
 A line on standard error is lost, and the command goes on.  Standard output is what a command is
 called for, so it ends with :class:`OutputLost`; a command that runs until it is stopped declares
@@ -11,13 +14,52 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import shutil
 import sys
 from typing import TYPE_CHECKING, TextIO
+
+from adaptive_contact.printable import printable, printable_json
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-__all__ = ["OutputLost", "make_stdout_optional", "protect_output"]
+    from adaptive_contact.service.probe import Finding
+
+__all__ = [
+    "OutputLost",
+    "make_stdout_optional",
+    "overwrite",
+    "protect_output",
+    "say",
+    "say_json",
+    "say_waiting",
+]
+
+
+def say(line: object, *, err: bool = False) -> None:
+    """Print one line for people; control characters in it are shown.
+
+    Args:
+        line: its text.
+        err: on standard error.
+    """
+    print(printable(line), file=sys.stderr if err else sys.stdout, flush=True)
+
+
+def say_json(text: bytes | str) -> None:
+    """Print JSON of the same value that a terminal can show."""
+    print(printable_json(text), flush=True)
+
+
+def say_waiting(finding: Finding) -> None:
+    """Say what stands in the way of the network, while a command tries on."""
+    say(f"adaptive-contact: {finding.line}; trying on", err=True)
+
+
+def overwrite(line: str) -> None:
+    """Replace the last line of a terminal on standard error, at most its width."""
+    room = shutil.get_terminal_size().columns - 1
+    print(f"\r\x1b[K{printable(line)[:room]}", end="", file=sys.stderr, flush=True)
 
 
 class OutputLost(Exception):  # noqa: N818 - no error of the program

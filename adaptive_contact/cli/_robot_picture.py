@@ -1,23 +1,44 @@
-"""Every leg from the side and from above, as the description and the servos say, in an SVG."""
+"""The robot from above and every leg from the side, as description and readings say, in an SVG.
+
+Beside each joint: a dashed line where its zero is, and an arrow the way its angle grows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.robot import Leg, Robot, foot
+from adaptive_contact.cli._output import say
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import write_file
+from adaptive_contact.robot import Leg, Mount, Robot, foot
+from adaptive_contact.robot.rigid import on_body
 
-__all__ = ["chain", "draw"]
+__all__ = ["chain", "draw", "write_picture"]
 
 Array = NDArray[np.float64]
 
-_CELL: Final = 260
-_MARGIN: Final = 26
+# With mounts of so many legs told, the robot is drawn as a whole.
+_LEAST_PLACED: Final = 2
+_CELL: Final = 300
+_TOP: Final = 46
+_MARGIN: Final = 40
+_HEADING: Final = 80
+_LINE: Final = 15
+_LEAST_SPAN: Final = 0.5
+_ROWS, _COLUMNS = 2, 4
 _COLOURS: Final = ("#1f6fb4", "#c8691b", "#3b8a3f", "#8a3b86", "#a33c3c", "#5d6d7e")
+_GREY, _PALE, _INK = "#7f8c8d", "#d5d8dc", "#2c3e50"
+# The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
+_ARC_PX: Final = (16.0, 40.0)
+_ARC_RAD: Final = 0.9
+_ZERO_PX: Final = 62
+_HEAD_PX: Final = 6
 
 
 def chain(leg: Leg, angles: Sequence[float]) -> Array:
@@ -37,6 +58,20 @@ def chain(leg: Leg, angles: Sequence[float]) -> Array:
     return np.stack(points)
 
 
+def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Path) -> None:
+    """Draw the legs into a file.
+
+    Raises:
+        ConfigurationError: no leg can be drawn.
+    """
+    if all(leg.lengths_m is None for leg in robot.legs):
+        raise ConfigurationError("no leg has lengths_m, so there is nothing to draw; measure one")
+    if not angles:
+        raise ConfigurationError(f"no samples came, so there is nothing to draw in {path}")
+    write_file(path, draw(robot, angles), advice="give another --picture")
+    say(f"drew {path}", err=True)
+
+
 def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
     """The picture.
 
@@ -48,75 +83,221 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
         SVG text.
     """
     legs = [leg for leg in robot.legs if leg.lengths_m is not None and leg.id in angles]
-    width, height = max(len(legs), 1) * _CELL, 2 * _CELL + 40
+    placed = sum(leg.mount != Mount() for leg in legs) >= _LEAST_PLACED
+    columns = max(-(-len(legs) // _ROWS), 1)
+    rows = _ROWS
+    body = _ROWS * _CELL if placed else 0
+    # Without mounts nobody knows where the legs sit: each is drawn from above by itself.
+    views = [(leg, above) for leg in legs for above in ((False,) if placed else (False, True))]
+    if not placed:
+        columns = min(_COLUMNS, max(len(views), 1))
+        rows = -(-len(views) // columns)
+    width, height = max(body + columns * _CELL, 2 * _CELL), _TOP + max(body, rows * _CELL)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
         f'viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
         f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
-        f'<text x="8" y="18" font-size="14">{escape(robot.name)}: legs from the side (above) and '
-        "from above (below), body on the left, foot red</text>",
+        f'<text x="10" y="19" font-size="15" font-weight="bold">{escape(robot.name)}</text>',
+        f'<text x="10" y="37" fill="{_GREY}">dashed: where the joint is at 0; arrow: the way its '
+        "angle grows; red: the foot</text>",
     ]
-    for i, leg in enumerate(legs):
-        points = chain(leg, angles[leg.id])
-        reach = np.hypot(points[:, 0], points[:, 1]) * np.sign(points[:, 0] + 1e-9)
-        side = np.stack([reach, points[:, 2]], axis=1)
-        above = points[:, :2]
-        assert leg.lengths_m is not None
-        scale = (_CELL - 2 * _MARGIN) / (2 * sum(leg.lengths_m))
-        for row, flat in ((0, side), (1, above)):
-            parts += _panel(leg, flat, angles[leg.id], i * _CELL, 30 + row * _CELL, scale, row == 0)
+    if placed:
+        parts += _from_above(legs, angles, body)
+    for k, (leg, above) in enumerate(views):
+        left, top = body + (k % columns) * _CELL, _TOP + (k // columns) * _CELL
+        parts += _panel(leg, angles[leg.id], left, top, above=above)
     parts.append("</svg>")
     return "\n".join(parts) + "\n"
 
 
-def _panel(
-    leg: Leg,
-    flat: Array,
-    angles: Sequence[float],
-    left: float,
-    top: float,
-    scale: float,
-    named: bool,
+def _from_above(
+    legs: Sequence[Leg], angles: Mapping[str, Sequence[float]], size: float
 ) -> list[str]:
-    middle = _CELL / 2
-    x = left + middle + scale * flat[:, 0]
-    y = top + middle - scale * flat[:, 1]
-    parts = [
-        f'<rect x="{left + 3}" y="{top + 3}" width="{_CELL - 6}" height="{_CELL - 6}" '
-        'fill="none" stroke="#d5d8dc"/>',
-        f'<line x1="{left + 6}" y1="{top + middle}" x2="{left + _CELL - 6}" y2="{top + middle}" '
-        'stroke="#eaecee"/>',
-    ]
-    if named:
-        parts.append(f'<text x="{left + 10}" y="{top + 20}" font-weight="bold">{leg.id}</text>')
-    for j in range(len(leg.joints)):
-        colour = _COLOURS[j % len(_COLOURS)]
-        parts.append(
-            f'<line x1="{x[j]:.1f}" y1="{y[j]:.1f}" x2="{x[j + 1]:.1f}" y2="{y[j + 1]:.1f}" '
-            f'stroke="{colour}" stroke-width="6" stroke-linecap="round"/>'
-        )
-        if named:
-            parts.append(
-                f'<text x="{left + 10}" y="{top + _CELL - 12 - 14 * (len(leg.joints) - 1 - j)}" '
-                f'fill="{colour}">{escape(_label(leg, j, angles[j]))}</text>'
-            )
+    """The whole robot, its front up."""
+    chains = {leg.id: on_body(leg, chain(leg, angles[leg.id])) for leg in legs}
+    far = max(float(np.abs(points[:, :2]).max()) for points in chains.values())
+    scale = (size / 2 - 2 * _MARGIN) / far
+    middle = size / 2, _TOP + size / 2
+
+    def at(point: Array) -> tuple[float, float]:
+        return middle[0] - scale * float(point[1]), middle[1] - scale * float(point[0])
+
+    parts = [_frame(0, _TOP, size)]
+    hull = " ".join("{:.1f},{:.1f}".format(*at(chains[leg.id][0])) for leg in _around(legs))
+    parts.append(f'<polygon points="{hull}" fill="#f4f6f7" stroke="{_PALE}" stroke-width="2"/>')
+    x, y = middle
     parts += [
-        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4" fill="#2c3e50"/>'
-        for a, b in zip(x[:-1], y[:-1], strict=True)
+        _arrow(x, _TOP + 62, x, _TOP + 22, _INK),
+        _text(x + 8, _TOP + 34, "front (x)", _INK, bold=True),
+        _text(12, y - 6, "left (y)", _GREY),
+        _text(size - 12, y - 6, "right", _GREY, anchor="end"),
     ]
-    parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="5" fill="#e74c3c"/>')
+    for leg in legs:
+        points = [at(point) for point in chains[leg.id]]
+        for j in range(len(leg.joints)):
+            parts.append(_link(points[j], points[j + 1], _COLOURS[j % len(_COLOURS)]))
+        if leg.joint_axes[0] == "yaw":
+            yaw = np.pi / 2 + leg.mount.yaw_rad
+            parts += _turning(points[0], points[1], yaw, _COLOURS[0])
+        parts += _ends(points)
+        from_middle = np.array(points) - np.array(middle)
+        out = from_middle[int(np.argmax(np.hypot(*from_middle.T)))]
+        tip = out + np.array(middle)
+        out = out / max(float(np.hypot(*out)), 1.0)
+        parts.append(
+            _text(
+                tip[0] + 16 * out[0],
+                tip[1] + 16 * out[1] + 4,
+                leg.id,
+                _INK,
+                bold=True,
+                anchor="middle",
+            )
+        )
     return parts
 
 
+def _around(legs: Sequence[Leg]) -> list[Leg]:
+    """In the order in which they sit around the body."""
+    return sorted(legs, key=lambda leg: float(np.arctan2(leg.mount.xyz_m[1], leg.mount.xyz_m[0])))
+
+
+def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, *, above: bool) -> list[str]:
+    """One leg, the body on the left: from the side, or from above."""
+    assert leg.lengths_m is not None
+    points = chain(leg, angles)
+    reach = np.hypot(points[:, 0], points[:, 1]) * np.sign(points[:, 0] + 1e-9)
+    flat = points[:, :2] if above else np.stack([reach, points[:, 2]], axis=1)
+    # Room for arrows all around, the heading above, and the joints' lines below.
+    room = _CELL - 2 * _MARGIN, _CELL - _HEADING - _MARGIN - _LINE * len(leg.joints)
+    # Never so large that a leg that stretches looks another one than a leg that stands.
+    span = np.maximum(np.ptp(flat, axis=0), _LEAST_SPAN * sum(leg.lengths_m))
+    scale = float((np.array(room) / span).min())
+    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
+    x0 = left + _CELL / 2 - scale * middle[0]
+    y0 = top + _HEADING + room[1] / 2 + scale * middle[1]
+    at = [(float(x0 + scale * a), float(y0 - scale * b)) for a, b in flat]
+    parts = [_frame(left, top, _CELL)]
+    side = _side(leg)
+    view = "from above" if above else "from the side"
+    parts.append(_text(left + 10, top + 20, leg.id, _INK, bold=True))
+    parts.append(_text(left + 10, top + 36, f"{side}{view}", _GREY))
+    # The direction in which each joint's link points when its angle is 0.
+    kind = "yaw" if above else "pitch"
+    axes = np.array([axis == kind for axis in leg.joint_axes])
+    before = np.concatenate([[0.0], np.cumsum(np.where(axes, np.asarray(angles), 0.0))[:-1]])
+    for j in range(len(leg.joints)):
+        parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
+    for j in (j for j, turns in enumerate(axes) if turns):
+        parts += _turning(at[j], at[j + 1], float(before[j]), _COLOURS[j % len(_COLOURS)])
+    if not above:
+        for j in range(len(leg.joints)):
+            y = top + _CELL - 12 - _LINE * (len(leg.joints) - 1 - j)
+            parts.append(
+                _text(left + 10, y, _label(leg, j, angles[j]), _COLOURS[j % len(_COLOURS)])
+            )
+    return parts + _ends(at)
+
+
+def _side(leg: Leg) -> str:
+    """Where on the body it sits, as far as the mount says."""
+    x, y, _ = leg.mount.xyz_m
+    words = [
+        "left" if y > 0 else "right" if y < 0 else "",
+        "front" if x > 0 else "rear" if x < 0 else "",
+    ]
+    told = " ".join(word for word in words if word)
+    return f"{told}, " if told else ""
+
+
+def _turning(
+    joint: tuple[float, float], tip: tuple[float, float], zero_rad: float, colour: str
+) -> list[str]:
+    """Where a joint's link is at 0, and the way its angle grows; counter-clockwise from right."""
+    x, y = joint
+    length = float(np.hypot(tip[0] - x, tip[1] - y))
+    radius = float(np.clip(length / 2, *_ARC_PX))
+    end = zero_rad + _ARC_RAD
+    x0, y0 = x + radius * np.cos(zero_rad), y - radius * np.sin(zero_rad)
+    x1, y1 = x + radius * np.cos(end), y - radius * np.sin(end)
+    far = _ZERO_PX if length > _ZERO_PX else radius + _HEAD_PX
+    ahead = end + np.pi / 2
+    return [
+        f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + far * np.cos(zero_rad):.1f}" '
+        f'y2="{y - far * np.sin(zero_rad):.1f}" stroke="{colour}" stroke-width="1.2" '
+        'stroke-dasharray="4 3"/>',
+        f'<path d="M {x0:.1f} {y0:.1f} A {radius:.1f} {radius:.1f} 0 0 0 {x1:.1f} {y1:.1f}" '
+        f'fill="none" stroke="{colour}" stroke-width="1.6"/>',
+        _head(x1, y1, float(ahead), colour),
+        _text(
+            x + (radius + 13) * np.cos(end),
+            y - (radius + 13) * np.sin(end) + 4,
+            "+",
+            colour,
+            bold=True,
+            anchor="middle",
+        ),
+    ]
+
+
+def _head(x: float, y: float, way_rad: float, colour: str) -> str:
+    """An arrow's head with its tip a little ahead of a point."""
+    corners = [
+        (x + _HEAD_PX * np.cos(way_rad + turn), y - _HEAD_PX * np.sin(way_rad + turn))
+        for turn in (0.0, 2.4, -2.4)
+    ]
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in corners)
+    return f'<polygon points="{points}" fill="{colour}"/>'
+
+
+def _arrow(x0: float, y0: float, x1: float, y1: float, colour: str) -> str:
+    way = float(np.arctan2(y0 - y1, x1 - x0))
+    return (
+        f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}" '
+        f'stroke-width="2"/>' + _head(x1, y1, way, colour)
+    )
+
+
+def _link(start: tuple[float, float], end: tuple[float, float], colour: str) -> str:
+    return (
+        f'<line x1="{start[0]:.1f}" y1="{start[1]:.1f}" x2="{end[0]:.1f}" y2="{end[1]:.1f}" '
+        f'class="link" stroke="{colour}" stroke-width="6" stroke-linecap="round"/>'
+    )
+
+
+def _ends(points: Sequence[tuple[float, float]]) -> list[str]:
+    """Joints dark, the foot red."""
+    joints = [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{_INK}"/>' for x, y in points[:-1]]
+    x, y = points[-1]
+    return [*joints, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#e74c3c"/>']
+
+
+def _frame(left: float, top: float, size: float) -> str:
+    return (
+        f'<rect x="{left + 3:.1f}" y="{top + 3:.1f}" width="{size - 6:.1f}" '
+        f'height="{size - 6:.1f}" fill="none" stroke="{_PALE}"/>'
+    )
+
+
+def _text(
+    x: float, y: float, words: str, colour: str, *, bold: bool = False, anchor: str = "start"
+) -> str:
+    weight = ' font-weight="bold"' if bold else ""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}" text-anchor="{anchor}"{weight}>'
+        f"{escape(words)}</text>"
+    )
+
+
 def _label(leg: Leg, joint: int, angle_rad: float) -> str:
-    """A joint's name, angle, length, and how its servo is mounted."""
+    """A joint's name, angle, length, and how the source counts it."""
     assert leg.lengths_m is not None
     told = (
         f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, {1000 * leg.lengths_m[joint]:.0f} mm"
     )
-    servos = leg.servos
-    if servos is not None:
-        sign = 1 if servos.directions is None else servos.directions[joint]
-        offset = 0.0 if servos.offsets_rad is None else servos.offsets_rad[joint]
+    turned = leg.angles or leg.servos
+    if turned is not None:
+        sign = 1 if turned.directions is None else turned.directions[joint]
+        offset = 0.0 if turned.offsets_rad is None else turned.offsets_rad[joint]
         told += f", sign {sign:+d}, offset {np.degrees(offset):.0f}°"
     return told

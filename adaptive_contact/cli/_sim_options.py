@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import typer
 
+from adaptive_contact.cli._options import seconds_option
+from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact_sim import (
         PoseSettings,
         RunPlan,
@@ -47,7 +48,6 @@ __all__ = [
     "given",
     "needs_simulator",
     "robot_of",
-    "say",
     "speed_of",
     "stoppable",
 ]
@@ -70,7 +70,9 @@ ScenarioOption = Annotated[
 ]
 SecondsOption = Annotated[
     float | None,
-    typer.Option("--seconds", help="Simulated time; otherwise until Ctrl-C.", rich_help_panel=_RUN),
+    seconds_option(
+        "--seconds", help="Simulated time; otherwise until Ctrl-C.", rich_help_panel=_RUN
+    ),
 ]
 SpeedOption = Annotated[
     str | None,
@@ -242,7 +244,7 @@ def execute(plan: RunPlan, stop: threading.Event) -> None:
     from adaptive_contact_sim import run
 
     try:
-        report = run(plan, stop, on_wait=say, on_start=_start)
+        report = run(plan, stop, on_wait=say_waiting, on_start=_start)
     except LinkError:
         if stop.is_set():
             return
@@ -251,23 +253,18 @@ def execute(plan: RunPlan, stop: threading.Event) -> None:
     factor = outcome.simulated_s / max(outcome.elapsed_s, 1e-9)
     touches = "  ".join(f"{leg} {count}" for leg, count in report.touches.items())
     late = f", {outcome.late} late" if plan.speed is not None else ""
-    typer.echo(
+    say(
         f"simulated {outcome.simulated_s:.1f} s in {outcome.elapsed_s:.1f} s "
         f"({factor:.1f} x real time), {outcome.ticks} ticks{late}; touches: {touches}"
     )
     for path in (plan.record, plan.render):
         if path is not None:
-            typer.echo(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
+            say(f"wrote {path} ({path.stat().st_size / 1e6:.1f} MB)")
     if report.note is not None:
-        typer.echo(f"adaptive-contact: {report.note}", err=True)
+        say(f"adaptive-contact: {report.note}", err=True)
     sys.stdout.flush()
 
 
-def say(finding: Finding) -> None:
-    """Tell what stands in the way of the network."""
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)
-
-
 def _start(line: str) -> None:
-    typer.echo(f"adaptive-contact sim: {line}; stop with Ctrl-C")
+    say(f"adaptive-contact sim: {line}; stop with Ctrl-C")
     sys.stdout.flush()

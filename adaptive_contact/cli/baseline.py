@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import needs_simulator
 
 __all__ = ["baseline"]
@@ -35,8 +36,8 @@ def baseline(
     robot = shipped_robot()
     with threadpool_limits(1):
         training = learn_shipped(
-            robot, processes=processes, progress=lambda line: typer.echo(line, err=True)
+            robot, processes=processes, progress=lambda line: say(line, err=True)
         )
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
-    typer.echo(f"baseline written to {out}", err=True)
+    say(f"baseline written to {out}", err=True)

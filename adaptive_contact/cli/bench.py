@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from adaptive_contact.cli._options import BaselineOption, JsonOption
+from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.files import write_file
 
@@ -32,7 +33,6 @@ def bench(
 ) -> None:
     """Measure recall, latency and false alarms on unseen runs, and how fast everything is."""
     import msgspec
-    from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
 
@@ -49,11 +49,13 @@ def bench(
         from adaptive_contact_sim.headline import HEADLINE_RUNS, run_headline
         from adaptive_contact_sim.speed import restore_speed, tick_speed
 
+    from adaptive_contact.cli._console import table_console
+
     robot = shipped_robot()
     known = shipped_baseline(robot.name) if baseline is None else load_baseline(baseline)
     if known is None:
         raise BaselineError(f"no baseline ships for '{robot.name}'; give one with --baseline")
-    console = Console(stderr=True)
+    console = table_console(stderr=True)
     rows: dict[str, Summary] = {}
     if not speeds_only:
         with Progress(console=console) as bar:
@@ -67,7 +69,7 @@ def bench(
     with Progress(console=console) as bar:
         task = bar.add_task("5,000 segments for the compressed fit", total=1.0)
         fits = compare_full(out / "cache", robot, processes, lambda part: bar.advance(task, part))
-    console.print("measuring speeds", highlight=False)
+    console.print("measuring speeds")
     # The walk of the speeds is no row of the table; any seed would do.
     settings = SimulationSettings(
         motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=2900
@@ -88,7 +90,7 @@ def bench(
     text = msgspec.json.format(msgspec.json.encode(result), indent=2)
     write_file(out / "bench.json", text + b"\n", advice="give another --out")
     if json:
-        typer.echo(text.decode())
+        say_json(text.decode())
         return
     if rows:
         _print_rows(rows)
@@ -118,19 +120,17 @@ def bench(
         "simulator",
         f"{simulator.factor:.1f} x real time on one core (engine alone {simulator.engine:.1f} x)",
     )
-    Console(width=None if Console().is_terminal else 120).print(speeds)
-    console.print(f"figures in {out / 'bench.json'}", highlight=False)
+    table_console().print(speeds)
+    console.print(f"figures in {out / 'bench.json'}")
 
 
 def _print_rows(rows: dict[str, Summary]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact.score import Row
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
+    console = table_console()
     table = Table(title="Default detector, runs it has not seen (95 % intervals)")
     for name in (
         "row",

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from adaptive_contact.cli._options import (
+    Commands,
     ConfigOption,
     ConnectOption,
     JsonPayloadOption,
@@ -25,8 +26,9 @@ from adaptive_contact.cli._options import (
     ZenohConfigOption,
     check_output,
     client,
+    seconds_option,
 )
-from adaptive_contact.cli._output import make_stdout_optional
+from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator, stoppable
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
@@ -44,7 +46,7 @@ __all__ = [
     "robot_of",
 ]
 
-app = typer.Typer(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
+app = Commands(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
@@ -155,7 +157,7 @@ def dynamixel(
     settings = client(connect, namespace, zenoh_config, json=json)
     findings = check_ports(plans, configure=configure, drive=drive)
     for line in findings.done + findings.advice:
-        typer.echo(f"adaptive-contact bridge: {line}", err=True)
+        say(f"adaptive-contact bridge: {line}", err=True)
     findings.raise_errors()
     _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)
 
@@ -178,7 +180,7 @@ class _Crew:
         servos = sum(len(plan.joints) for plan in self._plans)
         legs = " ".join(leg.id for plan in self._plans for leg in plan.legs)
         what = "driving" if self._mode == "drive" else "observing"
-        typer.echo(
+        say(
             f"adaptive-contact bridge: {what} {servos} servos on {len(self._plans)} ports, legs "
             f"{legs}; publishing robot/leg/*/servo; stop with Ctrl-C"
         )
@@ -188,7 +190,7 @@ class _Crew:
                 for plan in self._plans:
                     worker = self._workers[plan.name]
                     if not worker.is_alive():
-                        typer.echo(
+                        say(
                             f"adaptive-contact bridge: port {plan.name}: its process ended "
                             f"({worker.exitcode}); starting it again",
                             err=True,
@@ -290,7 +292,8 @@ def virtual(
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     robot_seed: Annotated[int, typer.Option("--robot-seed", min=0)] = 0,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", help="Otherwise until Ctrl-C.", show_default=False)
+        float | None,
+        seconds_option("--seconds", help="Otherwise until Ctrl-C.", show_default=False),
     ] = None,
     record: Annotated[
         Path | None,
@@ -348,7 +351,7 @@ def virtual(
 
         refused = take_priority()
         if refused is not None:
-            typer.echo(f"adaptive-contact bridge virtual: {refused}", err=True)
+            say(f"adaptive-contact bridge virtual: {refused}", err=True)
     run(plan, stop, on_start=_say)
 
 
@@ -364,5 +367,5 @@ def _check_shipped(name: str) -> None:
 
 
 def _say(line: str) -> None:
-    typer.echo(f"adaptive-contact bridge virtual: {line}")
+    say(f"adaptive-contact bridge virtual: {line}")
     sys.stdout.flush()

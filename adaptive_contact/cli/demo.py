@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from adaptive_contact.cli._options import seconds_option
+from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import given, needs_simulator
 
 __all__ = ["demo"]
 
-_PIPE_WIDTH = 120
 _STOPPED = 130  # what a shell calls "ended by Ctrl-C"
 
 
@@ -24,7 +24,7 @@ def demo(
     ] = Path("out/demo"),
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Of walking, in real time. [60]", show_default=False),
+        seconds_option("--seconds", help="Of walking, in real time. [60]", show_default=False),
     ] = None,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)
@@ -40,14 +40,14 @@ def demo(
         signal.signal(number, lambda *_: _on_signal(stop))
     with needs_simulator():
         from adaptive_contact_sim.demo import DemoSettings, StoppedError, run_demo
-    from rich.console import Console
+    from adaptive_contact.cli._console import table_console
 
-    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    console = table_console()
     settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed))
     try:
         run_demo(settings, console, stop)
     except (StoppedError, KeyboardInterrupt):
-        typer.echo("adaptive-contact: stopped; nothing was judged", err=True)
+        say("adaptive-contact: stopped; nothing was judged", err=True)
         raise typer.Exit(_STOPPED) from None
 
 

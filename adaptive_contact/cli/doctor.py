@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -13,16 +12,21 @@ from adaptive_contact.cli._options import (
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
-from adaptive_contact.printable import printable, printable_json
+from adaptive_contact.cli._output import say_json
+from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
     from rich.table import Table
 
     from adaptive_contact.service.doctor import Diagnosis
-    from adaptive_contact.service.findings import Level
+    from adaptive_contact.service.findings import Finding, Level
 
-__all__ = ["doctor"]
+__all__ = ["doctor", "print_findings"]
 
 _PIPE_WIDTH: Final = 140
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
@@ -32,7 +36,9 @@ def doctor(
     connect: ConnectOption = None,
     namespace: NamespaceOption = None,
     zenoh_config: ZenohConfigOption = None,
-    seconds: Annotated[float, typer.Option(min=0.5, max=600.0, help="How long to listen.")] = 3.0,
+    seconds: Annotated[
+        float, seconds_option("--seconds", least=0.5, most=600.0, help="How long to listen.")
+    ] = 3.0,
     json: JsonOption = False,
 ) -> None:
     """Find out who publishes what, which legs look wrong, and why.
@@ -51,18 +57,18 @@ def doctor(
     if json:
         import msgspec
 
-        print(printable_json(msgspec.json.encode(diagnosis)))
+        say_json(msgspec.json.encode(diagnosis))
     else:
         _print(diagnosis)
     raise typer.Exit(diagnosis.exit_code)
 
 
 def _print(diagnosis: Diagnosis) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    # Into a pipe, rich would take 80 columns and fold every line.
-    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console(pipe_width=_PIPE_WIDTH)
     if diagnosis.router != "connected":
         console.print(Text(f"router   {diagnosis.router_line}", style="bold red"))
         return
@@ -76,15 +82,22 @@ def _print(diagnosis: Diagnosis) -> None:
         console.print("service  none" if not diagnosis.service_alive else "service  says nothing")
     if diagnosis.keys:
         console.print(_traffic(diagnosis))
-    for finding in diagnosis.findings:
+    print_findings(diagnosis.findings, console)
+    if diagnosis.exit_code == 0:
+        console.print(Text("all is well", style="green"))
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """What is wrong, each with its remedy."""
+    from rich.text import Text
+
+    for finding in findings:
         line = Text(f"{finding.level}: ", style=_COLOURS[finding.level])
         legs = printable(" ".join(finding.legs))
         line.append(f"{legs}: " if legs else "", style="bold")
         line.append(printable(finding.what), style="not bold not dim default")
         console.print(line)
         console.print(Text(f"    -> {printable(finding.remedy)}", style="dim"))
-    if diagnosis.exit_code == 0:
-        console.print(Text("all is well", style="green"))
 
 
 def _traffic(diagnosis: Diagnosis) -> Table:

@@ -8,12 +8,13 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._options import Commands, JsonOption
+from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_simulator
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Single experiments on data of one's own.", no_args_is_help=True)
+app = Commands(help="Single experiments on data of one's own.", no_args_is_help=True)
 
 
 @app.callback()
@@ -41,16 +42,15 @@ def logs(
 
     tree = plain(run_logs(path))
     if json:
-        typer.echo(jsonlib.dumps(tree, indent=2))
+        say_json(jsonlib.dumps(tree, indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console()
     for section in sections({"logs": tree}):
-        console.print(section.text, markup=False)
+        console.print(section.text)
         for table in section.tables:
             shown = Table(*table.header, title=table.title, title_justify="left")
             for row in table.rows:

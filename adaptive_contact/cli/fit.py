@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output, recorded_robot
+from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.adapt.training import Training
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.findings import Finding
+    from adaptive_contact.wire import Rejected, ServoSample
 
-__all__ = ["check_conventions", "fit", "gather", "print_training", "refuse_useless"]
+__all__ = [
+    "check_conventions",
+    "check_streams",
+    "fit",
+    "gather",
+    "print_training",
+    "refuse_useless",
+]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -69,16 +79,9 @@ def fit(
     from adaptive_contact.adapt.baseline import save_baseline
     from adaptive_contact.adapt.training import learn
     from adaptive_contact.adapt.verdict import verdict
-    from adaptive_contact.robot import load_robot, shipped_robot
 
     check_output(out, "--out")
-    robot = shipped_robot() if config is None else load_robot(config)
-    if config is None:
-        typer.echo(
-            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
-            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
-            err=True,
-        )
+    robot = recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
@@ -88,13 +91,13 @@ def fit(
             origin=f"adaptive-contact fit {' '.join(path.name for path in recordings)}",
             library=library,
             threshold=threshold,
-            progress=lambda leg: typer.echo(f"fitting leg {leg}", err=True),
+            progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
     for reason in training.skipped.values():
-        typer.echo(f"adaptive-contact: left out: {reason}", err=True)
+        say(f"adaptive-contact: left out: {reason}", err=True)
     for leg_id, known in training.figures.items():
         if known.touched:
-            typer.echo(
+            say(
                 f"adaptive-contact: leg '{leg_id}': the foot seems to have touched in "
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
                 "record free swings, or with truth, to learn from all of them",
@@ -102,7 +105,7 @@ def fit(
             )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
-        typer.echo(
+        say(
             f"adaptive-contact: the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
             "they are cautious, and soft contacts will be missed; record more swings",
             err=True,
@@ -111,63 +114,135 @@ def fit(
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json, equations=equations)
     for line in verdict(robot, training):
-        typer.echo(line, err=json)
-    typer.echo(f"baseline written to {out}", err=True)
+        say(line, err=json)
+    say(f"baseline written to {out}", err=True)
 
 
-def gather(recordings: list[Path], robot: Robot) -> dict[str, LegGatherer]:
-    """Every leg's samples and truth of several recordings, one after the other."""
+def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict[str, LegGatherer]:
+    """Every leg's samples and truth of several recordings, one after the other.
+
+    What is wrong with a recording's streams is said, as ``doctor`` says it of live ones.
+
+    Raises:
+        ConfigurationError: no tick of a recording shows how a leg moves.
+    """
     from adaptive_contact.adapt.gather import LegGatherer
     from adaptive_contact.service.findings import of_legs
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
     from adaptive_contact.wire import ContactTruth, Rejected, ServoSample, decode, leg_of_key
 
     legs = {leg.id: LegGatherer(leg, robot.period_s) for leg in robot.legs}
     strangers: set[str] = set()
+    causes: dict[str, set[str]] = {}
     for path in recordings:
         recording = read_recording(path)
-        refused = 0
-        for record in recording:
+        samples: dict[str, list[ServoSample]] = {}
+        refused: dict[str, list[Rejected]] = {}
+        robots = OneRobot(recording)
+        for record in robots:
             leg_id = leg_of_key(record.key)
             leg = legs.get(leg_id or "")
-            if leg is None:
+            if leg_id is None or leg is None:
                 if leg_id is not None and record.key.endswith("/servo"):
                     strangers.add(leg_id)
                 continue
             if record.key.endswith("/servo"):
                 sample = decode(record.payload, ServoSample, record.encoding)
                 if isinstance(sample, Rejected):
-                    refused += 1
+                    refused.setdefault(leg_id, []).append(sample)
                 else:
+                    samples.setdefault(leg_id, []).append(sample)
                     leg.take_sample(sample)
             elif record.key.endswith("/truth"):
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
         if recording.damage is not None:
-            typer.echo(f"adaptive-contact: {path}: {recording.damage}", err=True)
-        if refused:
-            typer.echo(f"adaptive-contact: {path}: {refused} samples not used", err=True)
+            say(f"adaptive-contact: {path}: {recording.damage}", err=True)
+        for line in robots.trouble(None):
+            say(f"adaptive-contact: {path}: {line}", err=True)
+        of = f"{path}: " if len(recordings) > 1 else ""
+        for finding in check_streams(robot, samples, refused, of=of, refuse=refuse):
+            for name in finding.legs:
+                causes.setdefault(name, set()).add(finding.cause)
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
-        typer.echo(
+        say(
             f"adaptive-contact: not used: {of_legs(sorted(strangers))}, which robot "
             f"'{robot.name}' lacks"
             + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
             + "; give the --config of the robot that was recorded",
             err=True,
         )
-    for name, leg in legs.items():
-        if leg.rejects:
-            reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(leg.rejects.items()))
-            typer.echo(f"adaptive-contact: leg '{name}': samples not used: {reasons}", err=True)
-        if leg.off_rate:
-            typer.echo(
-                f"adaptive-contact: leg '{name}': {leg.off_rate} samples not used: further apart "
-                f"or closer than the {1e3 * robot.period_s:.1f} ms of robot.toml (period_s)",
-                err=True,
-            )
+    _tell_unused(legs, causes, robot.period_s)
+    if causes and not any(leg.samples for leg in legs.values()):
+        names = ", ".join(str(path) for path in recordings)
+        raise RecordingError(f"{names}: no sample can be used, for the reasons above")
     return legs
+
+
+def _tell_unused(
+    legs: Mapping[str, LegGatherer], causes: Mapping[str, set[str]], period_s: float
+) -> None:
+    """One line for samples that were left out, but for those whose cause was said."""
+    from adaptive_contact.service.findings import REFUSED_FOR, Cause, of_legs
+
+    left_out: dict[str, dict[str, int]] = {}
+    for name, leg in legs.items():
+        found = {Cause(cause) for cause in causes.get(name, ())}
+        known = {reason for cause in found for reason in REFUSED_FOR.get(cause, ())}
+        for reason, times in leg.rejects.items():
+            if reason not in known:
+                left_out.setdefault(str(reason), {})[name] = times
+        if leg.off_rate and not found & {Cause.PERIOD, Cause.TIME_UNIT, Cause.SEQ}:
+            why = f"not {1e3 * period_s:.1f} ms apart (period_s of robot.toml)"
+            left_out.setdefault(why, {})[name] = leg.off_rate
+    for why, times_of in left_out.items():
+        total = sum(times_of.values())
+        say(f"adaptive-contact: {of_legs(times_of)}: {total} samples not used: {why}", err=True)
+
+
+def check_streams(
+    robot: Robot,
+    samples: Mapping[str, Sequence[ServoSample]],
+    refused: Mapping[str, Sequence[Rejected]],
+    *,
+    of: str = "",
+    refuse: bool = True,
+) -> list[Finding]:
+    """Say what is wrong with recorded streams, one line a cause.
+
+    Args:
+        robot: that they are taken for.
+        samples: by leg.
+        refused: payloads that could not be read.
+        of: what comes before each line.
+        refuse: end the command where nothing can be learned; else it is only said.
+
+    Returns:
+        What was said.
+
+    Raises:
+        ConfigurationError: something is wrong with every tick, so that there is nothing to learn.
+    """
+    from adaptive_contact.service.findings import SPOILS, of_legs
+    from adaptive_contact.service.legcheck import check_recording
+
+    spoilt: dict[str, None] = {}
+    found = check_recording(robot, samples, refused)
+    for finding in found:
+        legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
+        line = f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}"
+        say(f"adaptive-contact: {line}", err=True)
+        if finding.level == "error" and finding.cause in SPOILS:
+            spoilt.update(dict.fromkeys(finding.legs))
+    if spoilt and refuse:
+        raise ConfigurationError(
+            f"{of_legs(spoilt)}: the readings are not those of the robot '{robot.name}' (above); "
+            "nothing is learned from them: correct the source or robot.toml, and record again"
+        )
+    return found
 
 
 def check_conventions(
@@ -178,23 +253,26 @@ def check_conventions(
     Args:
         robot: its description.
         gathered: by leg.
-        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``.
+        bridge: the samples come from a bridge, whose signs stand in ``[leg.servos]``, and whose
+            robot hangs free.
 
     Raises:
-        ConfigurationError: there is such a leg; a wrong yaw alone is said only, as no model and no
-            height depends on it.
+        ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
+            said only.
     """
     from adaptive_contact.adapt.gather import judge_conventions
+    from adaptive_contact.adapt.legids import judge_recorded_ids
 
+    for leg, line in judge_recorded_ids(
+        robot, {leg: one.last_run() for leg, one in gathered.items()}
+    ).items():
+        say(f"adaptive-contact: leg '{leg}': {line}", err=True)
     grave = []
-    for finding in judge_conventions(robot, gathered).findings:
+    for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
-        typer.echo(f"adaptive-contact: {line}", err=True)
-        axes = dict(
-            zip(robot.leg(finding.leg).joints, robot.leg(finding.leg).joint_axes, strict=True)
-        )
-        if any(axes[name] == "pitch" for name in finding.joints):
+        say(f"adaptive-contact: {line}", err=True)
+        if finding.grave:
             grave.append(finding.leg)
     if grave:
         raise ConfigurationError(
@@ -211,8 +289,8 @@ def refuse_useless(robot: Robot, training: Training) -> None:
     if not refused:
         return
     for line in refused:
-        typer.echo(f"adaptive-contact: {line}", err=True)
-    typer.echo("adaptive-contact: no baseline was written", err=True)
+        say(f"adaptive-contact: {line}", err=True)
+    say("adaptive-contact: no baseline was written", err=True)
     raise typer.Exit(1)
 
 
@@ -231,18 +309,17 @@ def print_training(training: Training, robot: Robot, *, json: bool, equations: b
             },
         }
         encoded = msgspec.json.encode(text, enc_hook=str)
-        typer.echo(msgspec.json.format(encoded, indent=2))
+        say_json(msgspec.json.format(encoded, indent=2))
         return
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=120)
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console()
     for leg, entry in training.baseline.legs.items() if equations else ():
-        console.print(f"[bold]{leg}[/bold] (rad)")
+        console.print(f"{leg} (rad)", style="bold")
         for line in entry.model.equations():
-            console.print("  " + line, highlight=False, soft_wrap=True, markup=False)
+            console.print("  " + line, soft_wrap=True)
         console.print()
     table = Table(title="Held-out one-step error, degrees (per joint)")
     for column in ("leg", "swings", "free ticks", "outliers", "λ", "terms", "RMS", "no motion"):

@@ -13,13 +13,13 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._output import OutputLost, make_stdout_optional, protect_output
+from adaptive_contact.cli._options import Commands
+from adaptive_contact.cli._output import OutputLost, make_stdout_optional, protect_output, say
 from adaptive_contact.errors import AdaptiveContactError
-from adaptive_contact.printable import printable
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
+app = Commands(
     name="adaptive-contact",
     help="Foot contacts from servo positions alone.",
     no_args_is_help=True,
@@ -60,7 +60,7 @@ def _print_version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
 
-        typer.echo(f"adaptive-contact {version('adaptive-contact')}")
+        say(f"adaptive-contact {version('adaptive-contact')}")
         raise typer.Exit
 
 
@@ -121,20 +121,20 @@ def _run() -> int:
     except typer.Abort as abort:
         if isinstance(abort.__cause__, KeyboardInterrupt):
             return _INTERRUPTED
-        print("adaptive-contact: nothing was done", file=sys.stderr)
+        say("adaptive-contact: nothing was done", err=True)
         return 1
     except _Misunderstood as error:
         return _refuse(error)
     except AdaptiveContactError as error:
-        print(f"adaptive-contact: {printable(error)}", file=sys.stderr)
+        say(f"adaptive-contact: {error}", err=True)
         return 2
     except OSError as error:
         if error.errno not in _FULL:
             raise
-        print(
+        say(
             f"adaptive-contact: {error.filename or 'a file'} cannot be written "
             f"({error.strerror}); make room",
-            file=sys.stderr,
+            err=True,
         )
         return 2
     return code if isinstance(code, int) else 0
@@ -144,10 +144,10 @@ def _lost(cause: OSError) -> int:
     """Say why stdout cannot be written; a reader that is gone knows."""
     if isinstance(cause, BrokenPipeError):
         return _READER_GONE
-    print(
+    say(
         f"adaptive-contact: the output cannot be written ({cause.strerror}); make room, or send it "
         "elsewhere",
-        file=sys.stderr,
+        err=True,
     )
     return 2
 
@@ -159,7 +159,7 @@ def _refuse(error: Any) -> int:
         return int(error.exit_code)
     path = "adaptive-contact" if error.ctx is None else error.ctx.command_path
     words = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
-    print(f"adaptive-contact: {words}; see `{path} --help`", file=sys.stderr)
+    say(f"adaptive-contact: {words}; see `{path} --help`", err=True)
     return int(error.exit_code)
 
 

@@ -47,9 +47,9 @@ def paper(
         from adaptive_contact_sim.experiments.run import STAGES, run_paper
     import dataclasses
 
-    from rich.console import Console
     from threadpoolctl import threadpool_limits
 
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact_sim.experiments.report import write_document
 
     unknown = [name for name in stage or () if name not in STAGES]
@@ -57,7 +57,7 @@ def paper(
         raise ConfigurationError(f"no stage '{unknown[0]}'; stages are {', '.join(STAGES)}")
     plan = dataclasses.replace(QUICK if quick else FULL, seed=seed)
     stages = [name for name in STAGES if not stage or name in stage]
-    console = Console()
+    console = table_console()
     options: dict[str, list[object]] = {
         "--out": [out] if out != _OUT else [],
         "--seed": [seed] if seed else [],

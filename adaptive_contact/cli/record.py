@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,14 +18,12 @@ from adaptive_contact.cli._options import (
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
-from adaptive_contact.cli._output import make_stdout_optional
+from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
-
-if TYPE_CHECKING:
-    from adaptive_contact.service.probe import Finding
 
 __all__ = ["record"]
 
@@ -39,9 +37,8 @@ def record(
     ] = "robot/**",
     seconds: Annotated[
         float | None,
-        typer.Option(
+        seconds_option(
             "--seconds",
-            min=0.0,
             help="Stop after so long; otherwise at Ctrl-C.",
             show_default=False,
         ),
@@ -71,7 +68,7 @@ def record(
         )
     settings = client(connect, namespace, zenoh_config)
     try:
-        link = Link.open(settings, on_wait=_say, stop=stop)
+        link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
         if stop.is_set():
             return
@@ -82,7 +79,7 @@ def record(
         about = {"key": key, "recorded": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
         with RecordingWriter(file, about) as writer:
             recorder = Recorder(link, writer, key)
-            typer.echo(f"recording {key} to {file}; stop with Ctrl-C", err=True)
+            say(f"recording {key} to {file}; stop with Ctrl-C", err=True)
             recorder.run(
                 stop,
                 seconds,
@@ -91,7 +88,7 @@ def record(
     finally:
         closed = link.close()
     if live:
-        typer.echo("\r\x1b[K", nl=False, err=True)
+        overwrite("")
     _report(file, key, recorder.counts, time.monotonic() - started_s)
     if not closed:
         # A publisher hangs on to the session, and the interpreter's own exit would wait for it.
@@ -117,26 +114,22 @@ def _kinds(counts: collections.Counter[str]) -> str:
 def _progress(counts: collections.Counter[str], started_s: float) -> None:
     elapsed = time.monotonic() - started_s
     line = f"{elapsed:7.1f} s  {counts.total()} messages  {_kinds(counts)}"
-    typer.echo(f"\r\x1b[K{printable(line)[:118]}", nl=False, err=True)
+    overwrite(line)
 
 
 def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: float) -> None:
     size_kb = file.stat().st_size / 1000
-    typer.echo(
+    say(
         f"{counts.total()} messages of {len(counts)} keys in {elapsed_s:.1f} s, "
         f"{size_kb:.0f} kB in {file}"
     )
     width = max((len(printable(name)) for name in counts), default=0)
     for name in sorted(counts):
         rate = counts[name] / elapsed_s
-        typer.echo(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
+        say(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
     if not counts:
-        typer.echo(
+        say(
             f"adaptive-contact: nothing was heard on '{key}'; "
             "`adaptive-contact doctor` tells who publishes what",
             err=True,
         )
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

@@ -17,24 +17,26 @@ import typer
 
 from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._options import (
+    AmbiguousOption,
     BaselineOption,
     ConfigOption,
     ConnectOption,
     NamespaceOption,
+    WhenAmbiguous,
     ZenohConfigOption,
     check_output,
     client,
+    recorded_robot,
 )
+from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
 from adaptive_contact.files import write_file
-from adaptive_contact.printable import printable
 
 if TYPE_CHECKING:
     from adaptive_contact.adapt.bank import LearnerBank
     from adaptive_contact.adapt.baseline import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts
 
@@ -68,6 +70,7 @@ def replay(
     ] = None,
     baseline: BaselineOption = None,
     config: ConfigOption = None,
+    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
     everything: Annotated[
         bool,
         typer.Option("--all", help="Also publish recorded events, status and COMMANDS."),
@@ -91,10 +94,15 @@ def replay(
         "--namespace": namespace,
         "--zenoh-config": zenoh_config,
     }
-    through_learners = {"--baseline": baseline, "--config": config}
+    published = when_ambiguous is not WhenAmbiguous.WITHHOLD
+    through_learners = {
+        "--baseline": baseline,
+        "--config": config,
+        "--when-ambiguous": published,
+    }
     if events is not None:
         _refuse(on_wire, "--events uses no network; leave {} out")
-        _to_events(read_recording(file), events, baseline, config)
+        _to_events(read_recording(file), events, baseline, config, when_ambiguous)
     else:
         _refuse(through_learners, "{} is for --events; the service on the wire has its own")
         factor = _speed(speed)
@@ -123,21 +131,24 @@ def _speed(text: str | None) -> float | None:
     return factor
 
 
-def _to_events(recording: Recording, out: Path, baseline: Path | None, config: Path | None) -> None:
+def _to_events(
+    recording: Recording,
+    out: Path,
+    baseline: Path | None,
+    config: Path | None,
+    when_ambiguous: WhenAmbiguous,
+) -> None:
     from threadpoolctl import threadpool_limits
 
+    from adaptive_contact import adapt
     from adaptive_contact.adapt.bank import LearnerBank
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, replay_events
     from adaptive_contact.wire import JSON, encode
 
-    robot, learned = _load(config, baseline)
-    if config is None:
-        typer.echo(
-            f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
-            f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
-            err=True,
-        )
+    robot = recorded_robot(config, [recording.path])
+    learned = _learned(robot, config, baseline)
     if str(out) != "-":
         check_output(out, "--events")
     compile_tick()
@@ -150,8 +161,14 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     to_stdout = str(out) == "-"
     file = sys.stdout.buffer if to_stdout else kept
     with closing(WaitingRefitter()) as refitter:
-        bank = LearnerBank(robot, learned, refitter=refitter)
-        for event in replay_events(recording, bank, counts):
+        bank = LearnerBank(
+            robot,
+            learned,
+            refitter=refitter,
+            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+        )
+        robots = OneRobot(recording)
+        for event in replay_events(robots, bank, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1
     if to_stdout:
@@ -159,7 +176,7 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     else:
         write_file(out, kept.getvalue(), error=RecordingError)
     elapsed_s = time.perf_counter() - started_s
-    typer.echo(
+    say(
         f"{written} events from {counts.samples} samples in {counts.ticks} ticks "
         f"({counts.span_s:.1f} s recorded) in {elapsed_s:.2f} s, "
         f"{counts.samples / max(elapsed_s, 1e-9):.0f} leg-ticks/s",
@@ -167,10 +184,15 @@ def _to_events(recording: Recording, out: Path, baseline: Path | None, config: P
     )
     _warn(recording, counts)
     _tell_legs(bank)
+    for line in robots.trouble(robot):
+        say(f"adaptive-contact: {recording.path}: {line}", err=True)
     if counts.samples == 0:
-        raise RecordingError(f"{recording.path}: no servo sample (robot/leg/*/servo) in it")
+        usable = "usable " if counts.rejects else ""
+        raise RecordingError(f"{recording.path}: no {usable}servo sample (robot/leg/*/servo) in it")
     known = [bank.learner(leg) for leg in robot.leg_ids]
     if not any(learner is not None and learner.status.ticks for learner in known):
+        if set(bank.legs) & set(robot.leg_ids) & robots.legs:
+            raise RecordingError(f"{recording.path}: none of its samples could be used (see above)")
         raise RecordingError(
             f"{recording.path}: its legs are not those of robot '{robot.name}' "
             f"({', '.join(robot.leg_ids)}); give the --config of the robot that was recorded"
@@ -187,10 +209,12 @@ def _tell_legs(bank: LearnerBank) -> None:
         words = [f"{reason} {n}" for reason, n in status.rejects.items()]
         if status.missed:
             words.append(f"{status.missed} samples missing")
+        if status.withheld:
+            words.append(f"{status.withheld} contacts withheld while it was ambiguous")
         if status.note:
             words.append(status.note)
         if words:
-            typer.echo(printable(f"adaptive-contact: leg '{leg}': {', '.join(words)}"), err=True)
+            say(f"adaptive-contact: leg '{leg}': {', '.join(words)}", err=True)
 
 
 def _to_wire(
@@ -202,13 +226,14 @@ def _to_wire(
     keep_run: bool,
 ) -> None:
     from adaptive_contact.service.link import Link
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.replay import WirePlayer
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: _on_signal(stop))
     try:
-        link = Link.open(settings, on_wait=_say, stop=stop)
+        link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
         if stop.is_set():
             return
@@ -218,18 +243,21 @@ def _to_wire(
         run = time.time_ns() // 1_000_000
         player = WirePlayer(link, speed, everything=everything, keep_run=keep_run, run=run)
         started_s = time.perf_counter()
-        player.play(recording, stop)
+        robots = OneRobot(recording)
+        player.play(robots, stop)
         elapsed_s = time.perf_counter() - started_s
     finally:
         closed = link.close()
     behind = f", up to {player.behind_s:.2f} s behind" if player.behind_s > 0.1 else ""
-    typer.echo(
+    say(
         f"{player.sent.total()} of {player.counts.messages} messages published on "
         f"{len(player.sent)} keys in {elapsed_s:.1f} s "
         f"({player.counts.span_s:.1f} s recorded{behind})",
         err=True,
     )
     _warn(recording, player.counts)
+    for line in robots.trouble(None):
+        say(f"adaptive-contact: {recording.path}: {line}", err=True)
     if player.sent.total() == 0 and not stop.is_set():
         raise RecordingError(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
@@ -247,28 +275,20 @@ def _on_signal(stop: threading.Event) -> None:
     stop.set()
 
 
-def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None]:
-    """The robot, and what is learned of it already; the shipped ones go together."""
+def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
+    """What is learned of the robot already; the shipped ones go together."""
     from adaptive_contact.adapt.baseline import load_baseline, shipped_baseline
-    from adaptive_contact.robot import load_robot, shipped_robot
 
-    robot = shipped_robot() if config is None else load_robot(config)
     if baseline is not None:
-        return robot, load_baseline(baseline)
-    return robot, shipped_baseline(robot.name) if config is None else None
+        return load_baseline(baseline)
+    return shipped_baseline(robot.name) if config is None else None
 
 
 def _warn(recording: Recording, counts: Counts) -> None:
     """One line each for what was cut off and for what could not be used."""
     if recording.damage is not None:
-        typer.echo(f"adaptive-contact: {recording.path}: {recording.damage}", err=True)
+        say(f"adaptive-contact: {recording.path}: {recording.damage}", err=True)
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))
-        typer.echo(
-            f"adaptive-contact: {recording.path}: {rejected} samples not used: {reasons}", err=True
-        )
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)
+        say(f"adaptive-contact: {recording.path}: {rejected} samples not used: {reasons}", err=True)

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import os
-import sys
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, RealtimeOption, check_output
+from adaptive_contact.cli._options import (
+    Commands,
+    ConfigOption,
+    ConnectOption,
+    NamespaceOption,
+    RealtimeOption,
+    ZenohConfigOption,
+    check_output,
+    client,
+    seconds_option,
+)
+from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.cli.bridge import (
     DeviceOption,
@@ -31,11 +42,14 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
+app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
 _PIPE_WIDTH: Final = 110
+# How long to look at a bus, and at a source that walks.
+_BUS_S: Final = 1.0
+_LIVE_S: Final = 20.0
 # The live table looks back so far.
 _LIVE_TICKS: Final = 500
 
@@ -105,7 +119,7 @@ def init(
         find_servos(port, path, *((bauds,) if bauds else ())) for port, path in devices.items()
     ]
     for line in describe(found):
-        typer.echo(line)
+        say(line)
     robot = group(found, joints, ids)
     robot = msgspec.structs.replace(robot, name=name)
     if lengths is not None:
@@ -115,12 +129,12 @@ def init(
     slopes = steepness(found)
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
         told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
-        typer.echo(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
+        say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
     text = write_robot(robot)
     parse_robot(text, source=f"{out} would not be read back, so it is not written")
     write_file(out, text, advice="give another --out")
     todo = "" if lengths is not None else "fill in lengths_m, then "
-    typer.echo(
+    say(
         f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
         f"`adaptive-contact robot check --config {out}`"
     )
@@ -175,6 +189,12 @@ def _lengths(text: str, joints: int) -> tuple[float, ...]:
 def check(
     config: ConfigOption = None,
     device: DeviceOption = None,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live", help="Judge the samples of any source on the wire; no bus is opened."
+        ),
+    ] = False,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -185,32 +205,76 @@ def check(
         ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=0.2, max=600.0, help="How long to look.")
-    ] = 1.0,
+        float | None,
+        seconds_option(
+            "--seconds",
+            least=0.2,
+            most=600.0,
+            help="How long to look: 1 unless given, 20 with --live.",
+            show_default=False,
+        ),
+    ] = None,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: Annotated[bool, typer.Option("--json", help="With --live: print JSON.")] = False,
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
 
     Move joints by hand meanwhile (--seconds gives time for it, Ctrl-C ends it): the angle of a
-    pitch joint grows as the leg is raised, that of a yaw joint as it is turned to the left.
+    pitch joint grows as the leg is raised, that of a yaw joint as it is turned to the left.  With
+    --live, each move is said with its joint and its way, and a robot that walks is judged by its
+    motion; exit code 1 where something is wrong, 2 without a router.
     """
     stop = stoppable()
+    if picture is not None:
+        check_output(picture, "--picture")
+    if live:
+        if device:
+            raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
+        from adaptive_contact.cli._robot_live import check_live
+
+        raise typer.Exit(
+            check_live(
+                robot_of(config),
+                client(connect, namespace, zenoh_config, wait=False),
+                _LIVE_S if seconds is None else seconds,
+                stop=stop,
+                picture=picture,
+                json=json,
+            )
+        )
+    if json or connect or namespace or zenoh_config:
+        raise ConfigurationError(
+            "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
+            "is asked"
+        )
+    _check_bus(config, device, picture, _BUS_S if seconds is None else seconds, stop)
+
+
+def _check_bus(
+    config: Path | None,
+    device: list[str] | None,
+    picture: Path | None,
+    seconds: float,
+    stop: threading.Event,
+) -> None:
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
 
-    from rich.console import Console
     from rich.live import Live
 
-    if picture is not None:
-        check_output(picture, "--picture")
+    from adaptive_contact.cli._console import table_console
+
     robot, plans = _planned(config, device)
     _shake_hands(plans)
-    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH)
-    with Live(console=console, refresh_per_second=10, transient=True) as live:
+    console = table_console(pipe_width=_PIPE_WIDTH)
+    with Live(console=console, refresh_per_second=10, transient=True) as table:
 
         def look(so_far: dict[str, list[ServoSample]]) -> None:
             if console.is_terminal:
                 recent = {leg: rows[-_LIVE_TICKS:] for leg, rows in so_far.items()}
-                live.update(_joints(plans, recent))
+                table.update(_joints(plans, recent))
 
         samples = collect(plans, seconds, stop=stop, say=_say, look=look)
     silent = [leg.id for leg in robot.legs if not samples.get(leg.id)]
@@ -220,18 +284,12 @@ def check(
         )
     console.print(_joints(plans, samples))
     if picture is not None:
-        from adaptive_contact.cli._robot_picture import draw
+        from adaptive_contact.cli._robot_picture import write_picture
 
-        if all(leg.lengths_m is None for leg in robot.legs):
-            raise ConfigurationError(
-                "no leg has lengths_m, so there is nothing to draw; measure one"
-            )
-        last = {leg: rows[-1].measured for leg, rows in samples.items()}
-        write_file(picture, draw(robot, last), advice="give another --picture")
-        typer.echo(f"drew {picture}")
+        write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
     blank = [leg.id for leg in robot.legs if leg.lengths_m is None]
     if blank:
-        typer.echo(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)
+        say(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)
 
 
 @app.command("learn")
@@ -251,7 +309,7 @@ def learn_(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=1.0, max=3600.0, help="How long to swing.")
+        float, seconds_option("--seconds", least=1.0, most=3600.0, help="How long to swing.")
     ] = 60.0,
     amplitude: Annotated[
         float,
@@ -299,6 +357,7 @@ def learn_(
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import (
         check_conventions,
+        check_streams,
         gather,
         print_training,
         refuse_useless,
@@ -317,7 +376,7 @@ def learn_(
                 "and fill them in"
             )
     home = None if pose is None else learning.pose_of(pose, robot, plans)
-    gathered = gather(more or [], robot)
+    gathered = gather(more or [], robot, refuse=False)
     _shake_hands(plans, drive=drive)
     if drive and not yes:
         around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
@@ -335,6 +394,8 @@ def learn_(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
+    # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
+    check_streams(robot, samples, {}, refuse=False)
     check_conventions(robot, gathered, bridge=True)
     try:
         training = learning.fit_samples(
@@ -351,8 +412,8 @@ def learn_(
     save_baseline(training.baseline, out)
     print_training(training, robot, json=json)
     for line in verdict(robot, training):
-        typer.echo(line, err=json)
-    typer.echo(f"baseline written to {out}, the recording to {kept}", err=True)
+        say(line, err=json)
+    say(f"baseline written to {out}, the recording to {kept}", err=True)
 
 
 def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:
@@ -402,4 +463,4 @@ def _joints(plans: Sequence[PortPlan], samples: Mapping[str, list[ServoSample]])
 
 
 def _say(line: str) -> None:
-    typer.echo(f"adaptive-contact: {line}", err=True)
+    say(f"adaptive-contact: {line}", err=True)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._options import Commands, JsonOption
+from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(
+app = Commands(
     help="Drifts, contacts and trouble, replayed through the learner and lesser ones.",
     no_args_is_help=True,
 )
@@ -58,13 +59,14 @@ def list_(json: JsonOption = False) -> None:
             }
             for s in known
         ]
-        typer.echo(jsonlib.dumps(rows, indent=2))
+        say_json(jsonlib.dumps(rows, indent=2))
         return
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console()
     table = Table(
         *("scenario", "what happens", "motion", "leg-runs", "minutes"),
         box=box.SIMPLE_HEAD,
@@ -144,7 +146,8 @@ def run(
         from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
         from adaptive_contact_sim.trials.spec import GOALS_VARIANTS
         from adaptive_contact_sim.trials.words import results_table
-    from rich.console import Console
+
+    from adaptive_contact.cli._console import table_console
 
     if not names and not everything:
         raise ConfigurationError(
@@ -169,7 +172,7 @@ def run(
     if only_goals:
         form = f"goals-{form}"
         chosen = [dataclasses.replace(s, variants=GOALS_VARIANTS) for s in chosen]
-    console = Console(stderr=True)
+    console = table_console(stderr=True)
     folders = Folders.of(out, form)
     try:
         # Said before the hours of work, not after.
@@ -186,15 +189,15 @@ def run(
         if pages:
             _draw(judgements, whole, folders, console)
     except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on from here", highlight=False)
+        console.print("interrupted; the same command goes on from here")
         raise typer.Exit(INTERRUPTED) from None
     for problem in problems:
-        console.print(f"[yellow]{problem}[/]", highlight=False)
+        console.print(problem, style="yellow")
     if json:
-        typer.echo(jsonlib.dumps(tree, indent=2))
+        say_json(jsonlib.dumps(tree, indent=2))
     else:
-        Console(width=None if Console().is_terminal else 160).print(results_table(tree))
-    console.print(f"figures in {folders.results}, pages in {folders.pages}", highlight=False)
+        table_console(pipe_width=160, markup=True).print(results_table(tree))
+    console.print(f"figures in {folders.results}, pages in {folders.pages}")
 
 
 @app.command()
@@ -216,8 +219,8 @@ def report(
     form = best_form(out)
     folders = Folders.of(out, form)
     if form != FULL:
-        typer.echo(f"no figures of the full form in {out}; these are of '{form}'", err=True)
-    typer.echo(str(write_report(read_results(folders.results), folders, docs)))
+        say(f"no figures of the full form in {out}; these are of '{form}'", err=True)
+    say(str(write_report(read_results(folders.results), folders, docs)))
 
 
 def _work(work: list[Job], folders: Folders, processes: int, console: Console) -> list[str]:
@@ -256,7 +259,7 @@ def _work(work: list[Job], folders: Folders, processes: int, console: Console) -
                 told = finished
                 minutes = (time.monotonic() - started_s) / 60
                 left = minutes * (1.0 / finished - 1.0)
-                typer.echo(f"{finished:.0%} in {minutes:.0f} min, about {left:.0f} to go", err=True)
+                say(f"{finished:.0%} in {minutes:.0f} min, about {left:.0f} to go", err=True)
 
         return run_jobs(work, folders, processes=processes, progress=step)
 
@@ -275,4 +278,4 @@ def _draw(
                 draw_page(judgement, folders, folders.pages / f"{judgement.scenario.name}.png")
             draw_summary(tree, folders.pages / f"{SUMMARY}.png")
     except MissingExtraError as error:
-        console.print(f"[yellow]{error}[/]", highlight=False)
+        console.print(error, style="yellow")

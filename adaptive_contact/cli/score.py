@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption
+from adaptive_contact.cli._options import (
+    ConfigOption,
+    JsonOption,
+    recorded_robot,
+    seconds_option,
+)
+from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.wire import ContactEvent
 
 __all__ = ["score"]
-
-_PIPE_WIDTH: Final = 120
 
 
 def score(
@@ -37,45 +41,44 @@ def score(
     ] = None,
     json: JsonOption = False,
     config: ConfigOption = None,
-    from_s: Annotated[
-        float, typer.Option("--from", metavar="S", min=0.0, help="Judge swings from here on, s.")
-    ] = 0.0,
+    from_s: Annotated[float, seconds_option("--from", help="Judge swings from here on.")] = 0.0,
     to_s: Annotated[
         float | None,
-        typer.Option("--to", metavar="S", help="And up to here, s.", show_default=False),
+        seconds_option("--to", help="And up to here.", show_default=False),
     ] = None,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""
-    from adaptive_contact.robot import load_robot, shipped_robot
     from adaptive_contact.score import score_messages
     from adaptive_contact.score.tables import as_json, as_table
+    from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
 
     end_s = math.inf if to_s is None else to_s
     if not from_s < end_s:
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
-    robot = shipped_robot() if config is None else load_robot(config)
+    robot = recorded_robot(config, [recording])
     given = None if events is None else _read_events(events)
     source = read_recording(recording)
+    robots = OneRobot(source)
     try:
-        result = score_messages(source, robot, given, from_s=from_s, to_s=end_s)
+        result = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
     except RecordingError as error:
         cut = f" ({source.damage})" if source.damage is not None else ""
         raise RecordingError(f"{recording}: {error}{cut}") from error
+    finally:
+        for line in robots.trouble(robot):
+            say(f"adaptive-contact: {recording}: {line}", err=True)
     if source.damage is not None:
-        typer.echo(f"adaptive-contact: {recording}: {source.damage}", err=True)
+        say(f"adaptive-contact: {recording}: {source.damage}", err=True)
     if json:
         import msgspec
 
         text = {"recording": str(recording), "truncated": source.truncated, **as_json(result)}
-        typer.echo(msgspec.json.format(msgspec.json.encode(text), indent=2))
+        say_json(msgspec.json.format(msgspec.json.encode(text), indent=2))
         return
-    from rich.console import Console
+    from adaptive_contact.cli._console import table_console
 
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_PIPE_WIDTH)
-    console.print(as_table(result))
+    table_console().print(as_table(result))
 
 
 def _read_events(path: Path) -> list[ContactEvent]:

@@ -14,10 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import typer
-
 from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli._options import (
+    AmbiguousOption,
     BaselineOption,
     ConfigOption,
     ConnectOption,
@@ -27,13 +26,15 @@ from adaptive_contact.cli._options import (
     LogJsonOption,
     LogLevel,
     LogLevelOption,
+    MaxSessionsOption,
     NamespaceOption,
     NoStateOption,
     RealtimeOption,
     StateOption,
+    WhenAmbiguous,
     ZenohConfigOption,
 )
-from adaptive_contact.cli._output import make_stdout_optional
+from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
 from adaptive_contact.priority import cores, take_priority
 
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from adaptive_contact.adapt import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.state import StateKeeper
 
 __all__ = ["serve"]
@@ -63,7 +63,9 @@ def serve(
     namespace: NamespaceOption = None,
     zenoh_config: ZenohConfigOption = None,
     insecure: InsecureOption = False,
+    max_sessions: MaxSessionsOption = None,
     realtime: RealtimeOption = False,
+    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
     json: JsonPayloadOption = False,
     log_json: LogJsonOption = False,
     log_level: LogLevelOption = LogLevel.INFO,
@@ -83,7 +85,7 @@ def serve(
     with _refitting() as process:
         from threadpoolctl import threadpool_limits
 
-        from adaptive_contact.adapt import LearnerBank
+        from adaptive_contact import adapt
         from adaptive_contact.service.faults import FaultLog
         from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
@@ -99,19 +101,26 @@ def serve(
             json=json,
             zenoh_config=zenoh_config,
             insecure=insecure,
+            max_sessions=max_sessions,
         )
         sys.setswitchinterval(_SWITCH_S)
         threadpool_limits(1)  # matrices this small only wait for each other in threads
         # Before Zenoh makes its threads: an event passes through them.
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
-            typer.echo(f"adaptive-contact: {refused}", err=True)
+            say(f"adaptive-contact: {refused}", err=True)
         robot, learned, origin = _load(config, baseline)
         compile_tick()
         refitter = ProcessRefitter(process=process)
-        bank = LearnerBank(robot, learned, refitter=refitter, on_fault=FaultLog())
+        bank = adapt.LearnerBank(
+            robot,
+            learned,
+            refitter=refitter,
+            on_fault=FaultLog(),
+            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+        )
         try:
-            link = Link.open(settings, on_wait=_say, stop=stop)
+            link = Link.open(settings, on_wait=say_waiting, stop=stop)
         except LinkError:
             if stop.is_set():
                 return
@@ -129,7 +138,7 @@ def serve(
                 sweeper=sweeper,
             )
             sweeper.start(time.monotonic_ns())
-            typer.echo(_ready_line(link, robot, origin))
+            say(_ready_line(link, robot, origin))
             refitter.start()
             service.run(stop)
             service.log_figures()
@@ -163,7 +172,7 @@ def _leave(fault: BaseException | None) -> None:
     expected = isinstance(fault, AdaptiveContactError)
     try:
         if expected:
-            print(f"adaptive-contact: {fault}", file=sys.stderr)
+            say(f"adaptive-contact: {fault}", err=True)
         elif fault is not None:
             traceback.print_exception(fault)
         sys.stdout.flush()
@@ -203,8 +212,10 @@ def _keeper(
 
     Robots of one kind are told apart by their namespaces.
     """
+    from adaptive_contact.adapt import SNAPSHOT_FORMAT
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
+        FORMAT,
         StateKeeper,
         StateStore,
         default_folder,
@@ -218,8 +229,12 @@ def _keeper(
         text = dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"
     store = StateStore.open(folder or default_folder(), name)
+    formats = (FORMAT, SNAPSHOT_FORMAT)
     return StateKeeper(
-        store, name, lambda leg: settings_digest(robot, leg, text), package=version()
+        store,
+        name,
+        lambda leg: settings_digest(robot, leg, text, formats=formats),
+        package=version(),
     )
 
 
@@ -236,7 +251,3 @@ def _ready_line(link: Link, robot: Robot, origin: str | None) -> str:
         f"legs {' '.join(robot.leg_ids)}; "
         f"baseline {origin or 'none (`adaptive-contact fit` makes one)'}; stop with Ctrl-C"
     )
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)

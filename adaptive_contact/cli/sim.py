@@ -9,14 +9,16 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli._options import (
+    Commands,
     ConnectOption,
     JsonOption,
     JsonPayloadOption,
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
-from adaptive_contact.cli._output import make_stdout_optional
+from adaptive_contact.cli._output import make_stdout_optional, say, say_json, say_waiting
 from adaptive_contact.cli._sim_options import (
     BogusOption,
     DriftOption,
@@ -38,7 +40,6 @@ from adaptive_contact.cli._sim_options import (
     given,
     needs_simulator,
     robot_of,
-    say,
     speed_of,
     stoppable,
 )
@@ -47,7 +48,7 @@ from adaptive_contact.errors import ConfigurationError, LinkError
 
 __all__ = ["app"]
 
-app = typer.Typer(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
+app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 
 
 @app.command()
@@ -192,7 +193,7 @@ def inject(
     leg: Annotated[str, typer.Option("--leg", metavar="LEG|all")] = "all",
     joint: Annotated[str, typer.Option("--joint", metavar="JOINT|all")] = "all",
     shape: Annotated[str, typer.Option("--shape", metavar="step|ramp|pulse|walk")] = "step",
-    duration: Annotated[float, typer.Option("--duration", help="Of a shape, s.")] = 0.0,
+    duration: Annotated[float, seconds_option("--duration", help="Of a shape.")] = 0.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of a random walk.")] = 0,
     connect: ConnectOption = None,
     namespace: NamespaceOption = None,
@@ -212,7 +213,9 @@ def inject(
         fields = given(kind=kind, value=value, leg=leg, joint=joint, shape=shape)
         fields |= {"duration_s": duration, "seed": seed}
         drift = drift_from(fields, where=f"drift '{kind}'").drift
-    with Link.open(client(connect, namespace, zenoh_config, wait=False), on_wait=say) as link:
+    with Link.open(
+        client(connect, namespace, zenoh_config, wait=False), on_wait=say_waiting
+    ) as link:
         replies = link.query(SIM_DRIFT, drift)
     if not replies:
         raise LinkError(
@@ -225,13 +228,13 @@ def inject(
     if not answer.ok:
         raise ConfigurationError(f"the simulator refused: {answer.error}")
     if json:
-        typer.echo(encode(answer, "application/json").decode())
+        say_json(encode(answer, "application/json").decode())
         return
-    typer.echo(f"at {answer.t_ns / 1e9:.2f} s:" + ("" if answer.holds else " nothing drifts"))
+    say(f"at {answer.t_ns / 1e9:.2f} s:" + ("" if answer.holds else " nothing drifts"))
     for name, legs in answer.holds.items():
         for one, joints in legs.items():
             values = "  ".join(f"{j} {v:g}" for j, v in joints.items())
-            typer.echo(f"  {name:11} {one}  {values}")
+            say(f"  {name:11} {one}  {values}")
 
 
 @app.command("list")
@@ -249,13 +252,14 @@ def list_(json: JsonOption = False) -> None:
             },
             "drift": {name: kind._asdict() for name, kind in KINDS.items()},
         }
-        typer.echo(jsonlib.dumps(table, indent=2))
+        say_json(jsonlib.dumps(table, indent=2))
         return
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console()
     shown = Table("scenario", "about", "seconds", box=box.SIMPLE_HEAD, pad_edge=False)
     for scenario in scenarios.values():
         seconds = "" if scenario.seconds is None else f"{scenario.seconds:g}"

@@ -6,14 +6,14 @@ import base64
 import contextlib
 import math
 import struct
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption, StateOption
+from adaptive_contact.cli._options import Commands, JsonOption, StateOption
+from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.printable import printable
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
-app = typer.Typer(
+app = Commands(
     help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
 )
 
@@ -50,15 +50,16 @@ def show(
         import msgspec
 
         rows = [_row(stored) for stored in found]
-        typer.echo(msgspec.json.format(msgspec.json.encode(rows), indent=2).decode())
+        say_json(msgspec.json.format(msgspec.json.encode(rows), indent=2).decode())
         return
     if not found:
-        typer.echo(f"no state in {shown_path(_folder(state))}")
+        say(f"no state in {shown_path(_folder(state))}")
         return
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from adaptive_contact.cli._console import table_console
 
     table = Table(box=box.SIMPLE_HEAD)
     for name in ("robot", "leg", "library", "settings", "model", "age", "size", "file"):
@@ -73,7 +74,7 @@ def show(
         table.add_row(
             *words, age, size, _kind(stored.path), Text(printable(row["refused"] or "sound"))
         )
-    Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table)
+    table_console(pipe_width=_PIPE_WIDTH).print(table)
 
 
 @app.command()
@@ -101,7 +102,7 @@ def export(
     ]
     data = msgspec.json.encode({"format": 1, "legs": legs})
     write_file(out, data)
-    typer.echo(f"wrote {len(legs)} legs to {shown_path(out)} ({len(data) / 1e6:.1f} MB)")
+    say(f"wrote {len(legs)} legs to {shown_path(out)} ({len(data) / 1e6:.1f} MB)")
 
 
 @app.command()
@@ -123,7 +124,7 @@ def reset(
     if not found:
         if robot is not None or leg is not None:
             raise ConfigurationError(_nothing_of(state, root, robot, leg))
-        typer.echo(f"nothing to forget in {shown_path(root)}")
+        say(f"nothing to forget in {shown_path(root)}")
         return
     with contextlib.ExitStack() as held:
         # Before anybody is asked; and nobody begins to save while he thinks.
@@ -139,13 +140,15 @@ def reset(
             if store.trouble is not None:
                 raise ConfigurationError(store.trouble)
         if not yes:
-            typer.confirm(f"forget {len(found)} files in {shown_path(root)}?", abort=True)
+            typer.confirm(
+                printable(f"forget {len(found)} files in {shown_path(root)}?"), abort=True
+            )
         for path in found:
             try:
                 path.unlink(missing_ok=True)
             except OSError as error:
                 raise ConfigurationError(f"{path}: cannot be removed ({error.strerror})") from error
-    typer.echo(f"forgot {len(found)} files")
+    say(f"forgot {len(found)} files")
 
 
 def _nothing_of(state: Path | None, root: Path, robot: str | None, leg: str | None) -> str:

@@ -17,14 +17,16 @@ from adaptive_contact.cli._options import (
     NamespaceOption,
     ZenohConfigOption,
     client,
+    seconds_option,
 )
-from adaptive_contact.printable import printable_json
+from adaptive_contact.cli._output import say_json, say_waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rich.console import Group
+
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.probe import Finding
     from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.service.watch import View
 
@@ -45,16 +47,17 @@ def watch(
     ] = False,
     seconds: Annotated[
         float,
-        typer.Option(
-            min=0.1,
-            max=3600.0,
+        seconds_option(
+            "--seconds",
+            least=0.1,
+            most=3600.0,
             help="How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
         ),
     ] = 2.0,
     wait: Annotated[
         float,
-        typer.Option(
-            min=0.0, max=3600.0, help="How long --once waits for a router before it gives up."
+        seconds_option(
+            "--wait", most=3600.0, help="How long --once waits for a router before it gives up."
         ),
     ] = 10.0,
     json: JsonOption = False,
@@ -75,10 +78,18 @@ def watch(
         if not once and not json and sys.stdout.isatty():
             _live(look)
         while True:
-            time.sleep(seconds)  # the period of the output: nothing is waited for
+            _look_for(seconds, look)
             _print(look(), json)
             if once:
                 break
+
+
+def _look_for(seconds: float, look: Look) -> None:
+    """Take in what arrives until the next output is due."""
+    until = time.monotonic() + seconds
+    while (left := until - time.monotonic()) > 0:
+        time.sleep(min(left, _REFRESH_S))
+        look()
 
 
 def _join(settings: LinkSettings, patience_s: float | None) -> Link:
@@ -86,12 +97,12 @@ def _join(settings: LinkSettings, patience_s: float | None) -> Link:
     from adaptive_contact.service.link import Link, NoRouterError
 
     if patience_s is None:
-        return Link.open(settings, on_wait=_say)
+        return Link.open(settings, on_wait=say_waiting)
     stop = threading.Event()
     timer = threading.Timer(patience_s, stop.set)
     timer.start()
     try:
-        return Link.open(settings, on_wait=_say, stop=stop)
+        return Link.open(settings, on_wait=say_waiting, stop=stop)
     except NoRouterError as error:
         raise NoRouterError(error.finding, f"no router within {patience_s:g} s: ") from error
     finally:
@@ -100,16 +111,20 @@ def _join(settings: LinkSettings, patience_s: float | None) -> Link:
 
 def _live(look: Look) -> None:
     """Redraw until Ctrl-C."""
-    from rich.console import Console
     from rich.live import Live
 
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
-    console = Console()
+    console = table_console()
     try:
-        with Live(table(look()), console=console, auto_refresh=False) as live:
+
+        def drawn() -> Group:  # the terminal may change its size
+            return table(look(), console.width, console.height)
+
+        with Live(drawn(), console=console, auto_refresh=False) as live:
             while True:
-                live.update(table(look()), refresh=True)
+                live.update(drawn(), refresh=True)
                 time.sleep(_REFRESH_S)  # the period of the picture
     finally:
         console.show_cursor()  # of a stop while it begins, too
@@ -119,15 +134,10 @@ def _print(view: View, json: bool) -> None:
     if json:
         import msgspec
 
-        print(printable_json(msgspec.json.encode(view)), flush=True)
+        say_json(msgspec.json.encode(view))
         return
-    from rich.console import Console
-
+    from adaptive_contact.cli._console import table_console
     from adaptive_contact.service.watch_table import table
 
-    # Into a pipe, rich would take 80 columns and cut the table to pieces.
-    Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH).print(table(view))
-
-
-def _say(finding: Finding) -> None:
-    typer.echo(f"adaptive-contact: {finding.line}; trying on", err=True)
+    console = table_console(pipe_width=_PIPE_WIDTH)
+    console.print(table(view, console.width))

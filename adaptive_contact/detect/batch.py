@@ -24,6 +24,7 @@ from adaptive_contact.detect.layout import (
 )
 from adaptive_contact.detect.noise import CONTEXTS
 from adaptive_contact.detect.regressors import term_table
+from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.tick import finish_tick, judge_tick
 from adaptive_contact.identify import Domain, Library
 from adaptive_contact.identify.library import with_changes
@@ -79,6 +80,12 @@ class LegBatch:
         # Stream and clock.
         self.ring = zeros(RING, 3, dtype=i)
         self.seam, self.command, self.before = zeros(joints), zeros(joints), zeros(joints)
+        # Source.
+        self.echo_commands = zeros(COMMANDS, joints)
+        self.echo_runs = zeros(joints, LAGS, 5)
+        self.echo_runs[..., 4] = -1.0
+        self.echo_off, self.echoing = zeros(joints, dtype=i), zeros(joints, dtype=b)
+        self.phase_before, self.parts = zeros(joints), zeros(3, 4)
         # Swing.
         self.lengths, self.pitched = zeros(joints), zeros(joints, dtype=b)
         self.low, self.lengths_ticks = zeros(LOW_TICKS), zeros(SWINGS, dtype=i)
@@ -135,24 +142,25 @@ class LegBatch:
     def judge(self) -> None:
         """The first half of a tick."""
         self.open |= self.accepted
-        judge_tick(  # type: ignore[no-untyped-call]
+        judge_tick(
             records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
             self.phase, self.measured, self.desired, self.valid, self.has_valid, self.preview_in,
-            self.ring, self.seam, self.command, self.before, self.lengths, self.pitched,
-            self.low, self.lengths_ticks, self.last_desired, self.last_measured, self.last_read,
-            self.path, self.asked, self.commanded, self.foot, self.start, self.heights,
-            self.window, self.lags, self.preview, self.history, self.increment, self.theta,
-            self.thetas, self.began_window, self.reach, self.believed, self.last, self.doubts,
-            self.stale, self.refused, self.values, self.counts, *self.table, self.xi0,
-            self.coefficients, self.whiten, self.limits, self.limits_awaited, self.sigma,
-            self.unit, self.index, self.per_scale, self.root, self.sizes, self.domain,
-            records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
+            self.ring, self.seam, self.echo_commands, self.echo_runs, self.echo_off,
+            self.echoing, self.phase_before, self.parts, self.command, self.before, self.lengths,
+            self.pitched, self.low, self.lengths_ticks, self.last_desired, self.last_measured,
+            self.last_read, self.path, self.asked, self.commanded, self.foot, self.start,
+            self.heights, self.window, self.lags, self.preview, self.history, self.increment,
+            self.theta, self.thetas, self.began_window, self.reach, self.believed, self.last,
+            self.doubts, self.stale, self.refused, self.values, self.counts, *self.table,
+            self.xi0, self.coefficients, self.whiten, self.limits, self.limits_awaited,
+            self.sigma, self.unit, self.index, self.per_scale, self.root, self.sizes,
+            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
             self.free_ring, self.scores, self.bools, self.floats, self.room, self.now, self.sums,
         )  # fmt: skip
 
     def finish(self) -> None:
         """The second half."""
-        finish_tick(  # type: ignore[no-untyped-call]
+        finish_tick(
             records(self.legs), self.open, self.desired, self.preview_in, self.preview_n,
             self.command, self.before, self.window, self.lags, self.preview, self.increment,
             self.theta, *self.table, self.xi0, self.coefficients, self.room,

@@ -25,13 +25,26 @@ from adaptive_contact.detect.history import (
 )
 from adaptive_contact.detect.layout import DEPTH
 from adaptive_contact.detect.regressors import predict, regressors
+from adaptive_contact.detect.source import (
+    ECHO,
+    ECHO_WIDTH,
+    NONE,
+    PHASE,
+    begin_echo,
+    restart_phase,
+    take_command,
+    take_phase,
+    take_readings,
+)
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
+    UNKNOWN,
     descending,
     follow_command,
     follow_foot,
     forget_phase,
+    place_foot,
 )
 
 # Flags of a tick, for the second half.
@@ -45,6 +58,7 @@ DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
 TOUCHING: Final = 256  # a tick of a contact in hand
 RATE_OFF: Final = 512
+SOURCE: Final = 2048  # what the source sends says nothing of the leg, or does again
 OWES: Final = 1024  # a contact ended that no tick will decide
 
 CALM_SCORE: Final = 0.5
@@ -304,7 +318,7 @@ def enter_row(
 @compiled
 def let_go(leg):
     """Forget whether the leg touches: it cannot be known."""
-    leg.owes_release |= leg.contact
+    leg.owes_release |= leg.reported
     leg.contact, leg.loaded, leg.calm = False, True, 0
 
 
@@ -353,14 +367,40 @@ def restart_leg(leg, command, before, desired, doubts):
 
 
 @compiled
+def follow_source(
+    leg, measured, valid, has_valid, commands, runs, off, echoing, doubts
+):  # fmt: skip
+    """Stop judging a leg of which its source says nothing, or go on."""
+    if leg.ticks == 1:
+        begin_echo(runs)
+    if leg.ticks or leg.echoes:
+        step = leg.quantum
+        most = ECHO_WIDTH * step
+        take_readings(leg, measured, valid, has_valid, step, most, commands, runs, off, echoing)
+    cause = ECHO if leg.echoes else PHASE if leg.swapped else NONE
+    if cause == leg.cause:
+        return
+    leg.cause = cause
+    leg.found |= SOURCE
+    break_off(leg)
+    if cause != NONE:
+        let_go(leg)
+        return
+    if leg.known:
+        restart_history(leg, doubts)
+    leg.loaded, leg.calm = True, 0
+
+
+@compiled
 def judge_tick(
     legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid,
-    preview_in, ring, seam, command, before, lengths, pitched, low, lengths_ticks, last_desired,
-    last_measured, last_read, path, asked, commanded, foot, start, heights, window, lags,
-    preview, history, increment, theta, thetas, began_window, reach, believed, last, doubts,
-    stale, refused, values, counts, kind, first, entry, weight, knee, law, xi0, coefficients,
-    whiten, limits, limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows,
-    row_thetas, row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
+    preview_in, ring, seam, echo_commands, echo_runs, echo_off, echoing, phase_before, parts,
+    command, before, lengths, pitched, low, lengths_ticks, last_desired, last_measured,
+    last_read, path, asked, commanded, foot, start, heights, window, lags, preview, history,
+    increment, theta, thetas, began_window, reach, believed, last, doubts, stale, refused,
+    values, counts, kind, first, entry, weight, knee, law, xi0, coefficients, whiten, limits,
+    limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows, row_thetas,
+    row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
 ):  # fmt: skip
     """The first half of a tick of every leg that has an accepted sample."""
     joints = measured.shape[1]
@@ -378,10 +418,12 @@ def judge_tick(
         missed = follow_clock(leg, t_ns[i], seq[i], ring[i])
         leg.missed = missed
         leg.accepted_n += 1
+        leg.total_n += 1
         if leg.late != 1:
             leg.lateness = 0.0
         if restart[i]:
             restart_leg(leg, command[i], before[i], desired[i], doubts[i])
+            leg.began_ns, leg.began_n, leg.began_count = leg.at_ns, leg.total_n, 1
         elif missed and leg.known:
             if missed != PAUSE and missed < leg.length:
                 note_hole(leg, rows[i])
@@ -395,8 +437,17 @@ def judge_tick(
                 restart_history(leg, doubts[i])
                 break_off(leg)
                 leg.loaded, leg.calm = True, 0
-        if leg.owes_release:
-            leg.found |= OWES
+        if restart[i] or missed:
+            leg.echo_n = 0
+            begin_echo(echo_runs[i])
+            if restart[i]:
+                restart_phase(leg, parts[i])
+        take_command(leg, desired[i], echo_commands[i])
+        height = 0.0
+        if leg.has_lengths and phase[i] != UNKNOWN:
+            place_foot(desired[i], lengths[i], pitched[i], now)
+            height = now[2]
+        take_phase(leg, phase[i], desired[i], height, phase_before[i], parts[i])
         # The swing, by the command.
         awaited = leg.known and not (leg.loaded or leg.contact)
         whole = leg.whole
@@ -416,6 +467,10 @@ def judge_tick(
             leg.closed = True
         if leg.ticks == 1:
             leg.found |= BEGAN
+            if leg.began_count == 2:
+                leg.began_ns, leg.began_n = leg.began_next_ns, leg.began_next_n
+            leg.began_next_ns, leg.began_next_n = leg.at_ns, leg.total_n
+            leg.began_count = 2
             leg.open = True
             leg.touching = False
             begin_labels(leg)
@@ -425,6 +480,14 @@ def judge_tick(
             if leg.known:
                 leg.usable = 0
                 began_window[i] = window[i]
+        follow_source(
+            leg, measured[i], valid[i], has_valid[i], echo_commands[i], echo_runs[i], echo_off[i],
+            echoing[i], doubts[i],
+        )  # fmt: skip
+        void = leg.misread or leg.cause != NONE
+        leg.owes_release |= leg.reported and (void or leg.withholds)
+        if leg.owes_release:
+            leg.found |= OWES
         if not leg.known:
             continue
         # The reading.
@@ -445,7 +508,7 @@ def judge_tick(
             break_off(leg)
             leg.found |= RATE_OFF
             continue
-        if leg.misread:
+        if void:  # what is high and low, or where the leg is, is not known
             break_off(leg)
             continue
         if not can:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot.description import Leg, Robot
 from adaptive_contact.wire import is_leg_id
 
 __all__ = ["check"]
+
+# What one service has been tried with (`make many`).
+MAX_LEGS: Final = 64
 
 _Fail = Callable[[str], NoReturn]
 
@@ -31,6 +34,11 @@ def check(robot: Robot, source: str) -> None:
         fail(f"[robot] period_s is {robot.period_s}; expected 0.0001 to 1 s (0.02 for 50 Hz)")
     if not robot.legs:
         fail("no [[leg]]; describe at least one")
+    if len(robot.legs) > MAX_LEGS:
+        fail(
+            f"{len(robot.legs)} [[leg]]; expected {MAX_LEGS} at most: give each part of the robot "
+            "a robot.toml, a service and a --namespace of its own"
+        )
     if not 1e-3 <= robot.servo.slope_rad <= math.pi:
         fail(f"[servo] slope_rad is {robot.servo.slope_rad}; expected 0.001 to 3.14 rad")
     if not 1e-3 <= robot.detector.false_alarms_per_hour <= 1e4:

@@ -1,14 +1,10 @@
-r"""Finds joints whose angles grow the other way than ``robot.toml`` says, from the motion.
+r"""Finds joints whose angles mean something else than ``robot.toml`` says, from the motion.
 
 Half of all robots count pitch angles downwards, and a leg described so is learned, judged and
 driven wrong without any error.  Three facts of a robot's body show it, none of them a model:
 
-1. *Feet that stand do not move against each other.*  With the legs' mounts known, the distance of
-   two standing feet is constant while the body moves over them.  For every choice of signs
-
-   .. math:: \rho^2 = \frac{\overline{(\Delta |p_i - p_j|)^2}}{\overline{|\Delta p|^2}}
-
-   over ticks in which both stand; right geometry leaves some 0.07, one wrong sign 0.2 to 3.
+1. *Feet that stand do not move against each other* (:mod:`adaptive_contact.robot.rigid`).  Needs
+   the mounts of three legs; shows signs, the order of joints, and zeros.
 2. *A foot that swings is higher than one that stands*, and a foot that stands is below the axis
    that pitches it.  Both turn round with the signs of all pitch joints of a leg.
 3. *The ground pushes up.*  Where a leg stands, it is above its command in the direction
@@ -22,60 +18,38 @@ all else is no finding: a wrong accusation is worse than silence.
 from __future__ import annotations
 
 import dataclasses
-import itertools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptive_contact.robot.angles import AngleFrame, angles_text
+from adaptive_contact.robot.choices import SURE_SHARE, Alone, LegChoices
 from adaptive_contact.robot.description import Leg, Mount, Robot
-from adaptive_contact.robot.geometry import foot, height_gradients
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.robot.motion import LegMotion, control_ticks
+from adaptive_contact.robot.rigid import Reading
+from adaptive_contact.robot.together import OPEN_RAD, choose
 
-__all__ = ["ConventionFinding", "LegMotion", "Verdict", "judge_motion"]
+__all__ = [
+    "ConventionFinding",
+    "LegMotion",
+    "Verdict",
+    "judge_hanging",
+    "judge_motion",
+    "speaks_of_angles",
+]
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-# Displacements are taken over this time, s: long against the jitter of a command's rounding, short
-# against a stance.
-LAG_S: Final = 0.08
-# Feet of a slow gait go too little way in it: then it is so many times as long.
-SLOW_LAGS: Final = 3
-# After a touch a controller may press the foot down for this long, s, and before the lift a
-# phase may be told late.
-SETTLE_S: Final = 0.12
-BEFORE_LIFT_S: Final = 0.06
-# Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
-TRIMMED: Final = 0.3
-# A pair of legs with fewer ticks in common tells nothing.
-LEAST_ROWS: Final = 40
-# Rows of a pair that are looked at; more add nothing, as they come from the same swings.
-MOST_ROWS: Final = 120
-# Standing feet must move by so much per LAG_S, m, for their distance to tell anything.
-LEAST_WAY_M: Final = 0.002
-# rho of feet that stand: 0.03 to 0.05 where the description is right.
-RIGID: Final = 0.1
-# rho of a description that is wrong, and how many times better (in squares) the right one must be.
-LOOSE: Final = 0.12
-BETTER: Final = 4.0
-# A leg's foot counts as above its axis, or below, in this share of its ticks.
-SURE_SHARE: Final = 0.9
-# Swings of a leg before its phase is compared with its height.
-LEAST_SWINGS: Final = 4
-LEAST_RISE_M: Final = 0.004
-# A tick is slow below this speed, rad/s: there a servo's lag is no longer that of motion.
-SLOW_RAD_S: Final = 1.0
-LEAST_SLOW: Final = 50
-# rho² beyond which a pair is as bad as can be.
-MOST: Final = 4.0
 _UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
-# Patterns of signs grow as powers of two, and choices of them with the legs.
-MOST_FLIPS: Final = 5
-MOST_CHOICES: Final = 300_000
+_PUSHED: Final = "the foot is above its axis, and the ground pushes it down"
+_PULLED: Final = "the foot hangs above its command at rest, and gravity pulls it down"
+_AGAINST: Final = "feet that stand move against each other, as they are described"
+# Holds of a leg that hangs before their sag counts, and how far it must be, steps of the servo.
+LEAST_HOLDS: Final = 4
+SAG_QUANTA: Final = 1.5
+# What every message of a finding has one of.
+_WRONG_WAY: Final = "grow the wrong way"
+_IN_ORDER: Final = "do not come in the order of robot.toml"
+_ZEROS: Final = "zeros are not where robot.toml says"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +64,8 @@ class ConventionFinding:
         directions: (J,) to write as ``[leg.angles] directions``; those in force included.
         offsets_rad: (J,) likewise.
         certain: False where another choice explains the motion as well.
+        grave: heights of the foot are wrong, so that nothing can be judged or learned by them.
+        order: (J,) which of the source's values is each joint's; None where they come in order.
     """
 
     leg: str
@@ -99,50 +75,39 @@ class ConventionFinding:
     directions: tuple[int, ...]
     offsets_rad: tuple[float, ...]
     certain: bool = True
+    grave: bool = True
+    order: tuple[int, ...] | None = None
+
+    def agrees(self, other: ConventionFinding | None) -> bool:
+        """Whether another judgement has found the same, but for what a fit of zeros leaves open."""
+        if other is None or len(other.offsets_rad) != len(self.offsets_rad):
+            return False
+        apart = [a - b for a, b in zip(self.offsets_rad, other.offsets_rad, strict=True)]
+        mine, theirs = (
+            (found.leg, found.joints, found.directions, found.order, found.certain, found.grave)
+            for found in (self, other)
+        )
+        return mine == theirs and all(abs(d) < OPEN_RAD for d in apart)
+
+    def line(self, leg: Leg) -> str:
+        """What was seen and what to write, for samples of any source."""
+        text = f"{self.message}: {self.advice}"
+        if leg.servos is not None:  # the bridge refuses a leg with [leg.angles]
+            text += f" (where the bridge reads this leg, {self.servo_advice(leg)})"
+        return text
 
     def servo_advice(self, leg: Leg) -> str:
         """The same for a leg that the bridge reads, whose signs stand in ``[leg.servos]``."""
         servos, joints = leg.servos, len(leg.joints)
+        if self.order is not None:
+            ids = servos.ids if servos else tuple(range(1, joints + 1))
+            return f"write [leg.servos] ids = {[ids[k] for k in self.order]}"
         directions = (servos.directions if servos else None) or (1,) * joints
         offsets = (servos.offsets_rad if servos else None) or (0.0,) * joints
         return "write " + angles_text(
             [sign * d for sign, d in zip(self.directions, directions, strict=True)],
             [s * o + p for s, o, p in zip(self.directions, offsets, self.offsets_rad, strict=True)],
             "[leg.servos]",
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class LegMotion:
-    """One leg's samples, in the frame of its description.
-
-    Attributes:
-        t_ns: (n,) times.
-        measured: (n, J) rad.
-        desired: (n, J) rad.
-        swing: (n,) the source's word; None where it does not tell.
-    """
-
-    t_ns: NDArray[np.int64]
-    measured: Array
-    desired: Array
-    swing: Mask | None = None
-
-    def between(self, first_ns: int, last_ns: int) -> LegMotion:
-        """The samples from one time up to another."""
-        rows = (self.t_ns >= first_ns) & (self.t_ns < last_ns)
-        swing = None if self.swing is None else self.swing[rows]
-        return LegMotion(self.t_ns[rows], self.measured[rows], self.desired[rows], swing)
-
-    @staticmethod
-    def of_samples(samples: Sequence[ServoSample]) -> LegMotion:
-        """The motion of accepted samples, in order and in the frame of the leg's description."""
-        told = all(sample.phase is not None for sample in samples)
-        return LegMotion(
-            np.array([sample.t_ns for sample in samples], dtype=np.int64),
-            np.array([sample.measured for sample in samples], dtype=np.float64),
-            np.array([sample.desired for sample in samples], dtype=np.float64),
-            np.array([sample.phase == "swing" for sample in samples]) if told else None,
         )
 
 
@@ -159,39 +124,73 @@ class Verdict:
     fits: tuple[str, ...] = ()
 
 
+def speaks_of_angles(note: str) -> bool:
+    """Whether a leg's note is the message of a finding."""
+    return any(words in note for words in (_WRONG_WAY, _IN_ORDER, _ZEROS))
+
+
 def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
-    """Judge the signs of all legs that have lengths.
+    """Judge signs, order and zeros of all legs that have lengths.
 
     Args:
         robot: its description, as the samples were turned by.
         motions: by leg.
     """
+    ticks = control_ticks(motions, robot.period_s)
     legs = [
-        _Signs(leg, motions[leg.id], robot.period_s)
+        LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
         for leg in robot.legs
-        if leg.id in motions and leg.lengths_m is not None and len(motions[leg.id].t_ns) > 1
+        if leg.id in ticks and leg.lengths_m is not None and len(ticks[leg.id]) > 1
     ]
     legs = [leg for leg in legs if len(leg.flips) > 1]
     if not legs:
         return Verdict()
-    chosen = _choose_rigid(legs, robot.period_s) if _mounts_told(robot) else {}
+    chosen = choose(legs, robot.period_s) if _mounts_told(robot) else {}
     findings, fits = [], []
     for leg in legs:
         pattern = chosen.get(leg.leg.id)
-        found = leg.judge() if pattern is None else leg.flips[pattern]
-        if found is None:
-            continue
-        if isinstance(found, ConventionFinding):
-            findings.append(found)
-        elif (found > 0).all():
+        if pattern == 0:
             fits.append(leg.leg.id)
-        else:
-            told = (
-                _UPSIDE_DOWN
-                if leg.upside_down(0)
-                else "feet that stand move against each other, as they are described"
-            )
-            findings.append(_sign_finding(leg.leg, found, told))
+            continue
+        if pattern is not None:
+            findings.append(_finding(leg, pattern))
+            continue
+        alone = leg.alone()
+        if alone is not None:
+            findings.append(_finding_alone(leg, alone))
+    return Verdict(tuple(findings), tuple(fits))
+
+
+def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+    """Judge the signs of legs that hang free, from what gravity does to them at rest.
+
+    A servo holds a leg a little below its command.  The first pitch joint carries the most: an
+    AX-12A gives way by four to five steps there, and by less than its friction at the next one, so
+    that a single sign further out is not shown.  A servo with an integral gain does not give way.
+
+    Args:
+        robot: its description, as the samples were turned by.
+        motions: by leg; holds of 0.36 s and more are looked at.
+    """
+    findings, fits = [], []
+    ticks = control_ticks(motions, robot.period_s)
+    for leg in robot.legs:
+        if leg.id not in motions or leg.lengths_m is None or len(ticks.get(leg.id, ())) < 2:
+            continue
+        choices = LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
+        if not choices.pitch.any():
+            continue
+        sags = choices.sags_rad()
+        if len(sags) < LEAST_HOLDS or abs(float(np.median(sags))) < SAG_QUANTA * robot.quantum(
+            leg.id
+        ):
+            continue
+        down = float(np.mean(sags > 0))
+        if down >= SURE_SHARE:
+            fits.append(leg.id)
+        elif down <= 1 - SURE_SHARE:
+            signs = [-1 if pitch else 1 for pitch in choices.pitch]
+            findings.append(_sign_finding(leg, signs, _PULLED))
     return Verdict(tuple(findings), tuple(fits))
 
 
@@ -199,299 +198,100 @@ def _mounts_told(robot: Robot) -> bool:
     return sum(leg.mount != Mount() for leg in robot.legs) >= 2
 
 
-class _Signs:
-    """One leg under every pattern of signs.
-
-    Attributes:
-        flips: (F, J) 1 or -1; the description's is the first.
-        grid: (n,) number of every sample's control tick.
-    """
-
-    def __init__(self, leg: Leg, motion: LegMotion, period_s: float) -> None:
-        self.leg, self.motion = leg, motion
-        self.pitch = np.array([axis == "pitch" for axis in leg.joint_axes])
-        told = self.pitch.copy()
-        if len(told) <= MOST_FLIPS:
-            told |= ~self.pitch
-        free = np.flatnonzero(told)[:MOST_FLIPS]
-        self.flips = np.ones((2 ** len(free), len(leg.joints)))
-        for row, signs in zip(
-            self.flips, itertools.product((1.0, -1.0), repeat=len(free)), strict=True
-        ):
-            row[free] = signs
-        self.grid = np.rint(motion.t_ns / (period_s * 1e9)).astype(np.int64)
-        self._settle = round(SETTLE_S / period_s)
-        self._leave = round(BEFORE_LIFT_S / period_s)
-        self._slow = SLOW_RAD_S * period_s
-        self._places: dict[int, Array] = {}
-
-    def place(self, pattern: int) -> Array:
-        """(n, 3) m, the commanded foot in the leg's frame."""
-        if pattern not in self._places:
-            assert self.leg.lengths_m is not None
-            turned = self.motion.desired * self.flips[pattern]
-            self._places[pattern] = foot(turned, self.leg.lengths_m, self.leg.joint_axes)
-        return self._places[pattern]
-
-    def height(self, pattern: int) -> Array:
-        """(n,) m of it."""
-        return self.place(pattern)[:, 2]
-
-    # -- alone -----------------------------------------------------------------------------------
-
-    def rises(self, pattern: int) -> float | None:
-        """Share of swings in which the commanded foot is higher than in the stance before."""
-        swing = self.motion.swing
-        if swing is None:
-            return None
-        edges = np.flatnonzero(np.diff(swing.astype(np.int8)))
-        parts = np.split(self.height(pattern), edges + 1)
-        if len(parts) < 3:
-            return None
-        first_swings = bool(swing[0])
-        levels = [float(np.median(part)) for part in parts]
-        pairs = [
-            levels[i] - levels[i - 1] for i in range(1, len(levels)) if (i % 2 == 0) == first_swings
-        ]
-        told = [rise for rise in pairs if abs(rise) > LEAST_RISE_M]
-        if len(told) < LEAST_SWINGS:
-            return None
-        return sum(rise > 0 for rise in told) / len(told)
-
-    def below(self, pattern: int) -> float:
-        """Share of ticks in which the commanded foot is below its first pitch axis."""
-        return float(np.mean(self.height(pattern) < 0.0))
-
-    def sane(self, pattern: int) -> bool:
-        """Whether a leg that walks may move so."""
-        rises = self.rises(pattern)
-        return self.below(pattern) >= SURE_SHARE and (rises is None or rises >= SURE_SHARE)
-
-    def insane(self, pattern: int) -> bool:
-        """Whether a leg that walks cannot move so; not the opposite of :meth:`sane`."""
-        rises = self.rises(pattern)
-        return self.below(pattern) < 0.5 or (rises is not None and rises < 0.5)
-
-    def upside_down(self, pattern: int) -> bool:
-        """Whether a leg that walks moves the other way round."""
-        rises = self.rises(pattern)
-        return (
-            self.below(pattern) <= 1 - SURE_SHARE
-            and rises is not None
-            and (rises <= 1 - SURE_SHARE)
-        )
-
-    def load_m(self, pattern: int) -> float | None:
-        """How far above its command the foot is on slow ticks, median, m; None for too few."""
-        motion, leg = self.motion, self.leg
-        assert leg.lengths_m is not None
-        moved = np.abs(np.diff(motion.measured, axis=0)).max(axis=1)
-        next_tick = np.diff(self.grid) == 1
-        slow = np.flatnonzero((moved < self._slow) & next_tick)
-        if len(slow) < LEAST_SLOW:
-            return None
-        flip = self.flips[pattern]
-        ahead = (motion.measured[slow + 1] - motion.desired[slow]) * flip
-        at = motion.measured[slow + 1] * flip
-        rise = height_gradients(at, leg.lengths_m, leg.joint_axes)
-        first = int(np.flatnonzero(self.pitch)[0])
-        return float(np.median(rise[:, first] * ahead[:, first]))
-
-    def judge(self) -> ConventionFinding | None:
-        """What this leg shows by itself; None for nothing that is sure."""
-        wrong = self.upside_down(0)
-        told = _UPSIDE_DOWN
-        if not wrong and self.motion.swing is None and self.below(0) <= 1 - SURE_SHARE:
-            load = self.load_m(0)
-            wrong = load is not None and load < 0
-            told = "the foot is above its axis, and the ground pushes it down"
-        if not wrong:
-            return None
-        pitched = [k for k, flip in enumerate(self.flips) if (flip[~self.pitch] > 0).all()]
-        left = [k for k in pitched if not self.insane(k) and self._within(k)]
-        # That all of them are turned round is the usual case: half of all robots are.
-        left.sort(key=lambda k: not (self.flips[k][self.pitch] < 0).all())
-        best = next((k for k in left if self.sane(k)), None)
-        if best is None:
-            return None
-        others = [self.flips[k] for k in left if k != best]
-        return _sign_finding(self.leg, self.flips[best], told, others)
-
-    def _within(self, pattern: int) -> bool:
-        """Whether commands stay within the joints' limits, where there are any."""
-        limits = self.leg.limits
-        if limits is None:
-            return True
-        turned = self.motion.desired * self.flips[pattern]
-        inside = (turned >= limits.lower_rad) & (turned <= limits.upper_rad)
-        return bool(inside.all(axis=1).mean() >= SURE_SHARE)
-
-    # -- with others -----------------------------------------------------------------------------
-
-    def on_body(self, pattern: int) -> Array:
-        """(n, 3) m, the commanded foot in the body's frame."""
-        yaw = self.leg.mount.yaw_rad
-        turn = np.array(
-            [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
-        )
-        return np.asarray(self.place(pattern) @ turn.T + np.array(self.leg.mount.xyz_m))
-
-    def stands(self, pattern: int, lag: int) -> Mask:
-        """(n,) ticks in which the foot stands, and has for ``lag`` ticks."""
-        if self.motion.swing is not None:
-            down = ~self.motion.swing
-        else:  # by its height, the lower half of its range
-            low, high = np.quantile(self.height(pattern), (0.05, 0.95))
-            down = self.height(pattern) < (low + high) / 2
-        count = np.concatenate([[0], np.cumsum(down)])
-        n = len(down)
-        settle = self._settle + lag
-        first = np.maximum(np.arange(n) - settle, 0)
-        last = np.minimum(np.arange(n) + self._leave + 1, n)
-        steady = count[last] - count[first] == last - first
-        steady[:settle] = False
-        steady[lag:] &= self.grid[lag:] - self.grid[:-lag] == lag
-        return np.asarray(steady)
+def _finding(leg: LegChoices, pattern: int) -> ConventionFinding:
+    """What a pattern that is not the described one means, with what to write."""
+    reading = leg.readings[pattern]
+    plain = Reading.plain(len(leg.leg.joints))
+    if reading.order != plain.order:
+        return _order_finding(leg.leg, reading)
+    if any(reading.offsets_rad):
+        return _zero_finding(leg, reading)
+    told = _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
+    return _sign_finding(leg.leg, reading.directions, told)
 
 
-class _Pairs:
-    """rho² of pairs of legs, by the patterns of both, as it is asked for.
-
-    Args:
-        legs: those that are compared.
-        lag: ticks of a displacement.
-    """
-
-    def __init__(self, legs: Sequence[_Signs], lag: int) -> None:
-        self.legs, self._lag = legs, lag
-        self._standing: dict[tuple[int, int], tuple[Array, NDArray[np.int64]]] = {}
-        self._known: dict[tuple[int, int, int, int], tuple[float, float]] = {}
-
-    def cost(self, chosen: Sequence[int], i: int) -> float:
-        """rho² of a leg with the others, weighed by how often they stand together.
-
-        Infinite where it stands with less than two.
-        """
-        found = [self._pair(i, j, chosen[i], k) for j, k in enumerate(chosen) if j != i]
-        told = [(weight, ratio) for weight, ratio in found if weight > 0]
-        if len(told) < 2:
-            return np.inf
-        return sum(w * r for w, r in told) / sum(w for w, _ in told)
-
-    def rigid(self, chosen: Sequence[int]) -> bool:
-        """Whether every leg that stands keeps its distances from the others."""
-        return all(self.cost(chosen, i) < RIGID**2 for i in range(len(chosen)))
-
-    def best(self, among: Sequence[Sequence[int]]) -> list[int]:
-        """The choice of one of its patterns for each leg under which rho² is least, on average."""
-        n = len(among)
-        weighed = [np.zeros([1] * n) for _ in range(n)]
-        weights = [np.zeros([1] * n) for _ in range(n)]
-        for i, j in itertools.combinations(range(n), 2):
-            found = np.array([[self._pair(i, j, a, b) for b in among[j]] for a in among[i]])
-            shape = [len(among[k]) if k in (i, j) else 1 for k in range(n)]
-            weight = found[..., 0].reshape(shape)
-            share = np.where(weight > 0, weight * np.minimum(found[..., 1].reshape(shape), MOST), 0)
-            for k in (i, j):
-                weighed[k] = weighed[k] + share
-                weights[k] = weights[k] + weight
-        with np.errstate(invalid="ignore"):
-            total = np.nan_to_num(
-                np.stack([a / b for a, b in zip(weighed, weights, strict=True)]).sum(axis=0),
-                nan=np.inf,
-            )
-        place = np.unravel_index(int(np.argmin(total)), total.shape)
-        return [among[i][int(k)] for i, k in enumerate(place)]
-
-    def _pair(self, i: int, j: int, a: int, b: int) -> tuple[float, float]:
-        if i > j:
-            return self._pair(j, i, b, a)
-        key = (i, j, a, b)
-        if key not in self._known:
-            self._known[key] = self._compare(*key)
-        return self._known[key]
-
-    def _stands(self, i: int, pattern: int) -> tuple[Array, NDArray[np.int64]]:
-        """Ticks in which a leg stands: (m, 2, 3) m where its foot is and was, (m,) their number."""
-        key = (i, pattern)
-        if key not in self._standing:
-            leg = self.legs[i]
-            rows = np.flatnonzero(leg.stands(pattern, self._lag))
-            place = leg.on_body(pattern)
-            both = np.stack([place[rows], place[rows - self._lag]], axis=1)
-            self._standing[key] = both, leg.grid[rows]
-        return self._standing[key]
-
-    def _compare(self, i: int, j: int, a: int, b: int) -> tuple[float, float]:
-        """(weight, rho²) of legs i and j with patterns a and b; weight 0 where it cannot be told.
-
-        Legs that stand by turns meet in few ticks, those of a touch and a lift, which tell little:
-        the weight is the square of the number of ticks.
-        """
-        (p, mine), (q, theirs) = self._stands(i, a), self._stands(j, b)
-        _, rows, columns = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
-        count = len(rows)
-        if count < LEAST_ROWS:
-            return 0.0, np.inf
-        step = -(-count // MOST_ROWS)
-        p, q = p[rows[::step]], q[columns[::step]]
-        between = np.linalg.norm(p - q, axis=2)
-        apart = np.abs(between[:, 0] - between[:, 1])
-        way2 = np.square(np.stack([p, q])[:, :, 0] - np.stack([p, q])[:, :, 1]).sum(axis=2).mean(0)
-        kept = np.argsort(apart)[: math.ceil((1 - TRIMMED) * len(apart))]
-        way = float(way2[kept].mean())
-        if way < LEAST_WAY_M**2:
-            return 0.0, np.inf
-        return float(count) ** 2, float(np.square(apart[kept]).mean() / way)
+def _finding_alone(leg: LegChoices, alone: Alone) -> ConventionFinding:
+    """What a leg shows by itself, with what to write."""
+    signs, *others = (leg.readings[k].directions for k in (alone.pattern, *alone.others))
+    return _sign_finding(leg.leg, signs, _PUSHED if alone.pushed else _UPSIDE_DOWN, others)
 
 
-def _choose_rigid(legs: Sequence[_Signs], period_s: float) -> dict[str, int]:
-    """Patterns of signs under which the standing feet keep their distances; empty for none.
+def _order_finding(leg: Leg, reading: Reading) -> ConventionFinding:
+    """The finding of an order that is not ``joints``'."""
+    frame = AngleFrame(leg)
+    came = [leg.joints[reading.order.index(k)] for k in range(len(leg.joints))]
+    moved = tuple(name for k, name in enumerate(leg.joints) if reading.order[k] != k)
+    advice = f"publish measured, desired and valid in the order {', '.join(leg.joints)}"
+    if any(sign < 0 for sign in reading.directions):
+        turned = _listed([n for n, s in zip(leg.joints, reading.directions, strict=True) if s < 0])
+        advice += f"; then look at the signs of {turned}"
+    message = f"the joints {_IN_ORDER}: they seem to come as {', '.join(came)}; {_AGAINST}"
+    return ConventionFinding(
+        leg.id,
+        moved,
+        message,
+        advice,
+        tuple(frame.directions),
+        tuple(frame.offsets_rad),
+        order=reading.order,
+    )
 
-    Legs that stay out are those that no choice, or more than one, explains.
-    """
-    if len(legs) < 3:
-        return {}
-    described = [0] * len(legs)
-    ticks = max(round(LAG_S / period_s), 1)
-    for lag in (ticks, SLOW_LAGS * ticks):
-        pairs = _Pairs(legs, lag)
-        if all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
-            break
-    if pairs.rigid(described) and all(leg.sane(0) for leg in legs):
-        return dict.fromkeys((leg.leg.id for leg in legs), 0)
-    sane = [[k for k in range(len(leg.flips)) if leg.sane(k)] for leg in legs]
-    if not all(sane) or math.prod(map(len, sane)) > MOST_CHOICES:
-        return {}
-    best = pairs.best(sane)
-    if not pairs.rigid(best):
-        return {}
-    chosen = {}
-    for i, leg in enumerate(legs):
-        # Every other pattern of this leg must be worse, or nothing is said of it.
-        least = BETTER * pairs.cost(best, i)
-        others = [pairs.cost([*best[:i], k, *best[i + 1 :]], i) for k in sane[i] if k != best[i]]
-        if all(cost > max(least, LOOSE**2) for cost in others):
-            chosen[leg.leg.id] = best[i]
-    return chosen
+
+def _zero_finding(leg: LegChoices, reading: Reading) -> ConventionFinding:
+    """The finding of zeros, and signs with them, that are not the convention's."""
+    frame = AngleFrame(leg.leg)
+    moved = zip(leg.leg.joints, reading.directions, reading.offsets_rad, strict=True)
+    off = [(name, sign, offset) for name, sign, offset in moved if offset or sign < 0]
+    directions = tuple(s * d for s, d in zip(reading.directions, frame.directions, strict=True))
+    offsets = tuple(
+        s * o + p
+        for s, o, p in zip(reading.directions, frame.offsets_rad, reading.offsets_rad, strict=True)
+    )
+    zeros = _listed([f"{name} by {offset:+.2f} rad" for name, _, offset in off if offset])
+    turned = [name for name, sign, _ in off if sign < 0]
+    grows = f", and the angles of {_listed(turned)} {_WRONG_WAY}" if turned else ""
+    message = f"{_ZEROS}: {zeros}{grows}; {_AGAINST}"
+    advice = "write " + angles_text(directions, offsets, "[leg.angles]")
+    advice += (
+        "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
+    )
+    return ConventionFinding(
+        leg.leg.id,
+        tuple(name for name, _, _ in off),
+        message,
+        advice,
+        directions,
+        offsets,
+        grave=bool(turned) or not leg.sane(0),
+    )
 
 
 def _sign_finding(
-    leg: Leg, flip: Array, told: str, others: Sequence[Array] = ()
+    leg: Leg, signs: Sequence[int], told: str, others: Sequence[Sequence[int]] = ()
 ) -> ConventionFinding:
     """The finding of wrong signs, with what to write; directions in force are taken along."""
     frame = AngleFrame(leg)
-    signs = [int(sign) for sign in flip]
     joints = tuple(name for name, sign in zip(leg.joints, signs, strict=True) if sign < 0)
     directions = tuple(s * d for s, d in zip(signs, frame.directions, strict=True))
     offsets = tuple(s * o + 0.0 for s, o in zip(signs, frame.offsets_rad, strict=True))
     advice = "write " + angles_text(directions, offsets, "[leg.angles]")
     for other in others:
-        turned = [int(s) * d for s, d in zip(other, frame.directions, strict=True)]
+        turned = [s * d for s, d in zip(other, frame.directions, strict=True)]
         advice += f"; if that does not help, directions = {turned}"
-    message = f"the angles of {_listed(joints)} grow the wrong way: {told}"
+    message = f"the angles of {_listed(joints)} {_WRONG_WAY}: {told}"
+    pitched = {
+        name for name, axis in zip(leg.joints, leg.joint_axes, strict=True) if axis == "pitch"
+    }
     return ConventionFinding(
-        leg.id, joints, message, advice, directions, offsets, certain=not others
+        leg.id,
+        joints,
+        message,
+        advice,
+        directions,
+        offsets,
+        certain=not others,
+        # A wrong yaw alone changes no height.
+        grave=bool(pitched & set(joints)),
     )
 
 

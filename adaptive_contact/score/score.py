@@ -71,9 +71,10 @@ def score_messages(
     for message in messages:
         gathered.take(message)
     if not gathered.legs:
+        usable = "usable " if gathered.rejects else ""
         raise RecordingError(
-            "no servo samples (robot/leg/*/servo) in the recording; record with "
-            "--key 'robot/**' while the source runs"
+            f"no {usable}servo samples (robot/leg/*/servo) in the recording; record while the "
+            "source runs, and look at it with `adaptive-contact doctor`"
         )
     if not set(gathered.legs) & set(robot.leg_ids):
         raise RecordingError(
@@ -121,6 +122,10 @@ def _notes(gathered: Gatherer, outcomes: tuple[LegOutcome, ...]) -> tuple[str, .
         notes.append(f"events of {', '.join(unseen)}, which sent no samples: left out")
     if not any(len(outcome.swings.start_ns) for outcome in outcomes):
         notes.append("no swing in the recording: nothing could be judged")
+    withheld = gathered.withheld
+    if withheld:
+        by_leg = ", ".join(f"{leg} {count}" for leg, count in sorted(withheld.items()))
+        notes.append(f"events withheld while the leg was ambiguous, scored as none: {by_leg}")
     refused = sum(gathered.rejects.values())
     if refused:
         reasons = ", ".join(f"{r.value} {n}" for r, n in sorted(gathered.rejects.items()) if n)

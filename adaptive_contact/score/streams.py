@@ -132,6 +132,12 @@ class Gatherer:
         if fault is not None:
             self.rejects[fault.reason if isinstance(fault, Rejected) else fault] += 1
 
+    @property
+    def withheld(self) -> dict[str, int]:
+        """Contacts of each leg that the service withheld, as the leg was ambiguous."""
+        counts = {leg: sum(e.withheld for e in events) for leg, events in self._events.items()}
+        return {leg: count for leg, count in counts.items() if count}
+
     def replace_events(self, events: Iterable[ContactEvent]) -> None:
         """Take these events instead of those that were heard."""
         self._events = {}

@@ -7,16 +7,11 @@ taken over from the same state, it gives the same answers.
 
 from __future__ import annotations
 
-from typing import Final
-
-from adaptive_contact.adapt.stream import StreamGuard
+from adaptive_contact.adapt.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
 from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import Reject, ServoSample
 
 __all__ = ["Admission"]
-
-# A gap over a restart of the service is believed up to a day of samples at 100 Hz.
-_LONGEST_GAP: Final = 10_000_000
 
 
 class Admission:
@@ -34,7 +29,9 @@ class Admission:
     def __init__(self, joints: int, resumes: Position | None = None) -> None:
         self.position = resumes
         self.missed_down = 0 if resumes is None else resumes.missed_down
-        self._began = False
+        # Until it is known how many samples passed meanwhile.
+        self._resumes = resumes
+        self._first_seq = self._in_order = 0  # number of the stream's first sample, its samples
         self._guard = StreamGuard(joints)
         if resumes is not None:
             runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
@@ -45,14 +42,24 @@ class Admission:
         answer = self._guard.admit(sample)
         if isinstance(answer, Reject):
             return answer
-        self._follow(sample)
+        self._count_missed_down(sample, restart=answer.restart)
+        if self._resumes is None:
+            older = self._guard.older_runs
+            self.position = Position(sample.run, sample.seq, self.missed_down, older)
         return None
 
-    def _follow(self, sample: ServoSample) -> None:
-        before = self.position
-        if before is not None and sample.run == before.run and not self._began:
-            gap = sample.seq - before.seq - 1
-            if 0 < gap < _LONGEST_GAP:
-                self.missed_down += gap
-        self._began = True
-        self.position = Position(sample.run, sample.seq, self.missed_down, self._guard.older_runs)
+    def _count_missed_down(self, sample: ServoSample, *, restart: bool) -> None:
+        """Count what passed while the service was down; a long gap, once a stream confirms it."""
+        before = self._resumes
+        if before is None:
+            return
+        if sample.run != before.run:  # another start of the source: no number tells
+            self._resumes = None
+            return
+        if restart:
+            self._first_seq, self._in_order = sample.seq, 0
+        self._in_order += 1
+        gap = self._first_seq - before.seq - 1
+        if gap <= SHORT_GAP or self._in_order >= CONFIRM_SAMPLES:
+            self.missed_down += gap if 0 < gap < LONGEST_GAP else 0
+            self._resumes = None

@@ -6,7 +6,6 @@ knows the network: :func:`examine` does.
 
 from __future__ import annotations
 
-import difflib
 import re
 import threading
 import time
@@ -17,6 +16,8 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.adapt.legids import SWAPPED
+from adaptive_contact.robot.conventions import speaks_of_angles
 from adaptive_contact.service.findings import (
     EXPLAINS,
     REFUSED_FOR,
@@ -26,8 +27,9 @@ from adaptive_contact.service.findings import (
     Level,
     entries,
 )
-from adaptive_contact.service.legcheck import check_ids, check_leg
+from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
 from adaptive_contact.service.link import Link
+from adaptive_contact.service.readings import ECHO_FOUND, ECHO_REMEDY
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.service.traffic import Received
@@ -36,8 +38,10 @@ from adaptive_contact.wire import (
     Rejected,
     ServoSample,
     decode,
-    is_leg_id,
+    is_json,
     leg_of_key,
+    meant_key,
+    namespace_of,
 )
 
 __all__ = ["Diagnosis", "Examination", "KeyTraffic", "diagnose", "examine"]
@@ -48,11 +52,8 @@ _KEYS_KEPT: Final = 400
 _BACKLOG: Final = 50_000
 _POLL_S: Final = 0.05
 
-_LEG_KINDS: Final = ("servo", "contact", "learner", "model", "truth", "command")
 _OTHER_KEYS: Final = (SERVICE_STATUS, "robot/sim/drift")
 _ENCODINGS: Final = ("application/msgpack", "application/json")
-# Keys with more slashes, such as those of a camera, are not taken for misspelt ones of ours.
-_OWN_DEPTH: Final = 3
 # Legs that fail together have one cause; one leg alone has its own.
 _SEVERAL_LEGS: Final = 2
 _FIGURES: Final = re.compile(r"[0-9.]+")
@@ -92,6 +93,7 @@ class _Meter:
     count: int = 0
     size: int = 0
     encodings: Counter[str] = field(default_factory=Counter)
+    odd: Counter[str] = field(default_factory=Counter)  # of payloads that nothing says are JSON
 
 
 @dataclass(slots=True)
@@ -116,6 +118,10 @@ class Examination:
         meter.count += 1
         meter.size += len(received.payload)
         meter.encodings[received.encoding] += 1
+        if not received.encoding.startswith(_ENCODINGS) and not is_json(
+            received.payload, received.encoding
+        ):
+            meter.odd[received.encoding] += 1
         if received.key == SERVICE_STATUS:
             status = decode(received.payload, ServiceStatus, received.encoding)
             if isinstance(status, ServiceStatus):
@@ -217,6 +223,7 @@ def _faults(
     if known:
         for fault in check_ids(sorted(published), known):
             yield None, fault
+    twins = dict(check_twins(heard.samples))
     unexplained: list[str] = []
     for leg in [*described, *sorted(published - set(described))]:
         of_leg = check_leg(
@@ -227,6 +234,8 @@ def _faults(
             period_s=None if service is None else service.period_s,
             facts=described.get(leg),
         )
+        if leg in twins:
+            of_leg.append(twins[leg])
         causes = {fault.cause for fault in of_leg if fault.level != "note"}
         causes |= {fault.cause for of, fault in strays if of == leg}
         if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
@@ -324,7 +333,7 @@ def _about_service(heard: Examination, alive: bool) -> Iterator[Fault]:
 def _about_keys(heard: Examination, seconds: float) -> _Faults:
     for key, meter in sorted(heard.meters.items()):
         leg = leg_of_key(key)
-        odd = [encoding for encoding in meter.encodings if not encoding.startswith(_ENCODINGS)]
+        odd = list(meter.odd)
         if odd and leg is not None:
             yield (
                 leg,
@@ -356,22 +365,20 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
     """What is wrong with a key outside the contract, and what to do."""
     if leg_of_key(key) is not None or key in _OTHER_KEYS or key.startswith("robot/bridge/"):
         return None
-    head, robot, _ = key.partition("robot/leg/")
-    if robot and head:
-        namespace = head.rstrip("/")
+    namespace = namespace_of(key)
+    if namespace:
         what = f"keys lie under '{namespace}'"
         remedy = f"look there with --namespace {namespace}"
         return None, Fault("warning", Cause.NAMESPACE, what, remedy, shown, key=namespace)
-    leg, kind = ["", *key.split("/")][-2:]
-    near = difflib.get_close_matches(kind.lower(), _LEG_KINDS, n=1)
-    # A word of other robots' keys, such as camera/command, is no misspelling of ours.
-    ours = bool(robot) or bool(near and near[0] == "servo" and key.count("/") <= _OWN_DEPTH)
-    if not ours:
+    meant = meant_key(key)
+    if meant is not None:
+        cause = Cause.KEY if meant.endswith("/servo") else Cause.OTHER_KEY
+        leg = leg_of_key(meant) or ""
+        what, remedy = "a key is read by nobody", f"did you mean {meant}?"
+        # One entry for all legs whose keys are misspelt in the same way.
+        return leg, Fault("warning", cause, what, remedy, shown, key=key.replace(leg, "LEG"))
+    if "robot/leg/" not in key:
         return None
-    if near and is_leg_id(leg) and (kind not in _LEG_KINDS or not robot):
-        remedy = f"did you mean robot/leg/{leg}/{near[0]}?"
-        cause = Cause.KEY if near[0] == "servo" else Cause.OTHER_KEY
-        return leg, Fault("warning", cause, "a key is read by nobody", remedy, shown, key=kind)
     remedy = "a leg id has 1 to 32 letters, digits, '_', '.' or '-'"
     what = "a key names no usable leg"
     return None, Fault("warning", Cause.OTHER_KEY, what, remedy, shown, key="leg")
@@ -386,7 +393,6 @@ _NOTED: Final = {
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,
 }
-_WRONG_SIGNS: Final = "grow the wrong way"
 _NOTES: Final = "docs/operating.md says what each note asks for"
 
 
@@ -395,7 +401,7 @@ def _about_learner(
 ) -> Iterator[Fault]:
     """What a leg's own status says, but for what is known of its stream already."""
     note = status.note or ""
-    if _WRONG_SIGNS in note:
+    if speaks_of_angles(note):
         causes = causes | {Cause.SIGNS}
     known = {str(reason) for cause in causes for reason in REFUSED_FOR.get(cause, ())}
     refused = {
@@ -412,14 +418,25 @@ def _about_learner(
             listed,
             sum(refused.values()),
         )
-    if _WRONG_SIGNS in note:
-        # A wrong yaw changes no height, and the leg works on.
+    if SWAPPED in note:
+        what = "samples come under another leg's id"
+        remedy = "give each leg the same id in the source and in robot.toml"
+        yield Fault("error", Cause.LEG_SWAP, what, remedy, note)
+    elif speaks_of_angles(note):
+        # A wrong yaw or a small zero changes no height, and the leg works on.
         level: Level = "error" if status.status == "ambiguous" else "warning"
         what = "angles are not counted as robot.toml says"
         remedy = "write what is said here into robot.toml, and start the service again"
         yield Fault(level, Cause.SIGNS, what, remedy, note)
     elif status.status == "learning":
         yield _learning(status, service)
+    elif status.doubt == "echo":
+        if Cause.ECHO not in causes:
+            yield Fault("error", Cause.ECHO, ECHO_FOUND, ECHO_REMEDY, note, key="some")
+    elif status.doubt == "phase":
+        what = "phase is swapped: stance is published as swing, and swing as stance"
+        remedy = "publish phase = swing while the foot is off the ground, or leave phase out"
+        yield Fault("error", Cause.PHASE, what, remedy, key="swapped")
     elif status.status == "ambiguous":
         yield Fault(
             "error",

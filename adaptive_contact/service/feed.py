@@ -82,7 +82,7 @@ class Feed:
         elif isinstance(message, LearnerStatus):
             self._watch.learner(message, received.arrival_ns)
         elif leg is not None:
-            self._watch.truth(leg, message)
+            self._watch.truth(leg, message, received.arrival_ns)
 
     def _token(self, key: str, alive: bool) -> None:
         self._alive = alive

@@ -12,7 +12,17 @@ from typing import Final, Literal, NamedTuple
 
 from adaptive_contact.wire import Reject
 
-__all__ = ["EXPLAINS", "REFUSED_FOR", "Cause", "Fault", "Finding", "Level", "entries", "of_legs"]
+__all__ = [
+    "EXPLAINS",
+    "REFUSED_FOR",
+    "SPOILS",
+    "Cause",
+    "Fault",
+    "Finding",
+    "Level",
+    "entries",
+    "of_legs",
+]
 
 Level = Literal["error", "warning", "note"]
 _RANKS: Final[dict[Level, int]] = {"error": 0, "warning": 1, "note": 2}
@@ -56,6 +66,7 @@ class Cause(enum.StrEnum):
     NOT_FINITE = "not_finite"
     UNITS = "units"
     ECHO = "echo"
+    TWINS = "twins"
     FROZEN = "frozen"
     ORDER = "order"
     BACKWARDS = "backwards"
@@ -63,9 +74,12 @@ class Cause(enum.StrEnum):
     GLITCHES = "glitches"
     TURN = "turn"
     QUANTUM = "quantum"
+    UNDECLARED = "undeclared"
     PHASE = "phase"
+    LIMITS = "limits"
     # What the leg's learner says.
     SIGNS = "signs"
+    LEG_SWAP = "leg_swap"
     NOT_THIS_ROBOT = "not_this_robot"
     REFUSED = "refused"
     LEARNING = "learning"
@@ -79,7 +93,7 @@ _VAGUE: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Caus
 _LEARNER: Final = _VAGUE | {Cause.SIGNS}
 _VALUES: Final = frozenset(
     {Cause.ECHO, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR, Cause.GLITCHES, Cause.TURN}
-    | {Cause.QUANTUM}
+    | {Cause.QUANTUM, Cause.LIMITS}
 )
 _TIMES: Final = frozenset(
     {Cause.TIME_BACKWARDS, Cause.TIME_UNIT, Cause.SEQ, Cause.LOSS, Cause.PERIOD, Cause.JITTER}
@@ -107,16 +121,18 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.SEQ: _LEARNER | {Cause.PERIOD, Cause.JITTER, Cause.TIME_UNIT},
     Cause.PERIOD: _LEARNER | {Cause.JITTER},
     Cause.NOT_FINITE: _LEARNER,
-    Cause.UNITS: _VALUES | _LEARNER,
+    Cause.UNITS: _VALUES | _LEARNER | {Cause.UNDECLARED},
     Cause.ECHO: _VALUES | _LEARNER,
+    Cause.TWINS: _LEARNER,
     Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
-    Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES},
+    Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES, Cause.LIMITS},
     Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},
     Cause.BACKWARDS: _LEARNER | {Cause.FAR},
     Cause.FAR: _LEARNER,
     Cause.QUANTUM: _LEARNER,
     Cause.PHASE: _LEARNER,
-    Cause.SIGNS: _VAGUE,
+    Cause.SIGNS: _VAGUE | {Cause.LIMITS},
+    Cause.LEG_SWAP: _VAGUE,
     Cause.NOT_THIS_ROBOT: _VAGUE,
 }
 
@@ -124,7 +140,9 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
 _READ: Final = frozenset(
     {Reject.MALFORMED, Reject.TOO_LARGE, Reject.MISSING_FIELD, Reject.WRONG_TYPE, Reject.VERSION}
 )
-_OTHER: Final = frozenset({Reject.OTHER_PUBLISHER, Reject.DUPLICATE_SEQ, Reject.TIME_BACKWARDS})
+_OTHER: Final = frozenset(
+    {Reject.OTHER_PUBLISHER, Reject.DUPLICATE_SEQ, Reject.SEQ_JUMP, Reject.TIME_BACKWARDS}
+)
 # Reasons for which the service refuses samples of a leg with such a fault.
 REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.UNREADABLE: _READ,
@@ -146,6 +164,13 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.FAR: frozenset({Reject.IMPLAUSIBLE}),
     Cause.SIGNS: frozenset({Reject.IMPLAUSIBLE}),
 }
+
+# Errors of which every tick has its share: a model that is learned from such a recording is none of
+# the leg.  Of all other causes it is known which ticks they spoil, and those are left out.
+SPOILS: Final = frozenset(
+    {Cause.UNITS, Cause.ECHO, Cause.TWINS, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR}
+    | {Cause.QUANTUM}
+)
 
 
 class Fault(NamedTuple):

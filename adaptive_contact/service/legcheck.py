@@ -7,24 +7,29 @@ says what was seen, what was expected, and what to do.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
 
-from adaptive_contact.service.findings import Cause, Fault, of_legs
-from adaptive_contact.service.readings import check_readings
+from adaptive_contact.adapt.stream import NOTED_JITTER
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
+from adaptive_contact.service.readings import check_readings, position_step
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample
 
-__all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg"]
+__all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg", "check_recording", "check_twins"]
 
 # A rate further off than this is not jitter: 50 Hz that is really 45 shifts every velocity.
 _RATE_TOLERANCE: Final = 0.05
-# Stamps this far off their schedule, in periods, one standard deviation.  At 0.25 (5 ms at 50 Hz)
-# 292 of 370 touches were found, with 94 false alarms (issue 27); the warning comes well before.
-_JITTER_PERIODS: Final = 0.1
+# No leg is controlled faster, s: 5 kHz.
+_SHORTEST_S: Final = 2e-4
+# Stamps off their schedule by NOTED_JITTER periods and more, one standard deviation, are named, as
+# the learner does.  A loop on a timer is off by 0.01 to 0.05 at 50, 100 and 200 Hz (two cores, ten
+# processes waiting to run); one that sleeps for a period by 0.04 to 0.07 at 50 Hz, 0.1 to 0.3 at
+# 100; the loop times of a Raspberry Pi 5 (issue 27) by 0.36.
 # Beyond so many robust deviations a stamp is a pause, not jitter.
 _PAUSE_SIGMA: Final = 5.0
 _MAD_DEVIATION: Final = 1.4826
@@ -37,6 +42,10 @@ _MANY_CYCLES: Final = 4
 _INVALID_SHARE: Final = 0.05
 _LOSS_SHARE: Final = 0.002
 _FEWEST: Final = 10
+# Readings that two legs have in common among those of ticks in which a joint moves this far, rad.
+# Of legs that walk alike, on servos of 0.3 degrees, less than one in a hundred is.
+_MOVES_RAD: Final = 0.01
+_TWIN_SHARE: Final = 0.8
 # A source that is restarted by hand starts once or twice in the seconds looked at; `run` lasts for
 # seconds.
 _MANY_STARTS: Final = 4
@@ -91,8 +100,82 @@ def check_leg(
         quantum = None
     if len(usable) >= _FEWEST:
         names = facts.joints if facts is not None and len(facts.joints) == joints else None
+        named = {fault.cause for fault in found}
+        if facts is None and not named & {Cause.TIME_UNIT, Cause.SEQ, Cause.TIME_BACKWARDS}:
+            found += _undeclared(samples, usable)
         found += check_readings(usable, names or [f"joint {i + 1}" for i in range(joints)], quantum)
     return found
+
+
+def check_recording(
+    robot: Robot,
+    samples: Mapping[str, Sequence[ServoSample]],
+    refused: Mapping[str, Sequence[Rejected]],
+) -> list[Finding]:
+    """Judge the streams of a recording as ``doctor`` judges live ones.
+
+    Args:
+        robot: that they are taken for.
+        samples: by leg, in the recording's order; a leg without any is not judged.
+        refused: why payloads of a leg could not be read.
+
+    Returns:
+        One finding a cause, the worst first.
+    """
+    faults = [
+        (leg, fault)
+        for leg in robot.leg_ids
+        if samples.get(leg) or refused.get(leg)
+        for fault in check_leg(
+            leg,
+            samples.get(leg, ()),
+            refused.get(leg, ()),
+            seconds=0.0,
+            period_s=robot.period_s,
+            facts=LegFacts.of(robot, leg),
+        )
+    ]
+    return entries([*faults, *check_twins(samples)])
+
+
+def check_twins(
+    samples: Mapping[str, Sequence[ServoSample]],
+) -> Iterator[tuple[str, Fault]]:
+    """Find legs that send another leg's readings, to the last bit.
+
+    Yields:
+        A fault of each such leg, with its id.
+    """
+    moving: dict[str, dict[tuple[float, ...], int]] = {}
+    for leg, rows in samples.items():
+        # What a leg reads while it moves: (J,) angles, and how often.
+        counts = moving.setdefault(leg, {})
+        for before, row in pairwise(rows):
+            if len(row.measured) == len(before.measured) and any(
+                abs(new - old) > _MOVES_RAD
+                for new, old in zip(row.measured, before.measured, strict=True)
+            ):
+                angles = tuple(row.measured)
+                counts[angles] = counts.get(angles, 0) + 1
+    found: dict[str, list[str]] = {}
+    for leg, other in combinations(moving, 2):
+        mine, theirs = moving[leg], moving[other]
+        shared = sum(min(times, theirs.get(angles, 0)) for angles, times in mine.items())
+        if shared >= max(_FEWEST, _TWIN_SHARE * min(sum(mine.values()), sum(theirs.values()))):
+            found.setdefault(leg, []).append(other)
+            found.setdefault(other, []).append(leg)
+    for leg, others in found.items():
+        yield (
+            leg,
+            Fault(
+                "error",
+                Cause.TWINS,
+                "legs send the same readings to the last bit while they move",
+                "publish each leg's own readings on its own key; look for a loop in which all "
+                "publishers share one variable",
+                key=" ".join(sorted([leg, *others])),
+            ),
+        )
 
 
 def check_ids(published: Sequence[str], described: Sequence[str]) -> Iterator[Fault]:
@@ -285,16 +368,57 @@ def _order(samples: Sequence[ServoSample], period_s: float | None) -> Iterator[F
             f"{lost} ({lost / (lost + len(samples)):.1%})",
             lost,
         )
-    ahead = [(a, b) for a, b in pairs if b.seq > a.seq and b.t_ns > a.t_ns]
-    if len(ahead) >= _FEWEST and period_s is not None:
-        ticks = sum(b.seq - a.seq for a, b in ahead)
-        mean_s = sum(b.t_ns - a.t_ns for a, b in ahead) / ticks / 1e9
-        middle_s = float(np.median([(b.t_ns - a.t_ns) / (b.seq - a.seq) for a, b in ahead])) / 1e9
+    steps = _steps_s(pairs)
+    if steps is None:
+        return
+    mean_s, middle_s = steps
+    if period_s is None and middle_s < _SHORTEST_S:
+        yield Fault(
+            "error",
+            Cause.TIME_UNIT,
+            f"t_ns grows by {middle_s * 1e9:.3g} per tick; it seems not to be in nanoseconds",
+            "publish t_ns in nanoseconds, as an integer",
+        )
+    elif period_s is not None and (
         # A pause bends the mean, jitter the median: the rate is wrong where both are.
-        if min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE:
-            yield _rate(middle_s, period_s)
-        elif not backwards:
-            yield from _jitter(samples, period_s)
+        min(_off(mean_s, period_s), _off(middle_s, period_s)) > _RATE_TOLERANCE
+    ):
+        yield _rate(middle_s, period_s)
+    elif not backwards:
+        yield from _jitter(samples, mean_s if period_s is None else period_s)
+
+
+def _steps_s(pairs: Sequence[tuple[ServoSample, ServoSample]]) -> tuple[float, float] | None:
+    """Mean and median time from tick to tick, s; None of too few."""
+    ahead = [(a, b) for a, b in pairs if b.seq > a.seq and b.t_ns > a.t_ns]
+    if len(ahead) < _FEWEST:
+        return None
+    ticks = sum(b.seq - a.seq for a, b in ahead)
+    mean_s = sum(b.t_ns - a.t_ns for a, b in ahead) / ticks / 1e9
+    middle_s = float(np.median([(b.t_ns - a.t_ns) / (b.seq - a.seq) for a, b in ahead])) / 1e9
+    return mean_s, middle_s
+
+
+def _undeclared(samples: Sequence[ServoSample], usable: Sequence[ServoSample]) -> Iterator[Fault]:
+    """What the samples themselves say of rate and steps, for a robot.toml yet to be written."""
+    steps_s = _steps_s([(a, b) for a, b in pairwise(samples) if a.run == b.run])
+    measured = np.array([s.measured for s in usable], dtype=np.float64)
+    if steps_s is None or not np.isfinite(measured).all():
+        return
+    found = [position_step(column) for column in measured.T]
+    grids = sorted(step for step in found if step is not None)
+    words = f"samples come every {steps_s[1] * 1e3:.1f} ms ({1 / steps_s[1]:.1f} Hz)"
+    if grids and grids[-1] > MOST_QUANTUM_RAD:
+        yield _coarse(grids[-1], "readings step by")
+    elif grids:
+        words += f", readings step by {grids[len(grids) // 2]:.3g} rad"
+    yield Fault(
+        "note",
+        Cause.UNDECLARED,
+        "there is no robot.toml to compare with",
+        "give period_s and quantum_rad so in robot.toml",
+        words,
+    )
 
 
 def _off(step_s: float, period_s: float) -> float:
@@ -342,7 +466,7 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
     if robust <= 0.0:
         return
     deviation = float(off[np.abs(off) <= _PAUSE_SIGMA * robust].std())
-    if deviation > _JITTER_PERIODS * period_s:
+    if deviation > NOTED_JITTER * period_s:
         yield Fault(
             "warning",
             Cause.JITTER,
@@ -355,11 +479,11 @@ def _jitter(samples: Sequence[ServoSample], period_s: float) -> Iterator[Fault]:
         )
 
 
-def _coarse(quantum_rad: float) -> Fault:
+def _coarse(quantum_rad: float, who: str = "robot.toml says quantum_rad =") -> Fault:
     return Fault(
         "error",
         Cause.QUANTUM,
-        f"robot.toml says quantum_rad = {quantum_rad:g}, more than {MOST_QUANTUM_RAD:g} rad",
+        f"{who} {quantum_rad:.4g}, more than {MOST_QUANTUM_RAD:g} rad",
         "give the servos' position step in rad: 0.005118 for AX-12A, 0.001534 for 4096 steps a "
         "turn; several hundredths are one in degrees",
         key="coarse",

@@ -163,6 +163,7 @@ class Link:
     Attributes:
         endpoints: where it listens.
         joins: routers that it joins; a client is let in by one of them, a router need not be.
+        max_sessions: that it takes at once.
     """
 
     def __init__(self, session: zenoh.Session, settings: LinkSettings, facts: Facts) -> None:
@@ -174,6 +175,7 @@ class Link:
         self.settings = settings
         self.endpoints = facts.listen
         self.joins = facts.connect
+        self.max_sessions = facts.max_sessions
 
     @classmethod
     def open(
@@ -398,6 +400,10 @@ class Link:
     def routers(self) -> tuple[str, ...]:
         """Ids of the routers this session is connected to."""
         return tuple(str(zid) for zid in self._session.info.routers_zid())
+
+    def sessions(self) -> int:
+        """How many other sessions are connected to this one."""
+        return len(list(self._session.info.transports()))
 
     def is_connected(self) -> bool:
         """Tell whether a router is joined; always for one that joins nobody."""

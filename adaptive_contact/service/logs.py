@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import logging
 import sys
 import threading
@@ -11,7 +13,7 @@ from typing import Any, TextIO
 
 import structlog
 
-from adaptive_contact.printable import printable
+from adaptive_contact.printable import printable, printable_json, printable_lines
 
 __all__ = ["configure_logs"]
 
@@ -39,9 +41,20 @@ class _Lines:
 def _shown(_: object, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
     """Show control characters of values from the wire, which a terminal would obey."""
     for name, value in event.items():
-        if isinstance(value, str) and name != "exception":
+        if isinstance(value, str):
             event[name] = printable(value)
     return event
+
+
+def _as_json(event: object, **options: Any) -> str:
+    return printable_json(json.dumps(event, **options))
+
+
+def _trace(stream: TextIO, found: Any) -> None:
+    """Write a traceback; the message of an exception may hold what came over the wire."""
+    text = io.StringIO()
+    structlog.dev.plain_traceback(text, found)
+    stream.write(printable_lines(text.getvalue()))
 
 
 def configure_logs(
@@ -64,7 +77,7 @@ def configure_logs(
         processors += [
             structlog.processors.format_exc_info,
             structlog.processors.EventRenamer("message"),
-            structlog.processors.JSONRenderer(),
+            structlog.processors.JSONRenderer(serializer=_as_json),
         ]
     else:
         processors.append(_shown)
@@ -72,7 +85,7 @@ def configure_logs(
         console = structlog.dev.ConsoleRenderer(
             colors=stream.isatty(),
             pad_event_to=0,
-            exception_formatter=structlog.dev.plain_traceback,
+            exception_formatter=_trace,
         )
         processors += [console]
     lines = _Lines(stream)

@@ -74,7 +74,8 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
             return Finding(
                 Reach.REFUSING,
                 f"refused: {text} accepts connections but opens no Zenoh session; it wants a user "
-                "and password or TLS (--zenoh-config FILE), or it is not a Zenoh router",
+                "and password or TLS (--zenoh-config FILE), or has no room for another session, or "
+                "it is not a Zenoh router",
             )
         lines.append(f"unreachable: {why.format(text)}; {_REMEDY}")
         certain = certain and why is _NOBODY

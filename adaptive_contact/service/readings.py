@@ -14,10 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.adapt.gather import stray_readings
+from adaptive_contact.adapt.sources import EchoWatch
 from adaptive_contact.service.findings import Cause, Fault
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["check_readings", "position_step"]
+__all__ = ["ECHO_FOUND", "ECHO_REMEDY", "check_readings", "position_step"]
 
 Array = NDArray[np.float64]
 
@@ -26,6 +28,10 @@ _FEWEST: Final = 10
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
 _FROZEN_SAMPLES: Final = 25
+# A command that goes this far, rad, and a reading that follows by less than this share of it: the
+# joint stands, and only its encoder's last step flickers.
+_WIDE_RAD: Final = 0.3
+_STILL_SHARE: Final = 0.05
 # Median of |measured - desired|, rad: an AX-12A lags some 0.1 rad in fast swings; 0.4 rad over
 # seconds is a wrong zero, a wrong direction or a stalled joint.
 _FAR_RAD: Final = 0.4
@@ -34,20 +40,15 @@ _FAR_RAD: Final = 0.4
 _BEYOND_RAD: Final = 2 * math.pi + 0.1
 _BEYOND_TURNS_RAD: Final = 8 * math.pi
 _BACKWARDS_CORRELATION: Final = -0.7
-# A command that moves this far in a tick, rad: no servo is where it is sent one tick later, to the
-# last bit, tick after tick.
-_FAST_RAD: Final = 0.01
-_ECHO_TICKS: Final = 3  # a copy may be of the command of so many ticks before
-_ECHO_SHARE: Final = 0.9
+ECHO_FOUND: Final = "measured copies desired while the joints move: no servo follows so closely"
+ECHO_REMEDY: Final = (
+    "publish the servos' present positions as measured, and the goals written to them as desired"
+)
 # Readings that follow another joint's command: so much nearer than their own, and this near.
 _ORDER_SHARE: Final = 0.35
 _ORDER_RAD: Final = 0.2
 _LAG_TICKS: Final = 6
 _MOST_ORDERED: Final = 4  # joints whose orders are all tried
-# A reading that jumps away and back: so many times as far as one tick in twenty moves, and at
-# least this far, rad.
-_GLITCH_TIMES: Final = 4.0
-_GLITCH_RAD: Final = 0.15
 _TURN_SLACK_RAD: Final = 0.5
 # Steps are told from so many different readings, and lie between these, rad.
 _STEP_READINGS: Final = 24
@@ -56,6 +57,9 @@ _MOST_STEP_RAD: Final = 0.1
 _STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
 _STEP_TOLERANCE: Final = 0.05
 _DEGREE_RAD: Final = math.pi / 180.0
+# A grid is found in so many of a joint's different readings as well as in those of an hour.
+_MOST_VALUES: Final = 400
+_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 def check_readings(
@@ -88,13 +92,16 @@ def check_readings(
     if units is not None:
         yield units
         return
-    if _is_echo(measured, desired):
+    echoing = _echoing(samples, len(names), quantum_rad)
+    if echoing:
+        every = len(echoing) == len(names)
         yield Fault(
             "error",
             Cause.ECHO,
-            "measured is desired to the last bit while the joints move: one is a copy of the other",
-            "publish the servos' present positions as measured, and the goals written to them as "
-            "desired",
+            ECHO_FOUND,
+            ECHO_REMEDY,
+            None if every else ", ".join(names[j] for j in sorted(echoing)),
+            key="" if every else "some",
         )
         return
     measured, jumps = _without_turns(measured)
@@ -116,8 +123,9 @@ def check_readings(
             " and ".join(f"{names[i]} follows the command of {names[order[i]]}" for i in moved),
         )
         return
+    commanded = bool((np.ptp(desired, axis=0) > 0.0).any())
     for j, name in enumerate(names):
-        yield from _joint(measured[:, j], desired[:, j], name, quantum_rad)
+        yield from _joint(measured[:, j], desired[:, j], name, quantum_rad, commanded)
 
 
 def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | None:
@@ -144,15 +152,27 @@ def _far_out(angles: Array) -> Array:
     return np.asarray(np.quantile(np.abs(angles), 0.99, axis=0, method="lower"))
 
 
-def _is_echo(measured: Array, desired: Array) -> bool:
-    """Whether readings are commands of a few ticks before, or commands are readings."""
-    moving = np.abs(np.diff(desired, axis=0)) > _FAST_RAD
-    for back in range(_ECHO_TICKS + 1):
-        same = measured[back:] == desired[: len(desired) - back]
-        told = same[1:][moving[: len(same) - 1]]
-        if len(told) >= _FEWEST and told.mean() > _ECHO_SHARE:
-            return True
-    return False
+def _echoing(samples: Sequence[ServoSample], joints: int, quantum_rad: float | None) -> set[int]:
+    """Joints, by number, whose readings copy their commands: as the learner judges it."""
+    watch = EchoWatch(joints, quantum_rad)
+    found: set[int] = set()
+    before: ServoSample | None = None
+    for sample in samples:
+        follows = before is not None and (before.run, before.seq + 1) == (sample.run, sample.seq)
+        if not follows:
+            watch.restart()
+        if all(map(math.isfinite, itertools.chain(sample.measured, sample.desired))):
+            watch.command(sample.desired)
+            # As each swing is judged by itself: at one speed a servo may follow for long.
+            if sample.phase == "swing" and (before is None or before.phase != "swing"):
+                watch.begin()
+            if sample.phase != "stance":
+                watch.take(sample.measured, sample.valid)
+                found |= watch.echoing
+            before = sample
+        else:
+            before = None
+    return found
 
 
 def _without_turns(angles: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -201,16 +221,20 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
 
 
 def _joint(
-    measured: Array, desired: Array, name: str, quantum_rad: float | None
+    measured: Array, desired: Array, name: str, quantum_rad: float | None, commanded: bool
 ) -> Iterator[Fault]:
     told = float(np.ptp(desired))
-    if told > _COMMANDED_RAD and np.ptp(measured) == 0.0 and len(measured) >= _FROZEN_SAMPLES:
+    moved = float(np.ptp(measured))
+    still = moved == 0.0 if told < _WIDE_RAD else moved < _STILL_SHARE * told
+    if told > _COMMANDED_RAD and still and len(measured) >= _FROZEN_SAMPLES:
+        within = "" if moved == 0.0 else f" within {moved:.3f} rad"
         yield Fault(
             "error",
             Cause.FROZEN,
             "a reading never changes while its command moves",
             "the servo does not answer or has no torque; check cable, power and id",
-            f"{name} reads {measured[0]:.3f} rad all the time, its command moves by {told:.2f} rad",
+            f"{name} reads {np.median(measured):.3f} rad all the time{within}, its command moves "
+            f"by {told:.2f} rad",
             told,
         )
         return
@@ -223,6 +247,18 @@ def _joint(
             "turn the sign of one of the two: servos.directions in robot.toml for the bridge",
             name,
             float(np.ptp(measured)),
+        )
+    elif off > _FAR_RAD and not commanded:
+        yield Fault(
+            "warning",
+            Cause.FAR,
+            "a joint is far from its command, and no command of the leg changes: nobody commands "
+            "it, and servos without torque hang where they are",
+            "command the leg, or look again while it moves; if it stays so, check zero and "
+            "direction of the servo (servos.offsets_rad, servos.directions)",
+            f"{name} by {off:.2f} rad",
+            off,
+            "still",
         )
     elif off > _FAR_RAD:
         yield Fault(
@@ -238,7 +274,7 @@ def _joint(
         yield Fault(
             "warning",
             Cause.GLITCHES,
-            "readings jump away and back within a tick: they are no positions",
+            "readings jump away and back within a tick or two: they are no positions",
             "do not publish what a failed read leaves behind: give the last reading with "
             "valid = false; look for a cable, a baud rate or a timeout",
             f"{name} {glitches} of {len(measured)}" + ("" if to is None else f", to {to:.3f} rad"),
@@ -249,15 +285,8 @@ def _joint(
 
 
 def _glitches(measured: Array) -> tuple[int, float | None]:
-    """Readings that leave the joint's path for one tick; what most of them read, if one thing."""
-    steps = np.diff(measured)
-    if len(steps) < _FEWEST:
-        return 0, None
-    far = max(_GLITCH_TIMES * float(np.quantile(np.abs(steps), 0.95)), _GLITCH_RAD)
-    away, back = steps[:-1], steps[1:]
-    jumped = (np.minimum(np.abs(away), np.abs(back)) > far) & (away * back < 0.0)
-    returned = np.abs(away + back) < 0.5 * np.minimum(np.abs(away), np.abs(back))
-    values = measured[1:-1][jumped & returned]
+    """Readings that leave the joint's path for a tick or two; what most read, if one thing."""
+    values = measured[stray_readings(measured[:, None])[:, 0]]
     if not len(values):
         return 0, None
     value, times = Counter(values.tolist()).most_common(1)[0]
@@ -304,6 +333,10 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
         The step in rad; None where there are too few different readings, or none is found.
     """
     values = np.unique(angles)
+    if len(values) > _MOST_VALUES:
+        # At irregular places: every second reading of a grid lies on one twice as coarse.
+        places = np.arange(_MOST_VALUES) * _GOLDEN % 1.0 * len(values)
+        values = values[np.unique(places.astype(int))]
     span = float(values[-1] - values[0])
     if len(values) < _STEP_READINGS or span <= 0.0:
         return None

@@ -21,6 +21,7 @@ import structlog
 
 from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
 from adaptive_contact.adapt.conventions import ConventionJob
+from adaptive_contact.adapt.legids import IdJob
 from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
 from adaptive_contact.identify import FitStatus
 from adaptive_contact.robot.conventions import Verdict
@@ -194,4 +195,6 @@ def _failed(job: Job) -> object:
         return ColdResult(job.number, None, str(FitStatus.LOST))
     if isinstance(job, ConventionJob):
         return Verdict()
+    if isinstance(job, IdJob):
+        return {}
     return None

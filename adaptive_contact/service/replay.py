@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import re
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -27,6 +28,7 @@ from adaptive_contact.wire import (
     decode,
     is_json,
     is_leg_id,
+    json_text,
     leg_of_key,
 )
 
@@ -35,8 +37,12 @@ __all__ = ["Counts", "LegBank", "WirePlayer", "control_ticks", "replay_events"]
 # What a source sends.  Events and status are the service's own to send, and a command would move
 # whatever robot listens.
 SOURCE_KINDS: Final = frozenset({"servo", "truth"})
-# Zenoh panics on an encoding whose text is longer than 255 bytes.
+# Zenoh 1.10 panics where a put that leaves the process has an encoding of 256 bytes (measured; one
+# that begins with a type it knows may be longer), or a key of 64 kB, the namespace with it.
 MAX_ENCODING_BYTES: Final = 255
+MAX_KEY_BYTES: Final = 32_768
+# What a concrete key of Zenoh does not have.
+_NO_KEY: Final = re.compile(r"[*$?#]|^/|/$|//")
 _NS_PER_S: Final = 1_000_000_000
 
 
@@ -194,7 +200,10 @@ class WirePlayer:
             self.counts.messages += 1
             if not self._wanted(record.key):
                 continue
-            if len(record.encoding.encode()) > MAX_ENCODING_BYTES:
+            if (
+                len(record.encoding.encode()) > MAX_ENCODING_BYTES
+                or len(record.key.encode()) > MAX_KEY_BYTES
+            ):
                 self.counts.rejects[Reject.MALFORMED] += 1
                 continue
             publisher = self._publisher(record.key)
@@ -218,8 +227,8 @@ class WirePlayer:
             self.sent[record.key] += 1
 
     def _wanted(self, key: str) -> bool:
-        if "*" in key or "$" in key or not key:
-            return False  # a put on wildcards would reach every leg
+        if not key or _NO_KEY.search(key):
+            return False  # a put on wildcards would reach every leg; others are no keys of Zenoh
         if self._everything:
             return True
         head, _, kind = key.rpartition("/")
@@ -236,7 +245,7 @@ class WirePlayer:
         """The same sample with another ``run``; bytes that are no sample stay as they are."""
         json = is_json(payload, encoding)
         try:
-            fields = msgspec.json.decode(payload) if json else msgpack.unpackb(payload)
+            fields = msgspec.json.decode(json_text(payload)) if json else msgpack.unpackb(payload)
         except (ValueError, msgpack.UnpackException, msgspec.DecodeError, RecursionError):
             return payload
         if not isinstance(fields, dict):

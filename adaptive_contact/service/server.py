@@ -27,7 +27,7 @@ from adaptive_contact.service.ports import Bank, Question
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
-from adaptive_contact.service.surroundings import Surroundings
+from adaptive_contact.service.surroundings import Strays, Surroundings
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import (
     ALL_SERVO,
@@ -109,6 +109,8 @@ class Service:
         )
         link.drop_what_holds_up(self._outbox.busy_ns, self._outbox.dropped)
         self._surroundings = Surroundings(link, now_ns)
+        self._strays = Strays(link)
+        self._stray_keys: dict[str, str] = {}
         self._status = link.publisher(SERVICE_STATUS, history=1)
         self._look_ns = self._status_ns = now_ns
         self._latency_ns = now_ns + _LATENCY_LOG_NS
@@ -134,12 +136,17 @@ class Service:
                 if round_:
                     self.work(round_, time.monotonic_ns())
                     # A tick's samples may take as many rounds as there are legs, this one among
-                    # them: what no event needs waits for the last.
+                    # them: what no event needs waits for the last.  Where a leg's next sample is
+                    # there already the worker is behind, and statuses and saves would wait long.
+                    legs = set(round_.samples)
                     for _ in range(max(1, len(self._order) - 1)):
                         more = self._intake.take(_REST_S, query=False)
                         if not more:
                             break
                         self.work(more, time.monotonic_ns())
+                        if not legs.isdisjoint(more.samples):
+                            break
+                        legs |= more.samples.keys()
                     self.finish()
                 self.save(time.monotonic_ns(), pause=not round_)
                 self.look(time.monotonic_ns())
@@ -201,6 +208,9 @@ class Service:
         self._surroundings.look(now_ns)
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
+            desks = (self._desks.get(leg) for leg in self._robot.leg_ids)
+            lonely = any(desk is not None and not desk.ever_heard for desk in desks)
+            self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
             self._status.put(self.status(now_ns))
         if now_ns >= self._latency_ns:
             self._latency_ns = now_ns + _LATENCY_LOG_NS
@@ -241,6 +251,7 @@ class Service:
             samples=self._samples,
             events=self._events,
             rejects=dict(self._rejects),
+            strays=self._stray_keys,
             callback_faults=self._link.callback_faults,
             tick_latency=self._ticks_latency.quantiles(),
             event_latency=self._event_latency.quantiles(),
@@ -291,7 +302,7 @@ class Service:
             self._desks[event.leg].publish_event(event, arrival_ns, self._outbox)
             self._events += 1
             _log.debug(
-                "contact" if event.contact else "release",
+                "contact" if event.contact else "withheld" if event.withheld else "release",
                 leg=event.leg,
                 seq=event.seq,
                 score=round(event.score, 2),
@@ -328,12 +339,7 @@ class Service:
         desk = self._desks[leg] = Desk(self._link, leg, learner, joints, now_ns, resumes)
         self._order.append(desk)
         if leg in self._robot.leg_ids:
-            described = self._robot.leg(leg)
-            self._facts[leg] = LegFacts(
-                joints=list(described.joints),
-                lengths=described.lengths_m is not None,
-                quantum_rad=self._robot.quantum(leg),
-            )
+            self._facts[leg] = LegFacts.of(self._robot, leg)
         return desk
 
     def _look_at(self, at: int, now_ns: int) -> None:

@@ -61,6 +61,7 @@ class LinkSettings:
         wait: whether a client waits for its router, or raises when it is not there.
         zenoh_config: a Zenoh configuration file (JSON5) merged under these settings.
         insecure: listen beyond loopback although nobody has to authenticate.
+        max_sessions: that a router takes at once, None for the file's or the default.
 
     Raises:
         ConfigurationError: in one line, what was found and what is expected.
@@ -74,6 +75,7 @@ class LinkSettings:
     wait: bool = True
     zenoh_config: Path | None = None
     insecure: bool = False
+    max_sessions: int | None = None
 
     def __post_init__(self) -> None:
         if self.namespace is not None and _NAMESPACE.match(self.namespace) is None:
@@ -97,6 +99,7 @@ def router_settings(
     json: bool = False,
     zenoh_config: Path | None = None,
     insecure: bool = False,
+    max_sessions: int | None = None,
 ) -> LinkSettings:
     """Settings of the service: an embedded router, or a client where only ``connect`` is given.
 
@@ -115,6 +118,7 @@ def router_settings(
         encoding=JSON if json else MSGPACK,
         zenoh_config=zenoh_config,
         insecure=insecure,
+        max_sessions=max_sessions,
     )
 
 

@@ -1,4 +1,4 @@
-"""The TCP sockets under a Zenoh session, for what no configuration of Zenoh reaches.
+"""The sockets under a Zenoh session (TCP and Unix), for what no configuration of Zenoh reaches.
 
 Two things of a peer that hangs, or goes away without a word, stop a router for everybody else:
 
@@ -45,7 +45,7 @@ _T = TypeVar("_T")
 
 
 class LinkSockets:
-    """Watches the process's TCP sockets on a thread of its own.
+    """Watches the process's sockets on a thread of its own.
 
     Attributes:
         dropped: links shut down because they held up an event.
@@ -130,7 +130,7 @@ def _sockets() -> dict[str, int]:
 
 
 def _use(number: int, what: Callable[[socket.socket], _T]) -> _T | None:
-    """Call ``what`` with a TCP socket; None where the descriptor is no such thing any more.
+    """Call ``what`` with the socket of a link; None where the descriptor is no such thing any more.
 
     A duplicate is used, as the number may belong to something else a moment later.
     """
@@ -144,9 +144,16 @@ def _use(number: int, what: Callable[[socket.socket], _T]) -> _T | None:
         os.close(duplicate)
         return None
     with ours, contextlib.suppress(OSError):
-        if ours.family in (socket.AF_INET, socket.AF_INET6) and ours.type == socket.SOCK_STREAM:
+        if ours.type == socket.SOCK_STREAM and _is_of_a_link(ours):
             return what(ours)
     return None
+
+
+def _is_of_a_link(ours: socket.socket) -> bool:
+    """Whether a stream is TCP, or one that a Unix listener with a path has accepted."""
+    if ours.family == socket.AF_UNIX:  # pairs without a name are the runtime's own
+        return bool(ours.getsockname())
+    return ours.family in (socket.AF_INET, socket.AF_INET6)
 
 
 def _clear_linger(ours: socket.socket) -> None:
@@ -157,8 +164,10 @@ def _clear_linger(ours: socket.socket) -> None:
 
 
 def _progress(ours: socket.socket) -> tuple[int, int]:
-    """Bytes that the peer has not acknowledged yet, and those that it has, ever."""
+    """Bytes that the peer has not acknowledged yet, and a number that changes as it takes some."""
     waiting = struct.unpack("i", fcntl.ioctl(ours.fileno(), termios.TIOCOUTQ, b"\0" * 4))[0]
+    if ours.family == socket.AF_UNIX:  # nothing is acknowledged there; what waits is all there is
+        return int(waiting), int(waiting)
     info = ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_ACKED.stop)
     return int(waiting), int.from_bytes(info[_BYTES_ACKED], sys.byteorder)
 

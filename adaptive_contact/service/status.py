@@ -11,6 +11,7 @@ from typing import Final
 
 import msgspec
 
+from adaptive_contact.robot import Robot
 from adaptive_contact.service.meters import LatencyMs
 from adaptive_contact.service.state.keeper import StateFacts
 from adaptive_contact.wire import Message
@@ -34,6 +35,16 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
     described: bool = True
     quantum_rad: float | None = None
 
+    @classmethod
+    def of(cls, robot: Robot, leg: str) -> LegFacts:
+        """What a robot's description says of one of its legs."""
+        described = robot.leg(leg)
+        return cls(
+            joints=list(described.joints),
+            lengths=described.lengths_m is not None,
+            quantum_rad=robot.quantum(leg),
+        )
+
 
 class ServiceStatus(Message, frozen=True, kw_only=True):
     """How the service is, once a second.
@@ -54,6 +65,8 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         cut_off: links dropped because their subscribers took no events: they hang, or were cut.
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
+        strays: keys of samples that nobody reads, each with a question to the person who chose it;
+            looked for while a leg has no samples.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
         tick_latency: arrival of a sample to the end of its processing, learning included.
         event_latency: arrival of the deciding sample to its event being published.
@@ -75,6 +88,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
     cut_off: int = 0
     stalls: int = 0
     state: StateFacts | None = None
+    strays: dict[str, str] = msgspec.field(default_factory=dict)
     callback_faults: int = 0
     tick_latency: LatencyMs | None = None
     event_latency: LatencyMs | None = None

@@ -1,4 +1,4 @@
-"""What is around the service: its router, and other services.
+"""What is around the service: its router, other services, and samples on keys that nobody reads.
 
 Looked at once a second by the worker, which must not wait: why a router is lost is found out on a
 thread of its own, for a look-up of a name or a host that is off can take seconds.
@@ -11,16 +11,67 @@ from typing import Final
 
 import structlog
 
-from adaptive_contact.service.link import Link
+from adaptive_contact.service.link import Declared, Link
 from adaptive_contact.service.meters import Brake
 from adaptive_contact.service.rivals import Rivals
 from adaptive_contact.service.settings import shown
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import meant_key, namespace_of
 
-__all__ = ["Surroundings"]
+__all__ = ["Strays", "Surroundings"]
 
 _log = structlog.get_logger()
 
 _LOOK_NS: Final = 1_000_000_000
+# Keys that look like those of samples.  Others, such as a camera's pictures, are not asked for.
+_LIKE_SERVO: Final = ("**/$*ervo$*", "**/servo/*")
+_MOST_STRAYS: Final = 8
+
+
+class Strays:
+    """Looks for misspelt keys while a described leg has no samples, and only then.
+
+    A leg that has samples needs no help, and a second subscription to all of them would cost.
+
+    Args:
+        link: open.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._listening: list[Declared] = []
+        self._found: dict[str, str] = {}  # filled on Zenoh's thread
+        self._brake = Brake()
+
+    def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
+        """Give each key that nobody reads, with what was probably meant.
+
+        Args:
+            lonely: a described leg has had no samples yet.
+            now_ns: monotonic.
+        """
+        if lonely and not self._listening:
+            self._listening = [self._link.subscribe(key, self._hear) for key in _LIKE_SERVO]
+        elif not lonely and self._listening:
+            for declared in self._listening:
+                declared.close()
+            self._listening = []
+            self._found = {}
+        found = dict(self._found)
+        for key, question in found.items():
+            if self._brake.passes(key, now_ns) is not None:
+                _log.warning("a key is read by nobody", key=key, question=question)
+        return found
+
+    def _hear(self, received: Received) -> None:
+        key = received.key
+        if key in self._found or len(self._found) >= _MOST_STRAYS:
+            return
+        meant, namespace = meant_key(key), namespace_of(key)
+        if meant is not None:
+            self._found[key] = f"did you mean {meant}?"
+        elif namespace:
+            self._found[key] = f"is {namespace} the robot's --namespace?"
 
 
 class Surroundings:
@@ -59,13 +110,25 @@ class Surroundings:
         connected = self._link.is_connected()
         where = " or ".join(map(shown, self._link.joins))
         apart = None if connected else f"no router joined at {where}; trying on"
-        self.note = "; ".join(filter(None, (rival, apart))) or None
+        full = self._full()
+        if full is not None and self._brake.passes("full", now_ns) is not None:
+            _log.warning("no room for another session", why=full)
+        self.note = "; ".join(filter(None, (rival, apart, full))) or None
         if connected and not self._connected:
             _log.info("router is back" if self._joined else "router joined")
         if not connected and (self._brake.passes("router", now_ns) is not None or self._connected):
             threading.Thread(target=self._say_why, name="why", daemon=True).start()
         self._connected = connected
         self._joined |= connected
+
+    def _full(self) -> str | None:
+        most = self._link.max_sessions
+        if self._link.sessions() < most:
+            return None
+        return (
+            f"{most} sessions are connected, as many as may be: others are refused; close some, or "
+            "give serve a larger --max-sessions"
+        )
 
     def _say_why(self) -> None:
         what = "router lost, reconnecting" if self._joined else "router not joined yet, trying on"

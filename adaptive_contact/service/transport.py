@@ -26,7 +26,15 @@ from adaptive_contact.service.settings import (
     tcp_address,
 )
 
-__all__ = ["DEFAULTS", "MAX_MESSAGE_BYTES", "Facts", "configure", "first_line", "router_failure"]
+__all__ = [
+    "DEFAULTS",
+    "MAX_MESSAGE_BYTES",
+    "MAX_SESSIONS",
+    "Facts",
+    "configure",
+    "first_line",
+    "router_failure",
+]
 
 # Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
 # is Zenoh's own and cannot be interrupted.
@@ -36,6 +44,11 @@ CONNECT_TIMEOUT_MS: Final = 1000
 # honest payload has at most 256 kB.  Zenoh's own limit is 1 GiB, per sender.
 MAX_MESSAGE_BYTES: Final = 4 * 1024 * 1024
 
+# Each session holds a descriptor, of which a process may have 1,024 where nobody raised that, and a
+# thread's time for whatever is sent to it.  A robot needs some ten; Zenoh's own limit is 1,000.
+MAX_SESSIONS: Final = 256
+
+_MAX_SESSIONS: Final = "transport/unicast/max_sessions"
 _DROP_AFTER_US: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
 DEFAULTS: Final[Mapping[str, object]] = {
@@ -47,6 +60,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     "timestamping/enabled": True,
     "transport/shared_memory/enabled": False,
     "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+    _MAX_SESSIONS: MAX_SESSIONS,
     # A subscriber that hangs blocks a contact event this long (us), then its link is dropped, one
     # link after the other.  The service drops them all within half a second (service/sockets.py);
     # this is what remains where that cannot work.  Short waits cut healthy links on a busy machine:
@@ -87,10 +101,12 @@ class Facts(NamedTuple):
 
     Attributes:
         listen, connect: endpoints.
+        max_sessions: that it takes at once.
     """
 
     listen: tuple[str, ...]
     connect: tuple[str, ...]
+    max_sessions: int
 
 
 def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
@@ -118,6 +134,7 @@ def configure(settings: LinkSettings) -> tuple[zenoh.Config, Facts]:
     facts = Facts(
         _endpoints(config, "listen", "router") if settings.mode == "router" else (),
         _endpoints(config, "connect", settings.mode),
+        int(json.loads(config.get_json(_MAX_SESSIONS))),
     )
     for text in facts.listen:
         if not (is_loopback(text) or settings.insecure):
@@ -270,6 +287,8 @@ def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, obj
         table["listen/endpoints"] = list(listen)
     if settings.connect:
         table["connect/endpoints"] = list(settings.connect)
+    if settings.max_sessions is not None:
+        table[_MAX_SESSIONS] = settings.max_sessions
     if settings.namespace is not None:
         table["namespace"] = settings.namespace
     # A router runs without the routers it joins; a client that is not let in must hear of it.

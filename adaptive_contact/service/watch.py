@@ -2,7 +2,9 @@
 
 Truth, where a simulator publishes it, is matched to events by a simple form of ``docs/scoring.md``:
 a touch counts after 60 ms in the air, an event detects it within 120 ms, an event while the
-foot is loaded anyway is neither right nor wrong, any other is a false alarm.
+foot is loaded anyway is neither right nor wrong, any other is a false alarm.  Of each leg, counting
+begins after the first touch, of whose swing the beginning may have been missed; a touch counts as
+missed once its event had time to arrive.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ _AIR_NS: Final = 60_000_000
 _DETECTION_NS: Final = 120_000_000
 # Truth and events travel on different keys; an event is judged when truth had time to arrive.
 _JUDGE_AFTER_NS: Final = 250_000_000
+# A touch whose event has not come by then is missed: it is late, travels, and waits to be judged.
+_MISSED_AFTER_NS: Final = _DETECTION_NS + 2 * _JUDGE_AFTER_NS
 _STALE_NS: Final = 2_500_000_000
 _RATE_OVER_S: Final = 3.0
 # Times of contacts that are kept, of a leg.
@@ -36,7 +40,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
         contact: None before the first word of the service.
         contact_age_s: since the last change to contact.
         latency_ms: of the last detection, with its median; None without truth.
-        touches, seen, false_alarms: since ``watch`` began; None without truth.
+        touches, seen, false_alarms: after the first touch; None without truth.
         residual_rms, noise_floor: (J,) rad.
         unheard: contacts that the service told since ``watch`` began and that did not arrive.
         drift: level of the residuals of recent lifts, 1 without drift.
@@ -68,6 +72,7 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     missed: int = 0
     restarts: int = 0
     rejects: dict[str, int] = msgspec.field(default_factory=dict)
+    withheld: int = 0
     note: str | None = None
     stale: bool = False
 
@@ -84,22 +89,28 @@ class View(msgspec.Struct, frozen=True, kw_only=True):
 @dataclass(slots=True)
 class _Touch:
     onset_ns: int
-    matched: bool = False
+    heard_ns: int
 
 
 @dataclass(slots=True)
 class _Truth:
-    """Truth of one leg, and its events as judged by it."""
+    """Truth of one leg, and its events as judged by it.
+
+    Attributes:
+        began_ns: onset of the first touch; what comes after it counts.
+        touches: those whose event may still come.
+    """
 
     loaded_since_ns: int | None = None
     released_ns: int | None = None
+    began_ns: int | None = None
     touches: list[_Touch] = field(default_factory=list)
     loads: list[tuple[int, int | None]] = field(default_factory=list)
     count: int = 0
     latencies_ms: list[float] = field(default_factory=list)
     false_alarms: int = 0
 
-    def change(self, truth: ContactTruth) -> None:
+    def change(self, truth: ContactTruth, now_ns: int) -> None:
         if truth.contact:
             if self.loaded_since_ns is not None:
                 return
@@ -107,8 +118,10 @@ class _Truth:
             self.loads = [*self.loads[-20:], (truth.t_ns, None)]
             # Whether a leg that was first seen loaded has been in the air, nobody knows.
             if self.released_ns is not None and truth.t_ns - self.released_ns >= _AIR_NS:
-                self.touches = [*self.touches[-20:], _Touch(truth.t_ns)]
-                self.count += 1
+                if self.began_ns is None:
+                    self.began_ns = truth.t_ns
+                else:
+                    self.touches.append(_Touch(truth.t_ns, now_ns))
             return
         if self.loaded_since_ns is not None:
             self.loads[-1] = (self.loaded_since_ns, truth.t_ns)
@@ -116,10 +129,13 @@ class _Truth:
         self.released_ns = truth.t_ns
 
     def judge(self, event: ContactEvent) -> None:
+        if self.began_ns is None or event.t_ns <= self.began_ns + _DETECTION_NS:
+            return
         for touch in self.touches:
             late_ns = event.t_ns - touch.onset_ns
-            if not touch.matched and 0 < late_ns <= _DETECTION_NS:
-                touch.matched = True
+            if 0 < late_ns <= _DETECTION_NS:
+                self.touches.remove(touch)
+                self.count += 1
                 self.latencies_ms.append(late_ns / 1e6)
                 return
         loaded = any(
@@ -127,6 +143,12 @@ class _Truth:
         )
         if not loaded:
             self.false_alarms += 1
+
+    def give_up(self, now_ns: int) -> None:
+        """Count touches whose event has not come as missed."""
+        waiting = [t for t in self.touches if now_ns - t.heard_ns < _MISSED_AFTER_NS]
+        self.count += len(self.touches) - len(waiting)
+        self.touches = waiting
 
 
 @dataclass(slots=True)
@@ -151,8 +173,11 @@ class _Heard:
         return self.before + max(self.last.contacts - self.base.contacts - heard, 0)
 
     def event(self, t_ns: int) -> None:
-        if self.base is not None and t_ns > self.base.t_ns:
+        # Before the first status nobody knows which it counts: the newest are kept.
+        if self.base is None or t_ns > self.base.t_ns:
             self.times_ns.add(t_ns)
+            if self.base is None and len(self.times_ns) > _MOST_HEARD:
+                self.times_ns.remove(min(self.times_ns))
 
     def status(self, status: LearnerStatus) -> None:
         last = self.last
@@ -214,12 +239,13 @@ class Watch:
         leg.ticks = [pair for pair in leg.ticks if pair[0] >= oldest_ns]
         leg.ticks.append((now_ns, status.ticks))
 
-    def truth(self, leg: str, truth: ContactTruth) -> None:
+    def truth(self, leg: str, truth: ContactTruth, now_ns: int) -> None:
         """Take the simulator's word in."""
         view = self._leg(leg)
         if view.truth is None:
             view.truth = _Truth()
-        view.truth.change(truth)
+        self._judge(view, now_ns)
+        view.truth.change(truth, now_ns)
 
     def service(self, status: ServiceStatus) -> None:
         """Take the service's own status in."""
@@ -277,6 +303,7 @@ class Watch:
             missed=status.missed,
             restarts=status.restarts,
             rejects=status.rejects,
+            withheld=status.withheld,
             note=status.note,
             stale=now_ns - leg.status_ns > _STALE_NS,
         )
@@ -290,6 +317,7 @@ class Watch:
         leg.pending = [pair for pair in leg.pending if now_ns - pair[0] < _JUDGE_AFTER_NS]
         for _, event in ripe:
             leg.truth.judge(event)
+        leg.truth.give_up(now_ns)
 
 
 def _since(status: LearnerStatus) -> float | None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import math
-from typing import Final
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, NamedTuple
 
 from rich import box
+from rich.cells import cell_len
+from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
@@ -24,6 +29,7 @@ _COLOURS: Final[dict[Status, str]] = {
 }
 # Residuals this far above the model's own level are worth a glance, and a look.
 _HIGH, _VERY_HIGH = 1.5, 2.5
+_GAP: Final = "  "  # between columns: padding and the box's own
 
 
 def headline(view: View) -> Text:
@@ -65,6 +71,8 @@ def headline(view: View) -> Text:
         line.append(f"  {service.callback_faults} callback faults", style="bold red")
     if service.note is not None:
         line.append(f"\n{printable(service.note)}", style="bold red")
+    for key, question in service.strays.items():
+        line.append(f"\nnobody reads {printable(key)}: {printable(question)}", style="bold red")
     for refused in [] if service.state is None else service.state.refused:
         line.append(f"\nstate refused: {printable(refused)}", style="yellow")
     if service.state is not None and service.state.exposed is not None:
@@ -72,47 +80,137 @@ def headline(view: View) -> Text:
     return line
 
 
-def table(view: View) -> Table:
-    """One row per leg; columns that need truth only where there is some."""
-    with_truth = any(leg.touches is not None for leg in view.legs)
-    with_changes = any(leg.changed_s is not None or leg.kind is not None for leg in view.legs)
-    shown = Table(title=headline(view), title_justify="left", title_style="", box=box.SIMPLE_HEAD)
-    shown.add_column("leg")
-    shown.add_column("state")
-    shown.add_column("status")
-    if with_changes:
-        shown.add_column("changed")
-    shown.add_column("last contact", justify="right")
-    if with_truth:
-        shown.add_column("latency", justify="right")
-        shown.add_column("seen", justify="right")
-        shown.add_column("false", justify="right")
-    shown.add_column("residual", justify="right")
-    shown.add_column("× floor", justify="right")
-    shown.add_column("model", justify="right")
-    shown.add_column("Hz", justify="right")
-    shown.add_column("missed", justify="right")
-    shown.add_column("rejects")
-    shown.add_column("note", overflow="fold")
-    for leg in view.legs:
-        cells = [
-            Text(printable(leg.leg), style="bold"),
-            _state(leg.contact),
-            _status(leg),
-            *([_change(leg)] if with_changes else []),
-            _age(leg.contact_age_s),
+class _Column(NamedTuple):
+    """One column; the lower its rank, the sooner it gets a place."""
+
+    name: str
+    rank: int
+    cell: Callable[[LegView], Text]
+    right: bool = True
+
+
+def table(view: View, width: int = 160, height: int | None = None) -> Group:
+    """The service in a line, a row per leg, and what is to be said of legs under it.
+
+    Args:
+        view: what is known.
+        width: columns of the terminal; columns of the table that do not fit are left out, the least
+            important first, and named.
+        height: lines of the terminal, None for any number; legs that do not fit are counted, those
+            that are well before those that are not.
+    """
+    head = headline(view)
+    remarks = {leg.leg: _remarks(leg) for leg in view.legs}
+    if height is None:
+        return _drawn(head, view.legs, [], remarks, width)
+    shown = list(view.legs)
+    by_need = sorted(view.legs, key=_is_well)
+    while True:
+        hidden = [leg for leg in view.legs if leg not in shown]
+        drawn = _drawn(head, shown, hidden, remarks, width)
+        over = _lines(drawn, width) - height
+        if over <= 0 or (not remarks and len(shown) <= 1):
+            return drawn
+        if len(shown) > 1:
+            # Each leg that goes frees a row and its remarks, and the first costs a line.
+            kept = by_need[: max(len(shown) - max(over // 4, 1), 1)]
+            shown = [leg for leg in view.legs if leg in kept]
+        else:
+            remarks = {}
+
+
+def _is_well(leg: LegView) -> bool:
+    return leg.status == "valid" and not leg.stale and leg.note is None
+
+
+def _lines(drawn: Group, width: int) -> int:
+    console = Console(width=width, file=io.StringIO(), legacy_windows=False)
+    return len(console.render_lines(drawn, pad=False))
+
+
+def _drawn(
+    head: Text,
+    legs: Sequence[LegView],
+    hidden: Sequence[LegView],
+    remarks: Mapping[str, Sequence[Text]],
+    width: int,
+) -> Group:
+    columns = _columns(legs)
+    cells = {column: [column.cell(leg) for leg in legs] for column in columns}
+    widths = {
+        column: max([cell_len(column.name), *(cell_len(cell.plain) for cell in of)])
+        for column, of in cells.items()
+    }
+    room = width + len(_GAP)
+    kept: list[_Column] = []
+    for column in sorted(columns, key=lambda column: column.rank):
+        if not kept or widths[column] + len(_GAP) <= room:
+            kept.append(column)
+            room -= widths[column] + len(_GAP)
+    fits = [column for column in columns if column in kept]
+    grid = Table(
+        box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), expand=False
+    )
+    for column in fits:
+        grid.add_column(
+            column.name, justify="right" if column.right else "left", no_wrap=len(fits) > 1
+        )
+    for i, leg in enumerate(legs):
+        grid.add_row(*(cells[column][i] for column in fits), style="dim" if leg.stale else "")
+    below = [line for leg in legs for line in remarks.get(leg.leg, ())]
+    if hidden:
+        counts: Counter[str] = Counter(
+            "silent" if leg.stale else leg.status or "unknown" for leg in hidden
+        )
+        names = "leg" if len(hidden) == 1 else "legs"
+        below.append(Text(f"{len(hidden)} more {names}: {_counts(counts)}", style="bold yellow"))
+    if len(fits) < len(columns):
+        left = ", ".join(column.name for column in columns if column not in fits)
+        below.append(Text(f"not shown at {width} columns: {left}", style="dim"))
+    return Group(head, Text(), grid, *([Text(), *below] if below else []))
+
+
+def _columns(legs: Sequence[LegView]) -> list[_Column]:
+    """Columns from left to right; those that need truth only where there is some."""
+    columns = [
+        _Column("leg", 0, lambda leg: Text(printable(leg.leg), style="bold"), right=False),
+        _Column("state", 1, _state, right=False),
+        _Column("status", 2, _status, right=False),
+    ]
+    if any(leg.changed_s is not None or leg.kind is not None for leg in legs):
+        columns.append(_Column("changed", 9, _change, right=False))
+    columns.append(_Column("last contact", 3, lambda leg: _age(leg.contact_age_s)))
+    if any(leg.touches is not None for leg in legs):
+        columns += [
+            _Column("latency", 10, _latency),
+            _Column("seen", 4, _seen),
+            _Column("false", 5, _false),
         ]
-        if with_truth:
-            cells += _against_truth(leg)
-        cells += _model(leg)
-        cells += [
-            Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}"),
-            _lost(leg),
-            Text(_counts(leg.rejects) or "-", style="yellow" if leg.rejects else "dim"),
-            Text(printable(leg.note or ""), style="yellow"),
-        ]
-        shown.add_row(*cells, style="dim" if leg.stale else "")
-    return shown
+    return [
+        *columns,
+        _Column("residual", 13, _residual),
+        _Column("× floor", 11, _ratio),
+        _Column("model", 12, _version),
+        _Column("Hz", 8, lambda leg: Text("-" if leg.rate_hz is None else f"{leg.rate_hz:.1f}")),
+        _Column("missed", 6, _lost),
+        _Column("rejects", 7, _rejects),
+    ]
+
+
+def _remarks(leg: LegView) -> list[Text]:
+    """What is to be said of a leg: its note, and what was refused for which reasons."""
+    lines = []
+    name = printable(leg.leg)
+    if leg.note:
+        lines.append(Text.assemble((f"{name}: ", "bold"), (printable(leg.note), "yellow")))
+    if leg.rejects:
+        lines.append(Text.assemble((f"{name}: ", "bold"), f"refused: {_counts(leg.rejects)}"))
+    return lines
+
+
+def _rejects(leg: LegView) -> Text:
+    total = sum(leg.rejects.values())
+    return Text(str(total) if total else "-", style="yellow" if total else "dim")
 
 
 def _lost(leg: LegView) -> Text:
@@ -123,10 +221,15 @@ def _lost(leg: LegView) -> Text:
     return Text(words, style="yellow" if leg.missed or leg.restarts else "dim")
 
 
-def _state(contact: bool | None) -> Text:
-    if contact is None:
+def _state(leg: LegView) -> Text:
+    """Free or contact; and of an ambiguous leg how many contacts have been withheld."""
+    if leg.contact is None:
         return Text("?", style="dim")
-    return Text("CONTACT", style="bold reverse") if contact else Text("free")
+    if leg.contact:
+        return Text("CONTACT", style="bold reverse")
+    if leg.withheld and leg.status == "ambiguous":
+        return Text(f"{leg.withheld} withheld", style="yellow")
+    return Text("free")
 
 
 def _status(leg: LegView) -> Text:
@@ -148,41 +251,47 @@ def _age(age_s: float | None) -> Text:
     return Text("-", style="dim") if age_s is None else Text(f"{_duration(max(age_s, 0.0))} ago")
 
 
-def _against_truth(leg: LegView) -> list[Text]:
-    if leg.touches is None:
-        return [Text("-", style="dim")] * 3
+def _latency(leg: LegView) -> Text:
     if leg.latency_ms is None or leg.median_latency_ms is None:
-        latency = Text("-", style="dim")
-    else:
-        latency = Text(f"{leg.latency_ms:.0f} ms ({leg.median_latency_ms:.0f})")
+        return Text("-", style="dim")
+    return Text(f"{leg.latency_ms:.0f} ms ({leg.median_latency_ms:.0f})")
+
+
+def _seen(leg: LegView) -> Text:
+    return Text("-", style="dim") if not leg.touches else Text(f"{leg.seen}/{leg.touches}")
+
+
+def _false(leg: LegView) -> Text:
+    if leg.touches is None:
+        return Text("-", style="dim")
     alarms = leg.false_alarms or 0
-    return [
-        latency,
-        Text(f"{leg.seen}/{leg.touches}"),
-        Text(str(alarms), style="bold red" if alarms else "green"),
-    ]
+    return Text(str(alarms), style="bold red" if alarms else "green")
 
 
-def _model(leg: LegView) -> list[Text]:
-    version = Text("-" if leg.model_version is None else f"v{leg.model_version}")
+def _residual(leg: LegView) -> Text:
     if not any(leg.noise_floor):  # no model yet
-        return [Text("-", style="dim"), Text("-", style="dim"), version]
-    worst = math.degrees(max(leg.residual_rms))
+        return Text("-", style="dim")
+    return Text(f"{math.degrees(max(leg.residual_rms)):.2f}°")
+
+
+def _ratio(leg: LegView) -> Text:
     ratios = [
         rms / floor
         for rms, floor in zip(leg.residual_rms, leg.noise_floor, strict=False)
         if floor > 0
     ]
-    ratio = max(ratios, default=math.nan)
+    if not ratios:
+        return Text("-", style="dim")
+    ratio = max(ratios)
     style = "red" if ratio > _VERY_HIGH else "yellow" if ratio > _HIGH else "green"
-    return [
-        Text(f"{worst:.2f}°"),
-        Text("-", style="dim") if math.isnan(ratio) else Text(f"{ratio:.1f}", style=style),
-        version,
-    ]
+    return Text(f"{ratio:.1f}", style=style)
 
 
-def _counts(counts: dict[str, int]) -> str:
+def _version(leg: LegView) -> Text:
+    return Text("-" if leg.model_version is None else f"v{leg.model_version}")
+
+
+def _counts(counts: Mapping[str, int]) -> str:
     """All reasons by number, the largest first: no loss is out of sight behind others."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ", ".join(f"{printable(reason)} {number}" for reason, number in ordered if number)

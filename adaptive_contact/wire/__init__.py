@@ -12,6 +12,7 @@ from adaptive_contact.wire.codec import (
     decode,
     encode,
     is_json,
+    json_text,
 )
 from adaptive_contact.wire.keys import (
     ALL_CONTACT,
@@ -25,7 +26,9 @@ from adaptive_contact.wire.keys import (
     is_leg_id,
     learner_key,
     leg_of_key,
+    meant_key,
     model_key,
+    namespace_of,
     servo_key,
     truth_key,
 )
@@ -36,6 +39,7 @@ from adaptive_contact.wire.messages import (
     Command,
     ContactEvent,
     ContactTruth,
+    Doubt,
     Drift,
     DriftKind,
     DriftLevel,
@@ -67,6 +71,7 @@ __all__ = [
     "Command",
     "ContactEvent",
     "ContactTruth",
+    "Doubt",
     "Drift",
     "DriftKind",
     "DriftLevel",
@@ -89,9 +94,12 @@ __all__ = [
     "encode",
     "is_json",
     "is_leg_id",
+    "json_text",
     "learner_key",
     "leg_of_key",
+    "meant_key",
     "model_key",
+    "namespace_of",
     "servo_key",
     "truth_key",
 ]

@@ -28,6 +28,7 @@ __all__ = [
     "decode",
     "encode",
     "is_json",
+    "json_text",
 ]
 
 MSGPACK: Final = "application/msgpack"
@@ -59,6 +60,7 @@ class Reject(enum.StrEnum):
     UNKNOWN_LEG = "unknown_leg"
     TIME_BACKWARDS = "time_backwards"
     DUPLICATE_SEQ = "duplicate_seq"
+    SEQ_JUMP = "seq_jump"
     OTHER_PUBLISHER = "other_publisher"
     OVERFLOW = "overflow"
 
@@ -120,7 +122,13 @@ def is_json(payload: bytes, encoding: str) -> bool:
     A message is a map, and no map of msgpack begins with the byte ``{``.  So a client that declares
     ``text/json``, or nothing, is understood.
     """
-    return encoding.startswith((JSON, "text/json")) or payload.lstrip(b" \t\r\n")[:1] == b"{"
+    begins = json_text(payload)[:16].lstrip(b" \t\r\n")
+    return encoding.startswith((JSON, "text/json")) or begins[:1] == b"{"
+
+
+def json_text(payload: bytes) -> bytes:
+    """Return JSON without the mark of byte order (UTF-8) that some programs put before it."""
+    return payload.removeprefix(b"\xef\xbb\xbf")
 
 
 def _parse(payload: bytes, encoding: str) -> object:
@@ -130,7 +138,7 @@ def _parse(payload: bytes, encoding: str) -> object:
             if nested > _MAX_ITEMS:
                 why = f"{nested} lists and maps, at most {_MAX_ITEMS}"
                 return Rejected(Reject.MALFORMED, why)
-            return msgspec.json.decode(payload)
+            return msgspec.json.decode(json_text(payload))
         return msgpack.unpackb(
             payload,
             raw=False,

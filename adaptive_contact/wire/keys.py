@@ -6,6 +6,7 @@ Keys carry no leading slash.  Several robots on one network are told apart by Ze
 
 from __future__ import annotations
 
+import difflib
 import re
 from typing import Final
 
@@ -21,7 +22,9 @@ __all__ = [
     "is_leg_id",
     "learner_key",
     "leg_of_key",
+    "meant_key",
     "model_key",
+    "namespace_of",
     "servo_key",
     "truth_key",
 ]
@@ -35,7 +38,9 @@ SIM_DRIFT: Final = "robot/sim/drift"
 # A leg id becomes one chunk of a key: no '/', and none of the wildcards '*', '$', '?', '#',
 # which Zenoh accepts in `put` and would fan one sample out over every leg.
 _LEG_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}\Z")
-_LEG_KEY = re.compile(r"robot/leg/([^/]*)/(?:servo|contact|learner|model|truth|command)\Z")
+_KINDS: Final = ("servo", "contact", "learner", "model", "truth", "command")
+_LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(_KINDS)})\Z")
+_OWN_DEPTH: Final = 4
 
 
 def is_leg_id(text: str) -> bool:
@@ -49,6 +54,39 @@ def leg_of_key(key: str) -> str | None:
     if match is None or not is_leg_id(match.group(1)):
         return None
     return match.group(1)
+
+
+def namespace_of(key: str) -> str | None:
+    """Return the namespace in front of a leg's key of the contract, None where it is no such key.
+
+    Outside of Zenoh a key may begin with ``/``, as a topic of ROS does; that belongs to none.
+    """
+    head, found, rest = key.lstrip("/").partition("robot/leg/")
+    if not found or (head and not head.endswith("/")) or leg_of_key(found + rest) is None:
+        return None
+    return head.rstrip("/")
+
+
+def meant_key(key: str) -> str | None:
+    """Return the key of the contract that was probably meant by one that it does not have.
+
+    Returns:
+        The key, None where the key is of the contract, or of something else.
+    """
+    if leg_of_key(key) is not None or namespace_of(key):
+        return None
+    parts = key.strip("/").split("/")
+    if len(parts) < 2:
+        return None
+    own = key.lstrip("/").startswith("robot/leg/")
+    for leg, kind in (parts[-2:], parts[:-3:-1]):  # also the two the wrong way round
+        near = difflib.get_close_matches(kind.lower(), _KINDS, n=1)
+        # A word of other robots' keys, such as camera/command, is no misspelling of ours; nor are
+        # keys with more slashes.
+        ours = own or (near == ["servo"] and len(parts) <= _OWN_DEPTH)
+        if near and ours and is_leg_id(leg) and f"robot/leg/{leg}/{near[0]}" != key:
+            return f"robot/leg/{leg}/{near[0]}"
+    return None
 
 
 def servo_key(leg: str) -> str:

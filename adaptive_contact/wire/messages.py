@@ -18,6 +18,7 @@ __all__ = [
     "Command",
     "ContactEvent",
     "ContactTruth",
+    "Doubt",
     "Drift",
     "DriftKind",
     "DriftLevel",
@@ -40,6 +41,8 @@ MAX_PREVIEW_TICKS: Final = 64
 
 Phase = Literal["swing", "stance"]
 Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]
+# Why a leg is ambiguous.
+Doubt = Literal["angles", "echo", "phase", "held", "far", "unsettled", "descents"]
 DriftKind = Literal[
     "mass",
     "friction",
@@ -83,14 +86,16 @@ class ServoSample(Message, frozen=True, kw_only=True, omit_defaults=True):
     run: int | None = None
 
 
-class ContactEvent(Message, frozen=True, kw_only=True):
-    """A change of a leg's contact state.
+class ContactEvent(Message, frozen=True, kw_only=True, omit_defaults=True):
+    """A change of a leg's contact state, or a contact that is withheld.
 
     Attributes:
         t_ns, seq: of the sample that decided.
         onset_ns: estimated first touch (or release), at most ``t_ns``.
         score: statistic over threshold, above 1 for a contact.
         residual: (J,) rad, measured minus predicted at the deciding sample.
+        withheld: ``contact`` is False because the leg is ambiguous, whatever its residuals say.
+        doubt: why the leg is ambiguous.
     """
 
     leg: str
@@ -102,6 +107,8 @@ class ContactEvent(Message, frozen=True, kw_only=True):
     score: float
     residual: list[float]
     model_version: int
+    withheld: bool = False
+    doubt: Doubt | None = None
 
 
 class BufferCounts(msgspec.Struct, frozen=True, kw_only=True):
@@ -144,9 +151,11 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         restarts: times the source began anew; what is lost there, no number tells.
         contact: whether the leg touches, by its last event.
         contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
+        withheld: contacts withheld so far, as the leg was ambiguous.
+        doubt: why the leg is ambiguous, None while it is not.
         jitter_ms: root mean square of what ``t_ns`` has been off an even grid of late, ms.
         untouched: swings without a sign of a touch up to 16 ticks after their turn to stance, of
-            those that could have shown one: there was no ground.
+            those that could have shown one: a hole, most likely.
         untouched_ns: when the last of them was over, None while there was none.
         note: one line for a person when something is wrong, None when all is well.
     """
@@ -166,6 +175,8 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
     restarts: int = 0
     contact: bool = False
     contacts: int = 0
+    withheld: int = 0
+    doubt: Doubt | None = None
     jitter_ms: float = 0.0
     untouched: int = 0
     untouched_ns: int | None = None

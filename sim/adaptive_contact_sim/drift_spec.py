@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import msgspec
 
+from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim.drift import KINDS, Injection, check
@@ -29,8 +29,6 @@ _KEYS: Final = {
     "duration": float,
     "seed": int,
 }
-_TIME: Final = re.compile(r"(?P<number>[0-9.eE+-]+)\s*(?P<unit>s|ms|min)?\Z")
-_SECONDS: Final = {"s": 1.0, None: 1.0, "ms": 1e-3, "min": 60.0}
 
 
 def parse_drift(text: str) -> Injection:
@@ -116,7 +114,12 @@ def _refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) 
 
 
 def _number(key: str, value: str, text: str) -> float | int:
-    number: float | int
+    number: float | int | None
+    if key == "duration":
+        number = seconds_of(value)
+        if number is None:
+            raise ConfigurationError(f"drift '{text}': duration is '{value}'; expected {DURATIONS}")
+        return number
     whole = _KEYS[key] is int
     try:
         number = int(value) if whole else float(value)
@@ -129,12 +132,8 @@ def _number(key: str, value: str, text: str) -> float | int:
 
 
 def _time(when: str, text: str) -> float:
-    match = _TIME.match(when.strip())
-    try:
-        seconds = float(match["number"]) * _SECONDS[match["unit"]] if match else math.nan
-    except ValueError:
-        seconds = math.nan
-    if not seconds >= 0.0:
+    seconds = seconds_of(when)
+    if seconds is None or seconds < 0.0:
         raise ConfigurationError(
             f"drift '{text}': begins at '{when}'; expected a time such as 20s, 500ms or 2min"
         )

@@ -6,7 +6,7 @@ import dataclasses
 
 from adaptive_contact import ServoSample
 from adaptive_contact.adapt import Baseline, LearnerBank
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Robot, parse_robot
 
 from .conftest import FakeLeg, samples
 
@@ -34,3 +34,15 @@ def test_a_stranger_gets_a_learner_and_a_bank_is_bounded(robot: Robot, baseline:
     for n in range(100):
         bank.learner(f"leg{n}", 2)
     assert len(bank.legs) == 32
+
+
+def test_every_leg_that_is_described_gets_a_learner_however_many_strangers_came() -> None:
+    legs = "".join(f'[[leg]]\nid = "l{n}"\njoints = ["a", "b"]\n' for n in range(64))
+    text = f'[robot]\nname = "centipede"\nperiod_s = 0.02\nquantum_rad = 0.005\n{legs}'
+    bank = LearnerBank(parse_robot(text, source="test"))
+    for n in range(40):
+        bank.learner(f"stranger{n}", 2)
+    assert len(bank.legs) == 32
+    assert all(bank.learner(f"l{n}") is not None for n in range(64))
+    assert bank.learner("one-more", 2) is None
+    assert len(bank.legs) == 32 + 64

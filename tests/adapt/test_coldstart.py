@@ -223,7 +223,7 @@ def test_a_leg_of_any_build_is_learned_from_nothing(joints: int) -> None:
 def test_ticks_of_another_length_are_no_part_of_a_first_model(cold: ColdStart) -> None:
     add(cold, 30, swing=True, value=1.0)
     add(cold, RATE_STEPS, swing=True, value=2.0)
-    cold.drop_off_rate(RATE_STEPS)
+    cold.drop_newest(RATE_STEPS)
     swings(cold, FIRST_TRY_SWINGS)
     job = cold.job()
     assert job is not None
@@ -231,7 +231,7 @@ def test_ticks_of_another_length_are_no_part_of_a_first_model(cold: ColdStart) -
     assert not any((stretch.measured == 2.0).any() for stretch in job.stretches)
     cold.interrupt()
     add(cold, 3, swing=True, value=2.0)
-    cold.drop_off_rate(RATE_STEPS)  # what was before the break stays
+    cold.drop_newest(RATE_STEPS)  # what was before the break stays
     assert cold.samples == 30 + FIRST_TRY_SWINGS * (SWING + REST)
 
 

@@ -64,7 +64,8 @@ def test_a_foot_held_fast_is_told_and_not_learned(
             confirmed(learner)
         if k >= TICKS * start and k % TICKS == TICKS - 1:
             told.append(learner.status.status)
-    assert confirmed(learner) == []
+    # The last free swing is resolved in the first ticks of the next one.
+    assert [k for k in confirmed(learner) if k >= TICKS * start] == []
     assert told.count("ambiguous") > len(told) / 2
     assert "ambiguous" in told[: HELD_SWINGS + 4]
 

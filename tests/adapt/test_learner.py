@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.adapt import Baseline, LearnerMode
+from adaptive_contact.adapt import Baseline, LearnerBank, LearnerMode
 from adaptive_contact.adapt.champion import Champion
 from adaptive_contact.adapt.follower import Follower
 from adaptive_contact.adapt.learner import ROWS_PER_TICK
 from adaptive_contact.adapt.segments import Row
 from adaptive_contact.adapt.training import Stretch, learn
 from adaptive_contact.errors import BaselineError, ConfigurationError
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.wire import ContactEvent
 
 from .conftest import PERIOD, FakeLeg, outcomes, play, samples
@@ -432,3 +432,15 @@ def test_a_foot_stopped_in_its_lift_is_told_once_its_command_has_turned(
     assert len(at) >= 20
     assert min(at) >= 10
     assert np.median(at) <= 13
+
+
+@pytest.mark.parametrize("wrong", [{"v": 1, "t_ns": 0, "seq": 0}, b"payload", None, [0.1, 0.2]])
+def test_what_is_no_sample_is_refused_in_a_line_that_says_what_to_pass(wrong: object) -> None:
+    learner = ContactLearner(shipped_robot(), "rf")
+    bank = LearnerBank(shipped_robot())
+    for update in (lambda: learner.update(wrong), lambda: bank.update({"rf": wrong})):  # type: ignore[arg-type,dict-item]
+        with pytest.raises(TypeError, match="expected a ServoSample, found") as caught:
+            update()
+        assert "pass ServoSample(t_ns=" in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert learner.status.ticks == 0

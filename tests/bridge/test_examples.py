@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import subprocess
 import sys
 import threading
+import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -14,10 +16,21 @@ import pytest
 
 from adaptive_contact.bridge.status import BridgeStatus, Quantiles, ServoCounts
 from adaptive_contact.bridge.survey import write_robot
+from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.service.link import Link, router_settings
-from adaptive_contact.wire import ContactEvent, contact_key
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import (
+    Command,
+    ContactEvent,
+    ServoSample,
+    command_key,
+    contact_key,
+    decode,
+    servo_key,
+)
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+MODEL = EXAMPLES.parent / "models" / "adaptive_contact_models" / "hexapod" / "robot.toml"
 
 
 def status(state: str = "running", **more: object) -> BridgeStatus:
@@ -146,3 +159,109 @@ def test_the_logger_tells_contacts_and_changes() -> None:
             process.terminate()
             assert process.wait(20) == 0
             process.stdout.close()
+
+
+class FakeBridge:
+    """Samples of one leg at 50 Hz, whose servos are where they were sent a tick before."""
+
+    def __init__(self, link: Link, leg: str) -> None:
+        self.commands: list[list[float]] = []
+        self._at = [0.0, 0.5, -1.6]
+        self._out = link.publisher(servo_key(leg))
+        self._stop = threading.Event()
+        link.subscribe(command_key(leg), self._command)
+        self._thread = threading.Thread(target=self._run)
+
+    def _command(self, received: Received) -> None:
+        command = decode(received.payload, Command, received.encoding)
+        assert isinstance(command, Command)
+        self.commands.append(list(command.desired))
+        self._at = list(command.desired)
+
+    def _run(self) -> None:
+        seq = 0
+        while not self._stop.wait(0.02):
+            at = self._at
+            t_ns = time.monotonic_ns()
+            self._out.put(ServoSample(t_ns=t_ns, seq=seq, measured=at, desired=at))
+            seq += 1
+
+    def __enter__(self) -> FakeBridge:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.mark.slow
+@pytest.mark.e2e
+@pytest.mark.timeout(180)
+def test_the_gait_controller_holds_still_while_serve_is_dead() -> None:
+    """`serve` is killed while a leg steps: it is held where it is, and steps again once there is a
+    service to say that a foot touches, from the top."""
+
+    def service(endpoint: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "adaptive_contact", "serve", "--no-state", "--connect",
+             endpoint, "--config", str(MODEL)],  # without a baseline it reports no contact
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        assert process.stdout is not None
+        assert "connected to" in process.stdout.readline()
+        return process
+
+    def until(words: str) -> None:
+        assert controller.stdout is not None
+        for line in controller.stdout:
+            if words in line:
+                return
+        raise AssertionError(f"ended before it said '{words}'")
+
+    leg = shipped_robot().leg("rf")
+    assert leg.lengths_m is not None
+
+    def height(goal: list[float]) -> float:
+        return float(foot(goal, leg.lengths_m, leg.joint_axes)[2])
+
+    def steps() -> list[float]:
+        heights = [height(goal) for goal in bridge.commands[-4:]]
+        return [after - before for before, after in itertools.pairwise(heights)]
+
+    def rises() -> bool:
+        return min(steps()) > 0.0
+
+    def descends() -> bool:
+        return max(steps()) < 0.0
+
+    running: list[subprocess.Popen[str]] = []
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link, FakeBridge(link, "rf") as bridge:
+        try:
+            running.append(service(link.endpoints[0]))
+            controller = begin(
+                "gait_controller.py", "--steps", "1000", "--connect", link.endpoints[0]
+            )
+            running.append(controller)
+            until("step 1: ")
+            for moves in (rises, descends):
+                while not moves():
+                    time.sleep(0.002)
+            running[0].kill()
+            until("no service reports contacts; holding still until one does")
+            # What was commanded before it noticed may still be on its way.
+            begun = len(bridge.commands) + 10
+            while len(bridge.commands) < begun + 50:
+                assert controller.poll() is None
+                time.sleep(0.02)
+            held = bridge.commands[begun:]
+            assert all(goal == held[0] for goal in held)
+            running.append(service(link.endpoints[0]))
+            until("step 2: ")
+            assert max(map(height, bridge.commands[begun:])) > height(held[0]) + 0.01
+        finally:
+            for process in running:
+                process.kill()
+                process.wait(20)
+                assert process.stdout is not None
+                process.stdout.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,13 +12,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adaptive_contact.bridge.freeswing import REST_TICKS, free_swings
+from adaptive_contact.bridge.freeswing import (
+    HELD_SWINGS,
+    HELD_TICKS,
+    REST_TICKS,
+    free_swings,
+)
 from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
-from adaptive_contact.robot import Leg, Limits, Port, foot, parse_robot, shipped_robot
+from adaptive_contact.robot import Leg, Limits, Mount, Port, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
@@ -256,6 +263,16 @@ def test_free_swings_keep_limits_and_steps_and_are_swings(seed: int) -> None:
     assert swings > 1500 / (2 * 18 + REST_TICKS) * 0.8
 
 
+def test_free_swings_hold_still_now_and_then_for_gravity_to_show() -> None:
+    goals = free_swings(
+        leg(), [0.0, 0.3, 0.5], np.random.default_rng(3), amplitude_rad=0.4, max_step_rad=0.15
+    )
+    rows = np.array([next(goals) for _ in range(1500)])
+    still = (np.diff(rows, axis=0) == 0).all(axis=1)
+    runs = [len(list(ticks)) for same, ticks in itertools.groupby(still) if same]
+    assert sum(run >= HELD_TICKS - 1 for run in runs) >= 1500 // (HELD_SWINGS * 40 + HELD_TICKS)
+
+
 def test_a_leg_that_cannot_swing_says_so() -> None:
     rng = np.random.default_rng(1)
     with pytest.raises(ConfigurationError, match="has no lengths_m"):
@@ -271,5 +288,36 @@ def test_the_picture_ends_where_the_foot_is() -> None:
     assert points[-1] == pytest.approx(foot([0.2, 0.4, -0.9], one.lengths_m, one.joint_axes))
     assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(one.lengths_m)
     text = draw(shipped_robot(), {x: [0.0, 0.1, -0.5] for x in shipped_robot().leg_ids})
-    assert text.count("<line") == 6 * 2 * 4
+    assert text.count('class="link"') == 6 * 2 * 3
     assert "coxa +0.0°, 52 mm, sign +1, offset 0°" in text
+
+
+def arrows(text: str) -> list[tuple[float, float, float, float]]:
+    """Of every arrow around a joint: where it begins, and where it ends."""
+    found = re.findall(r'd="M ([-\d.]+) ([-\d.]+) A .*? 0 0 0 ([-\d.]+) ([-\d.]+)"', text)
+    return [tuple(map(float, each)) for each in found]
+
+
+def test_the_picture_says_where_front_is_and_which_way_angles_grow() -> None:
+    robot = shipped_robot()
+    text = draw(robot, {x: [0.0, 0.0, 0.0] for x in robot.leg_ids})
+    assert "front (x)" in text
+    assert ">left (y)<" in text
+    assert ">left front, from the side<" in text
+    turned = arrows(text)
+    assert len(turned) == 6 * 3  # a yaw of each leg on the body, two pitches beside it
+    for _, begin_y, _, end_y in turned[6:]:
+        assert end_y < begin_y - 5  # pitch plus is up, and y of a picture points down
+    ends = dict(zip(robot.leg_ids, turned[:6], strict=True))
+    assert ends["rm"][3] < ends["rm"][1] - 5  # yaw plus takes the right middle leg to the front
+    assert ends["lm"][3] > ends["lm"][1] + 5  # and the left one to the rear
+
+
+def test_without_mounts_each_leg_is_drawn_from_above_too() -> None:
+    robot = msgspec.structs.replace(
+        shipped_robot(),
+        legs=tuple(msgspec.structs.replace(one, mount=Mount()) for one in shipped_robot().legs[:3]),
+    )
+    text = draw(robot, {x: [0.3, 0.6, -1.8] for x in robot.leg_ids})
+    assert "front (x)" not in text
+    assert text.count(">from above<") == text.count(">from the side<") == 3

@@ -25,14 +25,7 @@ STATUS_TICKS = 50
 
 
 def status_of(robot: Robot, baseline: Baseline | None) -> ServiceStatus:
-    facts = {
-        leg.id: LegFacts(
-            joints=list(leg.joints),
-            lengths=leg.lengths_m is not None,
-            quantum_rad=robot.quantum(leg.id),
-        )
-        for leg in robot.legs
-    }
+    facts = {leg: LegFacts.of(robot, leg) for leg in robot.leg_ids}
     return ServiceStatus(
         version="1",
         robot=robot.name,
@@ -95,6 +88,14 @@ def listen(
         tell(leg)
     take(SERVICE_STATUS, encode(status_of(robot, baseline)))
     return diagnose(heard, seconds, alive=True)
+
+
+def alone(messages: Messages) -> Diagnosis:
+    """What `doctor` finds in these messages where no service runs."""
+    heard = Examination()
+    for sent in messages:
+        heard.take(Received(sent.key, msgpack.packb(sent.body), MSGPACK, 0, None))
+    return diagnose(heard, 3.0, alive=False)
 
 
 def causes(diagnosis: Diagnosis, *, notes: bool = False) -> list[str]:

@@ -105,7 +105,13 @@ def _stamped(late_periods: Callable[[Sent, np.random.Generator], float]) -> Mist
 # A loop that takes turns: three short cycles and a long one.
 _TURNS: Final = (0.0, -0.45, 0.25, 0.5, -0.3)
 
-white_jitter = _stamped(lambda sent, rng: float(rng.normal(0.0, 0.25)))
+
+def jitter(periods: float) -> Mistake:
+    """Stamps off by so many periods, one standard deviation."""
+    return _stamped(lambda sent, rng: float(rng.normal(0.0, periods)))
+
+
+white_jitter = jitter(0.25)
 turns_jitter = _stamped(lambda sent, rng: _TURNS[sent.body["seq"] % len(_TURNS)])
 float_seconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] / 1e9))
 milliseconds = each_sample(lambda sent, _: sent.but(t_ns=sent.body["t_ns"] // 1_000_000))
@@ -206,6 +212,62 @@ def frozen(joint: int) -> Mistake:
                 continue
             row = list(sent.body["measured"])
             row[joint] = first.setdefault(sent.key, row[joint])
+            yield sent.but(measured=row)
+
+    return made
+
+
+def one_for_all(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+    """A loop over legs whose publishers share one variable: all send one leg's angles."""
+    shared: dict[str, Any] = {}
+    for sent in messages:
+        if not sent.is_sample:
+            yield sent
+            continue
+        if not shared or sent.leg == shared["leg"]:
+            shared = {"leg": sent.leg, **{k: sent.body[k] for k in ("measured", "desired")}}
+        yield sent.but(measured=shared["measured"], desired=shared["desired"])
+
+
+def late_goals(ticks: int) -> Mistake:
+    """Goals are published so many ticks after they were written."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        written: dict[str, list[Angles]] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            goals = written.setdefault(sent.key, [])
+            goals.append(sent.body["desired"])
+            yield sent.but(desired=goals[max(len(goals) - 1 - ticks, 0)])
+
+    return made
+
+
+def caught(leg: str, from_s: float, most_rad: float) -> Mistake:
+    """A cable holds a foot from some time on: the second joint gets no further than this."""
+
+    def changed(sent: Sent, _: np.random.Generator) -> Sent:
+        if sent.leg != leg or sent.at_ns < from_s * 1e9:
+            return sent
+        first, second, *rest = sent.body["measured"]
+        return sent.but(measured=[first, min(second, most_rad), *rest])
+
+    return each_sample(changed)
+
+
+def without_torque(joint: int, step_rad: float = AX12_STEP) -> Mistake:
+    """A servo that answers but has no torque: only the last step of its encoder flickers."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        first: dict[str, float] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            row = list(sent.body["measured"])
+            row[joint] = first.setdefault(sent.key, row[joint]) + step_rad * int(rng.integers(2))
             yield sent.but(measured=row)
 
     return made

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
-import adaptive_contact_models
+from adaptive_contact.adapt.baseline import shipped_baseline
+from adaptive_contact.adapt.training import LegFigures, Training, learn
+from adaptive_contact.adapt.verdict import refusals
+from adaptive_contact.cli.fit import check_conventions, gather
+from adaptive_contact.detect import Tail
+from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.robot import Robot, shipped_robot
 
 from . import mistakes as m
-
-SHIPPED = Path(adaptive_contact_models.__file__).parent / "hexapod" / "robot.toml"
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -41,22 +50,189 @@ def test_a_good_fit_says_so_leg_by_leg(walk: Path, tmp_path: Path) -> None:
     assert all("x the noise of its readings" in line or "too little" in line for line in last)
 
 
-@pytest.mark.parametrize(
-    ("mistake", "words"),
-    [
-        (m.echoed(1), "measured is made of commands"),
-        (m.never_stance, "no leg swings for seconds"),
-    ],
-    ids=["copies", "swing without end"],
-)
-def test_what_is_no_model_is_not_written(
-    walk: Path, tmp_path: Path, mistake: m.Mistake, words: str
+SECONDS = 20.0
+
+
+@pytest.fixture(scope="module")
+def sent(walk: Path) -> list[m.Sent]:
+    messages = m.read(walk)
+    return [one for one in messages if one.at_ns <= messages[0].at_ns + round(SECONDS * 1e9)]
+
+
+def said_of(
+    mistake: m.Mistake,
+    sent: list[m.Sent],
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> tuple[list[str], AdaptiveContactError | None]:
+    """What is said of a recording with this mistake before anything is learned, and the refusal."""
+    made = m.write(folder / "made.mcap", list(mistake(sent, np.random.default_rng(1))))
+    robot, refusal = shipped_robot(), None
+    try:
+        check_conventions(robot, gather([made], robot))
+    except AdaptiveContactError as error:
+        refusal = error
+    return capsys.readouterr().err.splitlines(), refusal
+
+
+def test_of_a_good_recording_nothing_is_said(
+    sent: list[m.Sent], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert said_of(m.compose(), sent, tmp_path, capsys) == ([], None)
+
+
+# What makes every tick of a recording worthless, and the one line that names it.
+SPOILT: dict[str, tuple[m.Mistake, str]] = {
+    "degrees": (m.degrees, "these look like degrees"),
+    "readings in degrees": (
+        m.angles(lambda row: [math.degrees(x) for x in row], "measured"),
+        "these look like degrees",
+    ),
+    "registers": (m.registers, "these look like register steps"),
+    "goals as readings": (m.echoed(), "measured is desired to the last bit"),
+    "goals of the last tick": (m.echoed(1), "measured is desired to the last bit"),
+    "another order": (m.swapped_readings, "another order than desired"),
+    "another sign": (m.goals_mirrored, "a joint moves against its command"),
+    "another zero": (m.zero_moved, "a joint is far from its command"),
+    "a frozen joint": (m.frozen(1), "a reading never changes"),
+    "coarser steps": (m.rounded(0.02), "do not step by the quantum_rad = 0.005118"),
+    "one leg for all": (m.one_for_all, "legs send the same readings"),
+    "joints that are missing": (m.angles(lambda row: row[:2]), "samples have 2 joints"),
+    "milliseconds": (m.milliseconds, "seems to be in milliseconds"),
+    "float seconds": (m.float_seconds, "t_ns is no whole number"),
+    "another rate": (m.slower(2.0), "20.0 ms apart (50.0 Hz): found 40.0 ms (25.0 Hz)"),
+}
+
+
+@pytest.mark.parametrize(("mistake", "words"), SPOILT.values(), ids=SPOILT.keys())
+def test_a_recording_that_doctor_would_name_is_refused_in_one_line(
+    sent: list[m.Sent],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    mistake: m.Mistake,
+    words: str,
+) -> None:
+    lines, refusal = said_of(mistake, sent, tmp_path, capsys)
+    assert refusal is not None
+    (line,) = lines
+    assert "legs lf lm lr rf rm rr: " in line
+    assert words in line
+
+
+def test_pitch_of_the_wrong_sign_is_refused(
+    sent: list[m.Sent], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines, refusal = said_of(m.pitch_down, sent, tmp_path, capsys)
+    assert refusal is not None
+    assert "angles are not counted as robot.toml says" in str(refusal)
+    assert all("directions = [1, -1, -1]" in line for line in lines)
+    assert len(lines) == 6
+
+
+# What spoils some ticks, which are left out.
+NAMED: dict[str, tuple[m.Mistake, str]] = {
+    "failed reads": (m.raw_zeros(0.005), "readings jump away and back"),
+    "an encoder's seam": (m.encoder_seam, "readings are off by a full turn"),
+    "a turn off": (m.one_turn_off, "readings are off by a full turn"),
+    "jitter": (m.white_jitter, "t_ns jitters"),
+    "losses": (m.lossy(0.03), "samples are lost"),
+    "an endless swing": (m.never_stance, "phase is `swing` all the time"),
+}
+
+
+@pytest.mark.parametrize(("mistake", "words"), NAMED.values(), ids=NAMED.keys())
+def test_what_spoils_a_few_ticks_is_named(
+    sent: list[m.Sent],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    mistake: m.Mistake,
+    words: str,
+) -> None:
+    lines, refusal = said_of(mistake, sent, tmp_path, capsys)
+    assert refusal is None
+    (line,) = lines
+    assert "legs lf lm lr rf rm rr: " in line
+    assert words in line
+
+
+@pytest.mark.parametrize("mistake", [m.encoder_seam, m.raw_zeros(0.005)], ids=["seam", "zeros"])
+def test_what_is_named_does_not_enter_a_baseline(
+    walk: Path, tmp_path: Path, mistake: m.Mistake
+) -> None:
+    robot, limits = shipped_robot(), []
     made = m.write(tmp_path / "made.mcap", list(mistake(m.read(walk), np.random.default_rng(1))))
-    done = run("fit", made, "-o", tmp_path / "legs.json")
+    for path in (walk, made):
+        streams = {leg: one.stretches() for leg, one in gather([path], robot).items()}
+        with threadpool_limits(1):
+            training = learn(robot, streams, origin="", threshold=0.1)
+        limits.append(training.baseline.thresholds(1.0).max())
+    # Failed reads that were learned from made it nine times as much.
+    assert limits[1] < 1.5 * limits[0]
+
+
+def training_of(robot: Robot, **changes: Any) -> Training:
+    """What `fit` gives for the shipped robot, with some of its figures changed."""
+    baseline = shipped_baseline(robot.name)
+    assert baseline is not None
+    quantum = robot.quantum_rad
+    good: dict[str, Any] = {
+        "swings": 100,
+        "rows": 3000,
+        "outliers": 0,
+        "touched": 0,
+        "threshold": 0.1,
+        "terms": (20, 20, 20),
+        "library_size": 62,
+        "held_out_rms": (quantum, quantum, quantum),
+        "naive_rms": (0.05, 0.05, 0.05),
+        "sweep": {},
+        "condition": 100.0,
+        "spans": {},
+    }
+    tails = changes.pop("tails", baseline.tails)
+    figures = {leg: LegFigures(**{**good, **changes}) for leg in robot.leg_ids}
+    return Training(dataclasses.replace(baseline, tails=tails), figures, {})
+
+
+ZERO_TAILS = tuple(Tail(0.1, 0.01, 0.02, 0.0, 100) for _ in range(3))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, None),
+        ({"rows": 20_000}, None),  # 200 ticks a swing
+        ({"rows": 30_000}, "swings of leg lf 300"),
+        ({"held_out_rms": (0.0013, 0.0013, 0.0013)}, None),
+        ({"held_out_rms": (0.005, 0.0012, 0.005)}, "(lf femur 0.001, "),
+        ({"held_out_rms": (0.0, 0.005, 0.005), "naive_rms": (0.0, 0.05, 0.05)}, None),
+        ({"tails": ZERO_TAILS}, "thresholds are as low as"),
+    ],
+    ids=["good", "long", "endless", "a quarter step", "less", "a joint at rest", "thresholds"],
+)
+def test_figures_that_no_leg_has_are_refused(changes: dict[str, Any], words: str | None) -> None:
+    robot = shipped_robot()
+    lines = refusals(robot, training_of(robot, **changes))
+    if words is None:
+        assert lines == []
+    else:
+        (line,) = lines
+        assert words in line
+
+
+@pytest.mark.parametrize(("step", "refused"), [(0.0199, False), (0.0201, True)])
+def test_steps_over_a_fiftieth_of_a_radian_are_refused(step: float, refused: bool) -> None:
+    robot = msgspec.structs.replace(shipped_robot(), quantum_rad=step)
+    lines = refusals(robot, training_of(robot))
+    assert any("is over 0.02 rad" in line for line in lines) == refused
+
+
+def test_what_is_no_model_is_not_written(walk: Path, tmp_path: Path) -> None:
+    messages = list(m.never_stance(m.read(walk), np.random.default_rng(1)))
+    done = run("fit", m.write(tmp_path / "made.mcap", messages), "-o", tmp_path / "legs.json")
     assert done.returncode == 1, done.stdout
     assert not (tmp_path / "legs.json").exists()
-    assert sum(words in line for line in done.stderr.splitlines()) == 1
+    assert sum("no leg swings for seconds" in line for line in done.stderr.splitlines()) == 1
     assert "no baseline was written" in done.stderr.splitlines()[-1]
 
 
@@ -68,11 +244,23 @@ def test_a_recording_of_other_legs_is_named(walk: Path, tmp_path: Path) -> None:
     assert "not used: leg LF, which robot 'hexapod-ax12a' lacks; it has leg lf" in done.stderr
 
 
-def test_steps_that_hide_a_touch_are_refused(walk: Path, tmp_path: Path) -> None:
-    config = tmp_path / "robot.toml"
-    made = SHIPPED.read_text().replace("quantum_rad = 0.005118", "quantum_rad = 0.03")
-    config.write_text(made)
-    done = run("fit", walk, "--config", config, "-o", tmp_path / "legs.json")
-    assert done.returncode == 1, done.stdout
-    assert "quantum_rad of lf, lm, lr, rf, rm, rr is over 0.02 rad" in done.stderr
-    assert not (tmp_path / "legs.json").exists()
+@pytest.mark.parametrize("command", ["fit", "replay", "score"])
+def test_no_command_takes_the_shipped_robot_silently_or_for_another(
+    sent: list[m.Sent], tmp_path: Path, command: str
+) -> None:
+    more = {
+        "fit": ["-o", tmp_path / "legs.json"],
+        "replay": ["--events", tmp_path / "events.jsonl"],
+        "score": [],
+    }[command]
+    nameless = m.write(tmp_path / "one.mcap", sent[:2000])
+    line = (
+        "no --config: taken for the shipped robot 'hexapod-ax12a' (lf, lm, lr, rf, rm, rr; 20 ms)"
+    )
+    assert line in run(command, nameless, *more).stderr
+    named = m.write(tmp_path / "two.mcap", sent[:2000], {"robot": "my-robot"})
+    done = run(command, named, *more)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "recorded from robot 'my-robot'" in line
+    assert "give the --config of 'my-robot'" in line

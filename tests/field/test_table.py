@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -11,15 +12,20 @@ import numpy as np
 import pytest
 
 from adaptive_contact.adapt.baseline import shipped_baseline
-from adaptive_contact.robot import shipped_robot
+from adaptive_contact.adapt.legids import judge_recorded_ids
+from adaptive_contact.robot import Mount, shipped_robot
 from adaptive_contact.service.findings import Cause
-from adaptive_contact.wire import servo_key
+from adaptive_contact.service.legcheck import check_recording
+from adaptive_contact.wire import ServoSample, servo_key
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.virtual.quadruped_trials import Scenario, record
+from adaptive_contact_sim.walk import WalkSettings
 
 from . import mistakes as m
-from .listening import causes, listen
+from .listening import alone, causes, listen
 
 QUADRUPED = "quadruped"
+BASELINE = shipped_baseline(shipped_robot().name)
 # Seconds that a source is followed: with a baseline, and until first models are learned.
 SHORT_S, WHOLE_S = 8.0, 40.0
 
@@ -79,10 +85,12 @@ TABLE: dict[str, tuple[m.Mistake, Cause]] = {
     "a turn off": (m.one_turn_off, Cause.TURN),
     "goals as readings": (m.echoed(), Cause.ECHO),
     "goals of the last tick as readings": (m.echoed(1), Cause.ECHO),
+    "one leg for all": (m.one_for_all, Cause.TWINS),
     "degrees": (m.degrees, Cause.UNITS),
     "registers": (m.registers, Cause.UNITS),
     "coarser steps": (m.rounded(0.02), Cause.QUANTUM),
     "a frozen joint": (m.frozen(1), Cause.FROZEN),
+    "a joint without torque": (m.without_torque(2), Cause.FROZEN),
     "another order of readings": (m.swapped_readings, Cause.ORDER),
     "readings turned round": (m.turned_readings, Cause.ORDER),
     "goals of the other sign": (m.goals_mirrored, Cause.BACKWARDS),
@@ -123,6 +131,162 @@ def test_pitch_that_grows_downwards_is_named(walk: list[m.Sent], phase: bool, gi
     assert finding.legs == ["lf", "lm", "lr", "rf", "rm", "rr"]
     assert "directions = [1, -1, -1]" in finding.what
     assert diagnosis.exit_code == 1
+
+
+def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
+    robot = shipped_robot()
+    made = list(m.caught("rm", 4.0, 0.7)(walk, np.random.default_rng(1)))
+    diagnosis = listen(made, robot, BASELINE)
+    assert causes(diagnosis) == [Cause.AMBIGUOUS], diagnosis.findings
+    assert [finding.legs for finding in diagnosis.findings if finding.level == "error"] == [["rm"]]
+    assert diagnosis.exit_code == 1
+
+
+def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]) -> None:
+    made = list(m.late_goals(6)(walk, np.random.default_rng(1)))
+    diagnosis = listen(made, shipped_robot(), BASELINE)
+    assert causes(diagnosis)[0] == Cause.NOT_THIS_ROBOT, diagnosis.findings
+    first = diagnosis.findings[0]
+    assert first.legs == list(shipped_robot().leg_ids)
+    places = [first.remedy.find(word) for word in ("signs", "zeros", "order of joints", "baseline")]
+    assert -1 < places[0] < places[1] < places[2] < places[3]
+
+
+def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
+    assert BASELINE is not None
+    legs = {leg: known for leg, known in BASELINE.legs.items() if leg != "lf"}
+    given = dataclasses.replace(BASELINE, legs=legs)
+    diagnosis = listen(last(walk, SHORT_S), shipped_robot(), given)
+    (finding,) = diagnosis.findings
+    assert (finding.level, finding.cause, finding.legs) == ("error", Cause.LEARNING, ["lf"])
+    assert "of 20 swings" in finding.what
+
+
+@pytest.mark.parametrize("period_s", [0.033, 0.01, 0.005], ids=["30 Hz", "100 Hz", "200 Hz"])
+def test_a_good_robot_at_another_rate_has_no_findings(period_s: float) -> None:
+    robot = msgspec.structs.replace(shipped_robot(), period_s=period_s)
+    settings = SimulationSettings(motion=WalkSettings(), seed=3, period_s=period_s)
+    sent = [
+        m.Sent(servo_key(leg), sample.t_ns, msgspec.to_builtins(sample))
+        for tick in Simulation(settings).run(12.0)
+        for leg, sample in tick.samples.items()
+    ]
+    assert check_recording(robot, of_legs(sent), {}) == []
+    # So short a walk gives no first model, and nothing else is wrong.
+    diagnosis = listen(last(sent, 4.0), robot, None)
+    assert causes(diagnosis, notes=True) == [Cause.LEARNING], diagnosis.findings
+    # By a robot.toml of another rate, it is named.
+    wrong = listen(last(sent, 4.0), shipped_robot(), BASELINE)
+    assert causes(wrong) == [Cause.PERIOD], wrong.findings
+
+
+def test_two_joints_have_no_findings(walk: list[m.Sent]) -> None:
+    two = list(m.angles(lambda row: row[1:])(walk, np.random.default_rng(1)))
+    legs = tuple(
+        msgspec.structs.replace(
+            leg,
+            joints=leg.joints[1:],
+            axes=("pitch", "pitch"),
+            lengths_m=None if leg.lengths_m is None else leg.lengths_m[1:],
+            mount=Mount(),
+            limits=None,
+            servos=None,
+        )
+        for leg in shipped_robot().legs
+    )
+    diagnosis = listen(two, msgspec.structs.replace(shipped_robot(), legs=legs), None)
+    assert diagnosis.exit_code == 0, diagnosis.findings
+
+
+@pytest.mark.parametrize(("periods", "named"), [(0.05, False), (0.12, False), (0.2, True)])
+def test_jitter_of_a_loop_on_a_timer_is_none(
+    walk: list[m.Sent], periods: float, named: bool
+) -> None:
+    robot = shipped_robot()
+    made = of_legs(list(m.jitter(periods)(last(walk, SHORT_S), np.random.default_rng(1))))
+    found = [finding.cause for finding in check_recording(robot, made, {})]
+    assert found == ([Cause.JITTER] if named else [])
+
+
+def test_without_a_service_the_samples_tell_rate_and_steps(walk: list[m.Sent]) -> None:
+    diagnosis = alone(last(walk, 4.0))
+    assert causes(diagnosis, notes=True) == [Cause.NO_SERVICE, Cause.UNDECLARED]
+    note = diagnosis.findings[-1]
+    assert note.what.endswith("samples come every 20.0 ms (50.0 Hz), readings step by 0.00512 rad")
+
+
+@pytest.mark.parametrize(
+    ("mistake", "cause"),
+    [
+        (m.white_jitter, Cause.JITTER),
+        (m.milliseconds, Cause.TIME_UNIT),
+        (m.rounded(0.03), Cause.QUANTUM),
+        (m.degrees, Cause.UNITS),
+        (m.echoed(), Cause.ECHO),
+        (m.one_for_all, Cause.TWINS),
+    ],
+    ids=["jitter", "milliseconds", "steps", "degrees", "echo", "twins"],
+)
+def test_without_a_service_mistakes_are_named_all_the_same(
+    walk: list[m.Sent], mistake: m.Mistake, cause: Cause
+) -> None:
+    diagnosis = alone(list(mistake(last(walk, 4.0), np.random.default_rng(1))))
+    assert sorted(causes(diagnosis)) == sorted([Cause.NO_SERVICE, cause]), diagnosis.findings
+
+
+SWAPS: dict[str, dict[str, str]] = {
+    "mirrored": {"lf": "rf", "rf": "lf"},
+    "neighbours": {"lf": "lm", "lm": "lf"},
+    "a circle": {"lf": "lm", "lm": "lr", "lr": "lf"},
+    "half a turn": {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"},
+}
+
+
+@pytest.mark.parametrize("swap", SWAPS.values(), ids=SWAPS.keys())
+def test_legs_under_each_others_ids_are_named(walk: list[m.Sent], swap: dict[str, str]) -> None:
+    robot = shipped_robot()
+    diagnosis = listen(list(m.renamed(swap)(walk, np.random.default_rng(1))), robot, BASELINE)
+    assert causes(diagnosis) == [Cause.LEG_SWAP], diagnosis.findings
+    assert diagnosis.exit_code == 1
+    (finding,) = diagnosis.findings
+    assert sorted(finding.legs) == sorted(swap)
+
+
+def of_legs(messages: list[m.Sent]) -> dict[str, list[ServoSample]]:
+    samples: dict[str, list[ServoSample]] = {}
+    for sent in messages:
+        if sent.is_sample:
+            samples.setdefault(sent.leg, []).append(msgspec.convert(sent.body, ServoSample))
+    return samples
+
+
+def test_without_models_feet_that_stand_tell_ids(walk: list[m.Sent]) -> None:
+    robot, samples = shipped_robot(), of_legs(last(walk, 20.0))
+    assert judge_recorded_ids(robot, samples) == {}
+    for name, swap in SWAPS.items():
+        swapped = {swap.get(leg, leg): rows for leg, rows in samples.items()}
+        lines = judge_recorded_ids(robot, swapped)
+        # Turned by half a turn, this body looks the same.
+        assert sorted(lines) == ([] if name == "half a turn" else sorted(swap)), name
+        for leg, line in lines.items():
+            owner = next(old for old, new in swap.items() if new == leg)
+            assert f"the samples are those of leg '{owner}'" in line
+
+
+def yaw_turned(messages: list[m.Sent]) -> list[m.Sent]:
+    flip, rng = m.angles(lambda row: [-row[0], *row[1:]]), np.random.default_rng(1)
+    front = ("lf", "rf")
+    return [
+        one for sent in messages for one in (flip([sent], rng) if sent.leg in front else [sent])
+    ]
+
+
+def test_a_yaw_of_the_wrong_sign_is_no_swap_where_models_tell(walk: list[m.Sent]) -> None:
+    diagnosis = listen(yaw_turned(walk), shipped_robot(), BASELINE)
+    assert causes(diagnosis) == [Cause.SIGNS], diagnosis.findings
+    lines = judge_recorded_ids(shipped_robot(), of_legs(yaw_turned(last(walk, 20.0))))
+    assert sorted(lines) == ["lf", "rf"]
+    assert all("as likely, the yaw angles grow the wrong way" in line for line in lines.values())
 
 
 def test_a_joint_too_few(walk: list[m.Sent]) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -337,3 +339,57 @@ def test_help_is_quick() -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(60)
+def test_encodings_and_keys_that_zenoh_cannot_send_are_counted(
+    router: Link, tmp_path: Path
+) -> None:
+    """Zenoh 1.10 panics at an encoding of 256 letters and a key of 65,536; 255 arrive."""
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        writer.write("robot/" + "k" * 70_000, b"{}", MSGPACK, 0)
+        for k, length in enumerate((1, 254, 255, 256, 257, 400, 70_000)):
+            writer.write("robot/leg/rf/servo", b"{}", "x" * length, k)
+            writer.write("robot/leg/rf/servo", b"{}", "é" * (length // 2), k)
+    arrived: list[int] = []
+    heard = threading.Event()
+
+    def hear(received: Any) -> None:
+        arrived.append(len(received.encoding.encode()))
+        if len(arrived) == 6:
+            heard.set()
+
+    router.subscribe("robot/leg/*/servo", hear)
+    process = start("replay", path, "--connect", router.endpoints[0], "--speed", "max", "--all")
+    _, said = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0, said
+    assert "panic" not in said
+    assert "malformed 9" in said
+    assert heard.wait(WAIT_S)
+    assert sorted(n for n in arrived if n > 100) == [254, 254, 254, 255]
+
+
+@pytest.mark.parametrize("command", ["replay", "score", "fit"])
+def test_a_recording_from_a_fifo_is_refused_in_a_line(command: str, tmp_path: Path) -> None:
+    """What cannot be read twice: a pipe, a process substitution."""
+    path = tmp_path / "a.mcap"
+    write_walk(path)
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    options = {"replay": ["--events", "-"], "score": [], "fit": ["-o", tmp_path / "out.json"]}
+    words = [command, fifo, *options[command]]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "adaptive_contact", *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with contextlib.suppress(BrokenPipeError):
+        fifo.write_bytes(path.read_bytes())  # waits until it is opened for reading
+    out, said = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 2
+    assert out == ""
+    last = said.splitlines()[-1]
+    assert last.startswith(f"adaptive-contact: {fifo}: cannot be read twice; expected an MCAP file")
+    assert "Traceback" not in said
+    assert not (tmp_path / "out.json").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import struct
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 import zstandard
 
 from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 LIMIT_BYTES = 600 << 20  # Python with numpy reserves 200 MB of addresses, a chunk takes 128 MB
 
@@ -68,6 +70,56 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_stepped_over(
     path.write_bytes(whole[:at] + chunk(name.encode(), packed, says) + whole[at:])
     out = read_in_a_child(path)
     assert out.startswith("1 1 damaged place"), out
+
+
+def peak_mb(*args: str) -> tuple[float, int, str]:
+    """Runs a command; its largest resident memory, its exit code, and what it said on stderr."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "adaptive_contact", *args],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stderr is not None
+        said = process.stderr.read()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    return usage.ru_maxrss / 1024, process.returncode, said
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize("command", ["replay", "score", "fit"])
+def test_commands_take_little_memory_for_a_chunk_that_unpacks_to_gigabytes(
+    tmp_path: Path, command: str
+) -> None:
+    """62 kB that unpack to 2 GB, in a recording of a leg; against the same recording without."""
+    path, bomb = tmp_path / "a.mcap", tmp_path / "bomb.mcap"
+    with RecordingWriter(path) as writer:
+        for seq in range(200):
+            sample = ServoSample(
+                t_ns=seq * 20_000_000, seq=seq, measured=[0.0, 0.1, 0.2], desired=[0.0, 0.1, 0.2]
+            )
+            writer.write(servo_key("rf"), encode(sample), MSGPACK, seq * 20_000_000)
+    whole = path.read_bytes()
+    at = whole.index(b"\x06", 8)  # of the first chunk
+    packer = zstandard.ZstdCompressor().compressobj()
+    block = bytes(1 << 20)
+    packed = b"".join(packer.compress(block) for _ in range(2000)) + packer.flush()
+    bomb.write_bytes(whole[:at] + chunk(b"zstd", packed, 1000) + whole[at:])
+    out = tmp_path / "out.jsonl"
+    options = {
+        "replay": ("--events", str(out)),
+        "score": ("--json",),
+        "fit": ("--out", str(out)),
+    }[command]
+    without, code, _ = peak_mb(command, str(path), *options)
+    out.unlink(missing_ok=True)
+    with_it, same, said = peak_mb(command, str(bomb), *options)
+    assert same == code, said
+    assert "damaged" in said
+    assert "Traceback" not in said
+    # A chunk may unpack to 64 MB, beside what was unpacked before.
+    assert with_it < without + 200, (with_it, without)
 
 
 def test_random_flips_and_cuts_cost_only_what_they_hit(tmp_path: Path) -> None:

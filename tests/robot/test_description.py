@@ -28,6 +28,13 @@ def test_the_shortest_file_is_enough() -> None:
     assert robot.quantum("rf") == 0.00511
 
 
+def test_a_robot_has_as_many_legs_as_a_service_can_follow() -> None:
+    more = "".join(f'[[leg]]\nid = "l{n}"\njoints = ["a"]\n' for n in range(63))
+    assert len(parse_robot(GOOD + more, source="x").legs) == 64
+    with pytest.raises(ConfigurationError, match=r"x: 65 \[\[leg\]\]; expected 64 at most: give"):
+        parse_robot(GOOD + more + '[[leg]]\nid = "one-more"\njoints = ["a"]\n', source="x")
+
+
 @pytest.mark.parametrize("joints", [1, 2, 3, 4, 6])
 def test_any_number_of_joints(joints: int) -> None:
     names = [f"j{i}" for i in range(joints)]

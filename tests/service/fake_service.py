@@ -116,7 +116,7 @@ class FakeLearner:
             refits=self.refits,
             contact=self.contact,
             contacts=self.contacts,
-            note=self.note,
+            note=self.note or self.guard.note,
         )
 
     def update(self, sample: ServoSample) -> ContactEvent | None:
@@ -186,6 +186,8 @@ def no_process(**_: object) -> None:
 def main() -> None:
     module = types.ModuleType("adaptive_contact.adapt")
     module.LearnerBank = FakeBank  # type: ignore[attr-defined]
+    module.SNAPSHOT_FORMAT = 3  # type: ignore[attr-defined]
+    module.WhenAmbiguous = str  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.adapt"] = module
     sys.modules["adaptive_contact.adapt.stream"] = STREAM
     refits = types.ModuleType("adaptive_contact.service.refits")

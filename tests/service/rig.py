@@ -10,9 +10,11 @@ import contextlib
 import io
 import itertools
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -24,6 +26,7 @@ from adaptive_contact.service.watch_table import headline, table
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    MSGPACK,
     ContactEvent,
     LearnerStatus,
     ServoSample,
@@ -45,19 +48,43 @@ with Link.open(router_settings([sys.argv[1]])) as link:
 """
 
 # Subscribers that hang when their process is stopped: foreign ones, with Zenoh's own settings but
-# for the lease of our own commands, after which a router gives a silent link up.
+# for the lease (ms; that of our own commands), after which a router gives a silent link up.
 FOREIGN = """
-import sys, threading, zenoh
-text = (
-    '{mode: "client", connect: {endpoints: ["%s"]}, transport: {link: {tx: {lease: 2000}}}}'
-    % sys.argv[1]
-)
+import json, sys, threading, zenoh
+config, lease = (*sys.argv[3:], None, None)[:2]
 kept = []
 for _ in range(int(sys.argv[2])):
-    session = zenoh.open(zenoh.Config.from_json5(text))
+    zenoh_config = zenoh.Config() if config is None else zenoh.Config.from_file(config)
+    zenoh_config.insert_json5("mode", '"client"')
+    zenoh_config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
+    zenoh_config.insert_json5("transport/link/tx/lease", lease or "2000")
+    session = zenoh.open(zenoh_config)
     kept += [session, session.declare_subscriber("robot/**", lambda sample: None)]
 print("subscribed", flush=True)
 threading.Event().wait()
+"""
+
+# Carries bytes both ways until its process is stopped; says where it listens.
+PROXY = """
+import asyncio, sys
+host, _, port = sys.argv[1].rpartition(":")
+
+async def carry(reader, writer):
+    while data := await reader.read(65536):
+        writer.write(data)
+        await writer.drain()
+    writer.close()
+
+async def join(reader, writer):
+    there, back = await asyncio.open_connection(host, int(port))
+    await asyncio.gather(carry(reader, back), carry(there, writer), return_exceptions=True)
+
+async def main():
+    server = await asyncio.start_server(join, "127.0.0.1", 0, backlog=1024)
+    print("127.0.0.1:%d" % server.sockets[0].getsockname()[1], flush=True)
+    await server.serve_forever()
+
+asyncio.run(main())
 """
 
 
@@ -77,9 +104,10 @@ class Robot50(threading.Thread):
         run: int | None = None,
         epoch_ns: int = S,
         first: int = 0,
+        zenoh_config: Path | None = None,
     ) -> None:
         super().__init__(daemon=True)
-        self.link = Link.open(client_settings([endpoint], wait=False))
+        self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
         self.publishers = {leg: self.link.publisher(servo_key(leg)) for leg in legs}
         self.seq = first
         self.run_id = run
@@ -113,6 +141,45 @@ class Robot50(threading.Thread):
         self.link.close()
 
 
+class Pour(threading.Thread):
+    """Publishes 2,000 samples a second of a leg, an event each, until closed."""
+
+    def __init__(self, endpoint: str, leg: str, *, zenoh_config: Path | None = None) -> None:
+        super().__init__(daemon=True)
+        self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
+        self.leg = leg
+        self.stop = threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        publisher = self.link.publisher(servo_key(self.leg))
+        for seq in range(1, sys.maxsize):
+            if seq % 20 == 0 and self.stop.wait(0.01):
+                return
+            publisher.put(
+                ServoSample(
+                    t_ns=seq * 20_000_000,
+                    seq=seq,
+                    measured=[0.5 * (seq % 2), 0.1, 0.2],
+                    desired=[0.0, 0.1, 0.2],
+                )
+            )
+
+    def close(self) -> None:
+        self.stop.set()
+        self.join(5)
+        self.link.close()
+
+
+class Bulk(Pour):
+    """Publishes 1.5 MB/s of what is no sample, until closed."""
+
+    def run(self) -> None:
+        publisher = self.link.publisher(servo_key(self.leg))
+        while not self.stop.wait(0.02):
+            publisher.put_raw(bytes(30_000), MSGPACK)
+
+
 def uncounted(before: LearnerStatus, after: LearnerStatus) -> int:
     """Samples of a :class:`Robot50` between two statuses of a leg that no counter has."""
     sent = (after.t_ns - before.t_ns) // 20_000_000
@@ -122,8 +189,8 @@ def uncounted(before: LearnerStatus, after: LearnerStatus) -> int:
 class Listener:
     """Keeps events and statuses of all legs, with the time of their arrival."""
 
-    def __init__(self, endpoint: str) -> None:
-        self.link = Link.open(client_settings([endpoint], wait=False))
+    def __init__(self, endpoint: str, *, zenoh_config: Path | None = None) -> None:
+        self.link = Link.open(client_settings([endpoint], wait=False, zenoh_config=zenoh_config))
         self.events: list[tuple[float, ContactEvent]] = []
         self.statuses: dict[str, LearnerStatus] = {}
         self.words: list[tuple[str, str]] = []  # (leg, status) at each change

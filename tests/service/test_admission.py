@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.adapt import ContactLearner
-from adaptive_contact.adapt.stream import MAX_OLD_RUNS, TAKE_BACK_SAMPLES
+from adaptive_contact.adapt.stream import MAX_OLD_RUNS, SHORT_RUN_SAMPLES, TAKE_BACK_SAMPLES
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.service.admission import Admission
 from adaptive_contact.service.state.keeper import Position
@@ -82,7 +82,7 @@ def test_the_learner_does_what_is_told_of_each_sample(
 
 @given(
     st.lists(
-        st.sampled_from([None, 1, 2, 3]), min_size=1, max_size=TAKE_BACK_SAMPLES - 1
+        st.sampled_from([None, 1]), min_size=1, max_size=TAKE_BACK_SAMPLES - 1
     ),  # too few for anybody to be taken back: the count of those begins anew
     st.integers(0, TAKE_BACK_SAMPLES),
 )
@@ -115,7 +115,9 @@ def test_a_superseded_publisher_is_taken_back_when_none_of_the_newer_one_comes_b
     assert told[waited:] == [USED] * (30 - waited)
     assert admission.position is not None
     assert admission.position.superseded == ()
-    assert admission.judge(sample(400, run=8)) == USED, "the one that started last is back"
+    # The one that started last is back: at its third sample, as it was soon gone before.
+    back = [admission.judge(sample(k, run=8)) for k in range(400, 403)]
+    assert back == [refused, refused, USED]
     assert admission.position.superseded == (7,)
 
 
@@ -148,6 +150,26 @@ def test_one_that_started_while_the_service_was_down_is_the_newest() -> None:
 def test_publishers_remembered_are_bounded() -> None:
     admission = Admission(2, Position(0, 1))
     for run in range(1, 100):
-        assert admission.judge(sample(run, run=run)) == USED
+        for seq in range(SHORT_RUN_SAMPLES):
+            assert admission.judge(sample(seq, run=run)) == USED
     assert admission.position is not None
     assert admission.position.superseded == tuple(range(99 - MAX_OLD_RUNS, 99))
+
+
+def test_one_wild_number_after_a_restart_of_the_service_counts_nothing() -> None:
+    admission = Admission(2, Position(1, 100))
+    assert admission.judge(sample(0, seq=9_000_000, t_ns=1)) == USED
+    told = [admission.judge(sample(k)) for k in range(200, 240)]
+    assert told[-1] == USED
+    # What passed until the source was believed; the samples refused meanwhile among it.
+    assert admission.missed_down == told.index(USED) + 200 - 101
+    assert admission.position == Position(1, 239, admission.missed_down)
+
+
+def test_a_long_gap_over_a_restart_counts_though_the_service_is_killed_again_before() -> None:
+    first = Admission(2, Position(1, 100))
+    assert first.judge(sample(5000)) == USED
+    again = Admission(2, first.position)
+    told = [again.judge(sample(k)) for k in range(6000, 6010)]
+    assert told == [USED] * 10
+    assert again.missed_down == 6000 - 101

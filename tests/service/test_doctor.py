@@ -17,6 +17,7 @@ from adaptive_contact.service.link import Link
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
+    JSON,
     MSGPACK,
     LearnerStatus,
     Reject,
@@ -167,7 +168,8 @@ def test_joints_phase_and_unknown_legs_are_held_against_robot_toml() -> None:
     assert "no phase" in only(judge(stream(phase=None), facts=bare)).what
     unknown = LegFacts(joints=["joint 1"], lengths=True, described=False)
     assert "the leg is not in robot.toml" in only(judge(stream(), facts=unknown)).what
-    assert judge(stream(), facts=None, period_s=None) == []
+    told = only(judge(stream(), facts=None, period_s=None))
+    assert (told.level, told.detail) == ("note", "samples come every 20.0 ms (50.0 Hz)")
 
 
 def test_a_restart_of_the_source_is_no_fault() -> None:
@@ -236,7 +238,10 @@ def test_all_is_well() -> None:
 
 def test_no_service() -> None:
     diagnosis = diagnose(hear(*good()), 3.0, alive=False)
-    assert whats(diagnosis) == ["error: a router is there, but no service"]
+    assert whats(diagnosis) == [
+        "error: a router is there, but no service",
+        "note: there is no robot.toml to compare with: samples come every 20.0 ms (50.0 Hz)",
+    ]
     assert diagnosis.exit_code == 1
 
 
@@ -287,6 +292,11 @@ def test_a_legs_own_note_comes_with_what_to_do(status: Status, remedy: str) -> N
     ("key", "what", "remedy"),
     [
         ("robot/leg/rf/servos", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("robot/legs/rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("robot/rf/servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("robot/leg/servo/rf", "read by nobody", "did you mean robot/leg/rf/servo?"),
+        ("Robot/Leg/rf/Servo", "read by nobody", "did you mean robot/leg/rf/servo?"),
         ("hexa/robot/leg/rf/servo", "lie under 'hexa'", "--namespace hexa"),
         ("robot/leg/*/servo", "names no usable leg", "leg id"),
     ],
@@ -308,6 +318,24 @@ def test_an_odd_encoding_is_a_note_while_its_payloads_are_read() -> None:
     finding = only(diagnose(heard, 3.0, alive=True).findings)
     assert "the encoding zenoh/bytes is taken for msgpack" in finding.what
     assert finding.level == "note", "what it holds can be read"
+
+
+@pytest.mark.parametrize("encoding", ["text/json", "zenoh/bytes", "zenoh/string", ""])
+def test_json_is_understood_whatever_is_declared(encoding: str) -> None:
+    """With a mark of byte order, or white space before it, too."""
+    heard = Examination()
+    for k, sample in enumerate(stream(151)):
+        begin = (b"", b"\xef\xbb\xbf", b" \r\n\t", b"\xef\xbb\xbf ")[k % 4]
+        heard.take(Received(servo_key("rf"), begin + encode(sample, JSON), encoding, 0, None))
+    assert not heard.refused
+    causes = {finding.cause for finding in diagnose(heard, 3.0, alive=False).findings}
+    assert causes == {"no_service"}
+
+
+def test_legs_misspelt_in_one_way_are_one_entry() -> None:
+    heard = hear(*((f"robot/legs/{leg}/servo", b"") for leg in ("lf", "lm", "rf")))
+    entry = only([f for f in diagnose(heard, 3.0, alive=True).findings if f.cause == "key"])
+    assert entry.legs == ["lf", "lm", "rf"]
 
 
 def test_a_flood_of_keys_is_bounded() -> None:

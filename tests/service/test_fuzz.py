@@ -14,7 +14,7 @@ def test_ten_thousand_broken_payloads_are_all_handled() -> None:
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     found = script.fuzz(10_000, 1, lambda line: None)
-    assert found["accepted"] > 500, "a good share gets through all checks"
+    assert found["accepted"] > 300, "a good share gets through all checks"
     assert {kind.__name__ for kind in script.KINDS} <= set(found)
     for reason in ("malformed", "wrong_type", "missing_field", "version"):
         assert found[reason] > 0

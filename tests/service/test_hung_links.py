@@ -2,7 +2,8 @@
 
 Real processes and real Zenoh.  The bounds are generous, as the machine may be busy: without what
 is tested here, four cut links stop everybody for 10 s, and 20 that hang for 20 s.  On a quiet
-machine, `LINKS=1,4,20,64 LONGEST_S=0.75 pytest -s` of this file prints and holds what is reached.
+machine, `LINKS=1,4,20,64 VIEWERS=10,130 LONGEST_S=0.75 pytest -s` of this file prints and holds
+what is reached.
 """
 
 from __future__ import annotations
@@ -12,21 +13,45 @@ import re
 import shutil
 import signal
 import subprocess
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
 
-from adaptive_contact.wire import ServoSample, servo_key
-
 pytestmark = pytest.mark.e2e
 
 LONGEST_S = float(os.environ.get("LONGEST_S", "4"))
 LINKS = [int(text) for text in os.environ.get("LINKS", "4,20").split(",")]
+VIEWERS = [int(text) for text in os.environ.get("VIEWERS", "130").split(",")]
 SOURCE = "10.231.7.1"
+TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
+
+
+class Users(NamedTuple):
+    """Files of the documented set."""
+
+    service: Path
+    robot: Path
+    viewer: Path
+
+
+@pytest.fixture
+def users(tmp_path: Path) -> Users:
+    service, robot = re.findall(r"```json5\n(.*?)```", TEXT, re.DOTALL)[:2]
+    (names,) = re.findall(r"```text\n(.*?)```", TEXT, re.DOTALL)
+    (tmp_path / "users").write_text(names)
+    files = Users(*(tmp_path / f"{name}.json5" for name in Users._fields))
+    files.service.write_text(
+        service.replace("/etc/adaptive-contact/users", str(tmp_path / "users"))
+    )
+    files.robot.write_text(robot)
+    files.viewer.write_text(
+        robot.replace('"robot"', '"viewer"').replace("CHANGE-ME-2", "CHANGE-ME-3")
+    )
+    return files
 
 
 class Namespace(NamedTuple):
@@ -78,35 +103,21 @@ def delays_since(robot: Any, listener: Any, leg: str, since: float) -> list[floa
 
 @pytest.mark.parametrize("links", LINKS)
 def test_subscribers_that_hang_hold_up_nobody(
-    serve: Any, command: Any, rig: ModuleType, sample: Callable[..., ServoSample], links: int
+    serve: Any, command: Any, rig: ModuleType, links: int
 ) -> None:
     served = serve()
     robot, listener = rig.Robot50(served.endpoint, ("rf",)), rig.Listener(served.endpoint)
     hanging = command("-c", rig.FOREIGN, served.endpoint, str(links), stdout=subprocess.PIPE)
     assert hanging.stdout.readline().strip() == "subscribed"
-    stop = threading.Event()
-    publisher = listener.link.publisher(servo_key("lf"))
-
-    def pour() -> None:
-        number = 1
-        while not stop.is_set():
-            for _ in range(20):  # an event each, until every buffer towards them is full
-                publisher.put(sample(number, contact=number % 2 == 1))
-                number += 1
-            stop.wait(0.01)
-
     with rig.closing(listener, robot):
         listener.steady(robot, "rf", 2)
         hanging.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
         began = len(listener.of("rf"))
-        pouring = threading.Thread(target=pour)
-        pouring.start()
         try:
-            listener.wait(lambda me: len(me.of("rf")) >= began + 25, 40.0)
+            with rig.closing(rig.Pour(served.endpoint, "lf")):
+                listener.wait(lambda me: len(me.of("rf")) >= began + 25, 40.0)
         finally:
-            stop.set()
-            pouring.join(5)
             hanging.send_signal(signal.SIGCONT)
         assert max(delays_since(robot, listener, "rf", stopped)) < LONGEST_S
         listener.steady(robot, "rf")
@@ -117,6 +128,67 @@ def test_subscribers_that_hang_hold_up_nobody(
     dropped = re.search(r"(\d+) links of subscribers dropped", shown)
     assert dropped is None or int(dropped[1]) <= links
     assert bool(dropped) == ("links dropped that held up" in served.log.read_text())
+
+
+@pytest.mark.parametrize("links", LINKS)
+def test_subscribers_that_hang_on_a_unix_socket_hold_up_nobody(
+    serve: Any, command: Any, rig: ModuleType, tmp_path: Path, links: int
+) -> None:
+    """Nothing is acknowledged there, and what they say of their silence keeps them for hours."""
+    served = serve("--listen", f"unixsock-stream/{tmp_path}/u", "--listen", "127.0.0.1:0")
+    here, near = served.endpoint.split(", ")
+    robot, listener = rig.Robot50(near, ("rf",)), rig.Listener(near)
+    own = tmp_path / "own.json5"
+    own.write_text("{}")
+    script = (rig.FOREIGN, here, str(links), str(own), "3600000")
+    hanging = command("-c", *script, stdout=subprocess.PIPE)
+    assert hanging.stdout.readline().strip() == "subscribed"
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        hanging.send_signal(signal.SIGSTOP)
+        stopped = time.monotonic()
+        with rig.closing(rig.Bulk(near, "rr")):
+            shown = rig.watched(listener.link, "links of subscribers dropped", 60.0)
+            listener.steady(robot, "rf", 2)
+        assert max(delays_since(robot, listener, "rf", stopped)) < LONGEST_S
+    assert f"{links} links of subscribers dropped" in shown
+    assert served.stop() == 0
+
+
+@pytest.mark.parametrize("viewers", VIEWERS)
+def test_viewers_behind_a_proxy_that_stops_reading_hold_up_nobody(
+    serve: Any, command: Any, rig: ModuleType, users: Users, viewers: int
+) -> None:
+    """Read-only users of the documented set, whose sessions say that they may be silent for hours.
+
+    What is sent to them stays in the kernel's buffers, then in Zenoh's; no lease ends them.
+    """
+    served = serve("--listen", "0.0.0.0:0", "--zenoh-config", str(users.service))
+    near = served.endpoint.replace("0.0.0.0", "127.0.0.1")
+    proxy = command("-c", rig.PROXY, near.removeprefix("tcp/"), stdout=subprocess.PIPE)
+    behind = f"tcp/{proxy.stdout.readline().strip()}"
+    sessions = (rig.FOREIGN, behind, str(viewers), str(users.viewer), "3600000")
+    reading = command("-c", *sessions, stdout=subprocess.PIPE)
+    assert reading.stdout.readline().strip() == "subscribed"
+    robot = rig.Robot50(near, ("lf", "rf"), zenoh_config=users.robot)
+    listener = rig.Listener(near, zenoh_config=users.viewer)
+    with rig.closing(listener, robot):
+        listener.steady(robot, "rf", 2)
+        proxy.send_signal(signal.SIGSTOP)
+        stopped = time.monotonic()
+        # What fills them, the kernel's buffers and then Zenoh's: 1.5 MB/s to each.
+        with rig.closing(rig.Bulk(near, "rr", zenoh_config=users.robot)):
+            shown = rig.watched(listener.link, "links of subscribers dropped", 60.0)
+            listener.steady(robot, "rf", 2)
+        assert max(delays_since(robot, listener, "rf", stopped)) < LONGEST_S
+        assert listener.statuses["rf"].missed == 0
+        assert "links dropped since the start" in shown
+    dropped = re.search(r"(\d+) links of subscribers dropped", shown)
+    assert dropped is not None
+    # Links are counted, not events: each once, and only those of the viewers.
+    assert 1 <= int(dropped[1]) <= viewers
+    assert served.stop() == 0
+    assert "links dropped that held up" in served.log.read_text()
 
 
 @pytest.mark.parametrize("links", LINKS)

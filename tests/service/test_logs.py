@@ -58,3 +58,23 @@ def test_a_reader_that_is_gone_ends_nobody() -> None:
     assert json.loads(stream.getvalue())["message"] == "told"
     stream.close()
     structlog.get_logger().warning("not told")
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_line_shows_what_a_terminal_would_obey(as_json: bool) -> None:
+    """Values, the event itself, and the message of an exception, whose text may be of the wire."""
+    hostile = "\x1b[31mred\x07 \x9b2J\u202e \x7f\r\nall is well"
+    stream = io.StringIO()
+    configure_logs(json=as_json, stream=stream)
+    structlog.get_logger().info("refused", key=hostile, many=[hostile])
+    try:
+        raise ValueError(hostile)
+    except ValueError:
+        structlog.get_logger().exception(hostile)
+    text = stream.getvalue()
+    assert not set(text) & set("\x1b\x07\x9b\u202e\x7f\r")
+    assert "\\u001b[31mred" in text
+    if as_json:
+        lines = [json.loads(line) for line in text.splitlines()]
+        assert [line["message"] for line in lines] == ["refused", hostile]
+        assert lines[0]["key"] == hostile

@@ -222,6 +222,25 @@ def test_who_asks_for_everything_gets_what_he_may_see(
 
 
 @pytest.mark.e2e
+@pytest.mark.parametrize("everything", ["**", "robot/**", "robot/*"])
+def test_who_is_there_is_told_to_who_asks_for_everything(
+    guarded: Guarded, inbox: Any, sample: Sample, everything: str
+) -> None:
+    """By a get and by a subscriber, in sessions of their own: one's answers may help another."""
+    robot, tokens = guarded.user("robot"), inbox()
+    guarded.user("viewer").watch_tokens(everything, tokens)
+    matched(robot, servo_key("rf")).put(sample(1))
+    expected = {SERVICE_TOKEN} | ({leg_token("rf")} if everything != "robot/*" else set())
+    tokens.wait(lambda items: expected <= {key for key, alive in items if alive})
+    assert SERVICE_TOKEN in guarded.user("viewer").alive(everything)
+    # A session without a name of the set may say that it is there, and nobody is told.
+    stranger = guarded.user("viewer")
+    stranger.token("robot/made-up")
+    assert "robot/made-up" not in guarded.user("viewer").alive("robot/**")
+    assert guarded.served.stop() == 0
+
+
+@pytest.mark.e2e
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
 def test_zenohs_own_log_holds_no_key_of_an_endpoint(
     command: Any, certificates: Path, monkeypatch: pytest.MonkeyPatch

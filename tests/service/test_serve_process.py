@@ -20,6 +20,8 @@ import pytest
 
 from adaptive_contact.service.link import Link, Publisher, router_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.service.watch import View
+from adaptive_contact.service.watch_table import headline
 from adaptive_contact.wire import (
     ALL_CONTACT,
     JSON,
@@ -360,3 +362,33 @@ def test_the_process_that_refits_comes_first_and_ends_last() -> None:
         assert done.returncode == 2
         assert done.stderr.startswith("adaptive-contact: nosuch.toml")
         assert done.stdout.splitlines() == says
+
+
+def test_a_misspelt_key_is_named_until_every_leg_has_samples(
+    serve: Any, join: Join, inbox: Any, sample: Sample
+) -> None:
+    """In the log, and in the status that `watch` shows; with samples of all legs it is quiet."""
+    served = serve()
+    client = join(served.endpoint)
+    statuses = inbox(ServiceStatus)
+    client.subscribe(SERVICE_STATUS, statuses)
+    wrong = {
+        "robot/legs/rf/servo": "did you mean robot/leg/rf/servo?",
+        "rf/servo": "did you mean robot/leg/rf/servo?",
+        "hexa/robot/leg/rf/servo": "is hexa the robot's --namespace?",
+    }
+    publishers = [client.publisher(key) for key in wrong]
+    until = time.monotonic() + 20
+    while not (statuses.items and statuses.items[-1].strays == wrong):
+        assert time.monotonic() < until, statuses.items[-1:]
+        for publisher in publishers:
+            publisher.put(sample(1))
+        time.sleep(0.05)  # the period of the source
+    assert "a key is read by nobody" in served.log.read_text()
+    view = View(legs=[], service=statuses.items[-1], alive=True)
+    assert "nobody reads rf/servo: did you mean robot/leg/rf/servo?" in headline(view).plain
+    right = [matched(client.publisher(servo_key(leg))) for leg in statuses.items[-1].legs]
+    for publisher in right:
+        publisher.put(sample(2))
+    statuses.wait(lambda items: not items[-1].strays)
+    assert served.stop() == 0

@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from adaptive_contact.robot import Robot
+from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service import server
 from adaptive_contact.service.intake import Raw, Round
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -160,7 +161,7 @@ def test_a_leg_falls_silent_and_comes_back(step: Lockstep, inbox: Any, sample: S
     assert silent.note.startswith("no sample for 0.5") or silent.note.startswith(
         "no sample for 0.6"
     )
-    step.work(800 * MS, lf=sample(900), rf=sample(800))
+    step.work(800 * MS, lf=sample(31), rf=sample(640))
     assert got.wait(3)[2].status == "valid"
     changes = tokens.wait(lambda items: sum(key == "robot/leg/lf" for key, _ in items) >= 3)
     assert [alive for key, alive in changes if key == "robot/leg/lf"] == [True, False, True]
@@ -352,6 +353,43 @@ def test_an_event_does_not_wait_for_learning(
         heard.set()
         stop.set()
         worker.join(5)
+
+
+def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
+    router: Link, fake: ModuleType, sample: Sample, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight legs, forty ticks waiting: statuses, saves and the watchdog do not wait for all."""
+    legs = [f"l{n}" for n in range(fake.MAX_LEGS)]
+    text = "".join(f'[[leg]]\nid = "{leg}"\njoints = ["a", "b", "c"]\n' for leg in legs)
+    many = parse_robot(
+        f'[robot]\nname = "many"\nperiod_s = 0.02\nquantum_rad = 0.005\n{text}', source="test"
+    )
+    bank = fake.FakeBank(many)
+    service = Service(router, bank, many, baseline=None, now_ns=0)
+    for seq in range(40):
+        for leg in legs:
+            service._intake.offer(Received(servo_key(leg), encode(sample(seq)), MSGPACK, 0, None))
+    judge, judged, most, done = bank.judge, [0], [0], threading.Event()
+
+    def count(samples: Mapping[str, ServoSample]) -> object:
+        judged[0] += 1
+        most[0] = max(most[0], judged[0])
+        if max(one.seq for one in samples.values()) == 39:
+            done.set()
+        return judge(samples)
+
+    monkeypatch.setattr(bank, "judge", count)
+    monkeypatch.setattr(bank, "finish", lambda: judged.__setitem__(0, 0))
+    stop = threading.Event()
+    worker = threading.Thread(target=service.run, args=[stop])
+    worker.start()
+    try:
+        assert done.wait(20)
+    finally:
+        stop.set()
+        worker.join(5)
+    assert most[0] == 2
+    assert all(bank.learner(leg).status.ticks == 40 for leg in legs)
 
 
 def test_models_are_told_of_in_no_half_tick(

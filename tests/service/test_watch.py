@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import io
 import json
+import re
 import subprocess
 import time
 from collections.abc import Callable
@@ -12,7 +14,7 @@ from rich.console import Console
 
 from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import LegFacts, ServiceStatus
-from adaptive_contact.service.watch import View, Watch
+from adaptive_contact.service.watch import LegView, View, Watch
 from adaptive_contact.service.watch_table import _counts, headline, table
 from adaptive_contact.wire import (
     ContactEvent,
@@ -81,6 +83,14 @@ def drawn(view: View) -> str:
     console.print(table(view))
     console.file.close()
     return console.export_text()
+
+
+def after_one_swing() -> Watch:
+    """Counting begins after the first touch."""
+    watch = Watch()
+    watch.truth("rf", truth(-2000, False), 0)
+    watch.truth("rf", truth(-1000, True), 0)
+    return watch
 
 
 def row(watch: Watch, now_ns: int = 10 * S) -> Any:
@@ -222,11 +232,11 @@ def test_a_contact_that_a_status_overtakes_is_not_lost() -> None:
     ],
 )
 def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> None:
-    watch = Watch()
-    watch.truth("rf", truth(500, False))
-    watch.truth("rf", truth(1000, True))
+    watch = after_one_swing()
+    watch.truth("rf", truth(500, False), 2 * S)
+    watch.truth("rf", truth(1000, True), 2 * S)
     watch.event(event(event_ms), 2 * S)
-    watch.truth("rf", truth(1500, False))
+    watch.truth("rf", truth(1500, False), 2 * S)
     assert row(watch, 2 * S + 100 * MS).seen == 0, "not judged before truth had time to arrive"
     leg = row(watch, 3 * S)
     assert (leg.touches, leg.seen, leg.false_alarms) == (1, seen, false_alarms)
@@ -234,30 +244,141 @@ def test_truth_judges_events(event_ms: float, seen: int, false_alarms: int) -> N
 
 
 def test_truth_that_comes_after_the_event_still_counts() -> None:
-    watch = Watch()
-    watch.truth("rf", truth(500, False))
+    watch = after_one_swing()
+    watch.truth("rf", truth(500, False), 0)
     watch.event(event(1020), 2 * S)
     watch.view(2 * S + 10 * MS)
-    watch.truth("rf", truth(1000, True))
+    watch.truth("rf", truth(1000, True), 0)
     assert row(watch, 3 * S).latency_ms == 20.0
 
 
 def test_a_leg_first_seen_loaded_has_not_touched() -> None:
     watch = Watch()
-    watch.truth("rf", truth(1000, True))
+    watch.truth("rf", truth(1000, True), 0)
+    watch.truth("rf", truth(1100, False), 0)
     watch.event(event(1020), 1 * S)
     leg = row(watch, 2 * S)
     assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
 
 
 def test_chatter_is_one_touch_and_one_event_matches_once() -> None:
-    watch = Watch()
+    watch = after_one_swing()
     for t_ms, contact in [(0, False), (100, True), (110, False), (130, True), (400, False)]:
-        watch.truth("rf", truth(t_ms, contact))
+        watch.truth("rf", truth(t_ms, contact), 0)
     watch.event(event(112), 1 * S)
     watch.event(event(450), 1 * S)
     leg = row(watch, 2 * S)
     assert (leg.touches, leg.seen, leg.false_alarms) == (1, 1, 1)
+
+
+def test_the_first_touch_after_joining_is_neither_seen_nor_missed() -> None:
+    """Its event may have come before anybody listened, or come while the truth did not."""
+    watch = Watch()
+    watch.event(event(10), 1 * S)
+    watch.event(event(1020), 1 * S)
+    watch.truth("rf", truth(500, False), 1 * S)
+    watch.truth("rf", truth(1000, True), 1 * S)
+    leg = row(watch, 5 * S)
+    assert (leg.touches, leg.seen, leg.false_alarms) == (0, 0, 0)
+
+
+def test_a_touch_whose_event_may_still_come_is_not_missed() -> None:
+    """A table printed 0.1 s after a touch shows no miss that is none."""
+    watch = after_one_swing()
+    watch.truth("rf", truth(500, False), 1 * S)
+    watch.truth("rf", truth(1000, True), 2 * S)
+    assert row(watch, 2 * S + 400 * MS).touches == 0
+    watch.event(event(1110), 2 * S + 200 * MS)
+    assert row(watch, 3 * S).touches == row(watch, 3 * S).seen == 1
+    watch.truth("rf", truth(1500, False), 4 * S)
+    watch.truth("rf", truth(2000, True), 4 * S)
+    leg = row(watch, 5 * S)
+    assert (leg.touches, leg.seen) == (2, 1), "by then it is missed"
+
+
+def test_looking_once_for_a_minute_counts_as_looking_all_the_time() -> None:
+    """All messages are taken in at their times, however late they are looked at."""
+    late, live = after_one_swing(), after_one_swing()
+    for k in range(1, 100):
+        for watch in (late, live):
+            watch.truth("rf", truth(1000 * k, False), k * S)
+            watch.truth("rf", truth(1000 * k + 500, True), k * S + 500 * MS)
+            if k % 4:
+                watch.event(event(1000 * k + 520), k * S + 520 * MS)
+        live.view(k * S + 900 * MS)
+    rows = [row(watch, 200 * S) for watch in (late, live)]
+    assert [(r.touches, r.seen, r.false_alarms) for r in rows] == [(99, 75, 0)] * 2
+
+
+def test_a_contact_heard_before_the_first_status_is_counted_as_heard() -> None:
+    watch = Watch()
+    watch.event(event(1500), 0)  # told after the status that is still on its way
+    watch.learner(status(t_ns=1 * S, contacts=7), 1 * S)
+    watch.learner(status(t_ns=2 * S, contacts=8), 2 * S)
+    assert row(watch).unheard == 0
+
+
+LEGS = [
+    LegView(
+        leg=f"leg{i}",
+        contact=i % 2 == 0,
+        status="ambiguous" if i == 11 else "valid",
+        contact_age_s=12.3,
+        latency_ms=16.0,
+        median_latency_ms=18.0,
+        touches=120,
+        seen=119,
+        false_alarms=i,
+        residual_rms=[0.01, 0.02],
+        noise_floor=[0.01, 0.02],
+        model_version=12,
+        changed_s=40.0,
+        kind="friction",
+        rate_hz=50.0,
+        missed=3,
+        rejects={"malformed": 3, "implausible": 4} if i == 11 else {},
+        note="what is wrong, in words that go on for longer than a line has" if i == 11 else None,
+    )
+    for i in range(12)
+]
+
+
+def lines(view: View, width: int, height: int | None = None) -> list[str]:
+    out = io.StringIO()
+    Console(width=width, file=out).print(table(view, width, height))
+    return out.getvalue().splitlines()
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 100, 120, 160])
+def test_a_row_is_a_line_at_any_width(width: int) -> None:
+    """Columns that do not fit are left out and named; nothing is cut to pieces."""
+    drawn = lines(View(legs=LEGS, alive=True), width)
+    assert all(len(line.rstrip()) <= width for line in drawn)
+    rows = [line for line in drawn if re.match(r"leg\d+ ", line)]
+    assert len(rows) == len(LEGS)
+    assert not any("\u2026" in line for line in drawn)
+    words = " ".join(" ".join(drawn).split())
+    assert "leg11: what is wrong, in words that go on for longer than a line has" in words
+    assert "leg11: refused: implausible 4, malformed 3" in words
+    head = next(line for line in drawn if line.startswith("leg "))
+    named = words.partition(f"not shown at {width} columns: ")[2]
+    for column in ("status", "seen", "false", "residual", "model", "Hz", "changed"):
+        assert (column in head) != (column in named), column
+    if width >= 80:
+        for column in ("state", "status", "last contact", "seen", "false", "missed", "rejects"):
+            assert column in head
+
+
+@pytest.mark.parametrize("height", [8, 12, 16, 20, 24, 40])
+def test_legs_that_find_no_room_are_counted(height: int) -> None:
+    """Those that are well, before those that are not."""
+    drawn = lines(View(legs=LEGS, alive=True), 80, height)
+    assert len(drawn) <= height
+    rows = [line for line in drawn if re.match(r"leg\d+ ", line)]
+    assert any(line.startswith("leg11 ") for line in rows)
+    hidden = len(LEGS) - len(rows)
+    more = [line for line in drawn if re.match(r"\d+ more legs?: ", line)]
+    assert more == ([f"{hidden} more leg{'s' * (hidden > 1)}: valid {hidden}"] if hidden else [])
 
 
 def test_rows_come_in_the_order_of_the_robot() -> None:
@@ -270,8 +391,10 @@ def test_rows_come_in_the_order_of_the_robot() -> None:
 def test_the_table_says_what_matters() -> None:
     watch = Watch()
     watch.service(service(events=7, rejects={"unknown_leg": 2}))
-    watch.truth("rf", truth(0, False))
-    watch.truth("rf", truth(1000, True))
+    watch.truth("rf", truth(0, False), 0)
+    watch.truth("rf", truth(300, True), 0)
+    watch.truth("rf", truth(500, False), 0)
+    watch.truth("rf", truth(1000, True), 0)
     watch.event(event(1016), 1 * S)
     watch.learner(
         status(
@@ -333,10 +456,12 @@ def test_the_command_over_zenoh(
         assert time.monotonic() < until
         time.sleep(0.005)
     real.put(truth(0, False))
-    for seq in range(1, 20):
-        if seq == 9:
+    real.put(truth(100, True))
+    real.put(truth(300, False))
+    for seq in range(1, 40):
+        if seq == 29:
             real.put(truth(20 * seq - 5, True))
-        servo.put(sample(seq, contact=seq >= 9))
+        servo.put(sample(seq, contact=seq >= 29))
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     view = json.loads(out)

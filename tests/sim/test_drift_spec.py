@@ -15,6 +15,11 @@ def test_the_whole_form() -> None:
     )
 
 
+def test_a_shape_lasts_as_long_as_people_write_it() -> None:
+    drift = parse_drift("friction:value=4,shape=ramp,duration=2m").drift
+    assert drift.duration_s == 120.0
+
+
 @pytest.mark.parametrize(
     ("text", "at_s"),
     [
@@ -22,6 +27,7 @@ def test_the_whole_form() -> None:
         ("mass:leg=all,value=0.05@3", 3.0),
         ("mass: value = 0.05 @ 500ms", 0.5),
         ("mass:joint=all,value=5e-2@1.5min", 90.0),
+        ("mass:value=0.05@1h30m", 5400.0),
     ],
 )
 def test_short_forms(text: str, at_s: float) -> None:
@@ -45,6 +51,7 @@ def test_short_forms(text: str, at_s: float) -> None:
         ("friction:value=nan", "expected a number"),
         ("friction:value=inf", "expected a number"),
         ("friction:value=4,seed=1.5", "expected a whole number"),
+        ("friction:value=4,duration=long", "such as 90s, 10m or 1h30m"),
         ("friction:value=4@soon", "such as 20s"),
         ("friction:value=4@-3s", "such as 20s"),
         ("friction:value=4@1e", "such as 20s"),

@@ -87,7 +87,9 @@ def test_other_settings_start_clean_and_keep_the_old(folder: Folder) -> None:
         keeper.restore("rf", learner, "servo", 0)
     assert learner.number == 0
     (line,) = logs
-    assert line["event"] == "state of other settings or another baseline is left alone"
+    assert line["event"] == (
+        "state of other settings, another baseline or another version is left alone"
+    )
     assert folder.restored()[0] == 1
 
 

@@ -6,7 +6,7 @@ save and never lets the worker wait for a disk.
 
 from __future__ import annotations
 
-from adaptive_contact.service.state.format import Identity, Record, Refused, pack, unpack
+from adaptive_contact.service.state.format import FORMAT, Identity, Record, Refused, pack, unpack
 from adaptive_contact.service.state.keeper import Keepable, StateFacts, StateKeeper
 from adaptive_contact.service.state.settings import default_folder, settings_digest
 from adaptive_contact.service.state.store import (
@@ -19,6 +19,7 @@ from adaptive_contact.service.state.store import (
 )
 
 __all__ = [
+    "FORMAT",
     "Identity",
     "Keepable",
     "Record",

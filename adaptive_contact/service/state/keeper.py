@@ -204,7 +204,10 @@ class StateKeeper:
             self._store.set_aside(path)
         others = self._store.others(identity)
         if others and leg not in self._restored:
-            _log.info("state of other settings or another baseline is left alone", leg=leg)
+            _log.info(
+                "state of other settings, another baseline or another version is left alone",
+                leg=leg,
+            )
         return None
 
     def due(self, desk: Kept, now_ns: int) -> bool:

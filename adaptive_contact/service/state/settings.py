@@ -11,10 +11,15 @@ import msgspec
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot
+from adaptive_contact.service.state.format import FORMAT
 
 __all__ = ["default_folder", "settings_digest"]
 
 _DIGEST_HEX: Final = 16
+# Formats of the file and of what the learner puts into it that a digest does not name.  Any later
+# one is part of it: a version with another format has files of its own, and a step back finds what
+# the version before has left.
+_UNNAMED: Final = (2, 3)
 
 
 def default_folder() -> Path:
@@ -35,7 +40,13 @@ def default_folder() -> Path:
         ) from error
 
 
-def settings_digest(robot: Robot, leg: str, baseline: str = "") -> str:
+def settings_digest(
+    robot: Robot,
+    leg: str,
+    baseline: str = "",
+    *,
+    formats: tuple[int, int] = (FORMAT, _UNNAMED[1]),
+) -> str:
     """Digest of everything that makes what a leg has learned useless when it changes.
 
     Args:
@@ -43,6 +54,7 @@ def settings_digest(robot: Robot, leg: str, baseline: str = "") -> str:
         leg: id; one that the description lacks is known by its id alone.
         baseline: text of the models the learner starts from, empty for none: a new baseline is
             a new beginning, which old state must not undo.
+        formats: of the file, and of the learner's snapshot in it.
 
     Returns:
         16 hexadecimal digits.
@@ -51,5 +63,7 @@ def settings_digest(robot: Robot, leg: str, baseline: str = "") -> str:
     if leg in robot.leg_ids:
         known = robot.leg(leg)
         shape = (known.joints, known.joint_axes, known.lengths_m, robot.quantum(leg))
-    facts = (robot.period_s, robot.servo, leg, shape, baseline)
+    facts: tuple[object, ...] = (robot.period_s, robot.servo, leg, shape, baseline)
+    if formats != _UNNAMED:
+        facts += (formats,)
     return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()[:_DIGEST_HEX]

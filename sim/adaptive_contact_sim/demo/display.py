@@ -72,7 +72,9 @@ class _LiveTable:
         """Redraw."""
         words = _headline(self._settings, walked_s, drifted=drifted)
         line = Text(words, style="bold yellow" if drifted else "bold")
-        self._live.update(Group(line, Text(), table(view)), refresh=True)
+        size = self._live.console.size
+        below = table(view, size.width, size.height - 3)
+        self._live.update(Group(line, Text(), below), refresh=True)
 
     def say(self, line: str) -> None:
         """Print above the table."""

@@ -1,0 +1,46 @@
+"""The console for tables: text of the wire and of files is shown there, never obeyed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from typing import Final
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from adaptive_contact.printable import printable_lines
+
+__all__ = ["table_console"]
+
+_PIPE_WIDTH: Final = 120
+
+
+class _Shown(Console):
+    """Shows control characters of whatever is printed; rich's own are no text."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control:
+                yield segment
+            else:
+                yield Segment(printable_lines(segment.text), segment.style)
+
+
+def table_console(
+    *, stderr: bool = False, pipe_width: int = _PIPE_WIDTH, markup: bool = False
+) -> Console:
+    """Return the console that a command prints its tables on.
+
+    Args:
+        stderr: instead of stdout.
+        pipe_width: columns where the output is no terminal and ``COLUMNS`` is not set; rich would
+            take 80 and cut a table to pieces.
+        markup: text in square brackets is markup; not for text of the wire or of files.
+    """
+    console = _Shown(stderr=stderr, markup=markup, highlight=False)
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
+        console = _Shown(stderr=stderr, markup=markup, highlight=False, width=pipe_width)
+    return console

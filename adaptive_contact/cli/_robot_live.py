@@ -1,0 +1,221 @@
+"""``robot check --live``: what any source on the wire says of the robot's legs, live and judged."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from adaptive_contact.cli._output import say, say_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from adaptive_contact.robot import Robot
+    from adaptive_contact.service.livecheck import LegView, LiveReport
+    from adaptive_contact.service.settings import LinkSettings
+    from adaptive_contact.service.traffic import Received
+
+__all__ = ["check_live"]
+
+_BACKLOG: Final = 50_000
+_POLL_S: Final = 0.05
+_REDRAW_S: Final = 0.2
+_PIPE_WIDTH: Final = 120
+_MOVES_SHOWN: Final = 6
+# What a leg at rest gives way by, mm; less is friction and rounding.
+_LEAST_SAG_MM: Final = 1.0
+_HINT: Final = (
+    "Move one joint after the other by hand.  Another joint is named: the order of joints, or of "
+    "ids, is wrong.  The foot goes the other way: that joint's sign is wrong."
+)
+
+
+def check_live(
+    robot: Robot,
+    settings: LinkSettings,
+    seconds: float,
+    *,
+    stop: threading.Event,
+    picture: Path | None,
+    json: bool,
+) -> int:
+    """Look for a while, then judge.
+
+    Args:
+        robot: its description.
+        settings: where the router is.
+        seconds: how long to look.
+        stop: ends the look early.
+        picture: SVG to draw; None for none.
+        json: print the report as JSON, and nothing else.
+
+    Returns:
+        The exit code: 0 where nothing is worse than a note, else 1.
+
+    Raises:
+        NoRouterError: there is no router.
+    """
+    from rich.live import Live
+
+    from adaptive_contact.cli._console import table_console
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.livecheck import LiveCheck
+    from adaptive_contact.wire import ALL_SERVO
+
+    waiting: deque[Received] = deque(maxlen=_BACKLOG)
+    check = LiveCheck(robot)
+    console = table_console(pipe_width=_PIPE_WIDTH)
+    drawn = console.is_terminal and not json
+    with Link.open(settings) as link:
+        began = time.monotonic()
+        samples = link.subscribe(ALL_SERVO, waiting.append)
+        if not json:
+            say(_HINT, err=True)
+        redrawn = 0.0
+        with Live(console=console, auto_refresh=False, transient=True) as live:
+            while time.monotonic() - began < seconds and not stop.wait(_POLL_S):
+                said = len(check.moves)
+                for _ in range(len(waiting)):
+                    check.take(waiting.popleft())
+                if not drawn and not json:
+                    for line in check.moves[said:]:
+                        console.print(line, soft_wrap=True)
+                if drawn and time.monotonic() - redrawn >= _REDRAW_S:
+                    redrawn = time.monotonic()
+                    live.update(_table(check.legs(), check.moves[-_MOVES_SHOWN:]), refresh=True)
+        samples.close()
+        elapsed = time.monotonic() - began
+    for _ in range(len(waiting)):
+        check.take(waiting.popleft())
+    report = check.report(elapsed)
+    if json:
+        import msgspec
+
+        say_json(msgspec.json.encode(report))
+    else:
+        _print(report, console, moves=drawn)
+    if picture is not None:
+        from adaptive_contact.cli._robot_picture import write_picture
+
+        write_picture(robot, check.angles(), picture)
+    return report.exit_code
+
+
+def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
+    from rich.text import Text
+
+    from adaptive_contact.cli.doctor import print_findings
+
+    if report.legs:
+        console.print(_table(report.legs, report.moves if moves else []))
+    for line in _told(report):
+        console.print(Text(line))
+    print_findings(report.findings, console)
+    if report.exit_code == 0:
+        console.print(Text("nothing looks wrong", style="green"))
+
+
+def _told(report: LiveReport) -> list[str]:
+    """What the motion has shown, and what it cannot."""
+    lines = []
+    if report.confirmed:
+        lines.append(
+            f"signs, order and zeros: as the motion says, leg {' '.join(report.confirmed)}"
+        )
+    if report.open:
+        lines.append(
+            f"signs, order and zeros: not told by the motion of leg {' '.join(report.open)} (it "
+            "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
+        )
+    for sign, where in (
+        (-1, "below their commands: so it is where they hang"),
+        (1, "above their commands: so it is where they stand"),
+    ):
+        sags = {leg.leg: 1e3 * sign * (leg.above_m or 0.0) for leg in report.legs}
+        given = {leg: sag for leg, sag in sags.items() if sag >= _LEAST_SAG_MM}
+        if given:
+            lines.append(
+                f"at rest, by the description, feet of leg {' '.join(given)} are "
+                f"{min(given.values()):.0f} to {max(given.values()):.0f} mm {where}"
+            )
+    if report.flatness is not None:
+        off = 1e3 * abs(report.flatness.off_m)
+        whose = report.flatness.leg
+        lines.append(
+            f"on a level floor: the foot of {whose} would be {off:.0f} mm "
+            f"{'above' if report.flatness.off_m > 0 else 'below'} the plane of the others"
+            if whose is not None
+            else f"on a level floor: one of the feet would be {off:.0f} mm off the others' plane"
+        )
+    return lines
+
+
+def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
+    """Every joint as it is now, and where the foot is by the description."""
+    import numpy as np
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
+    for column in (
+        "leg",
+        "Hz",
+        "joint",
+        "wire",
+        "angle",
+        "range",
+        "goal",
+        "sign",
+        "limits",
+        "foot",
+    ):
+        table.add_column(
+            column,
+            justify="left" if column in ("leg", "joint", "foot") else "right",
+            no_wrap=True,
+        )
+    for leg in legs:
+        where = _foot(leg)
+        for j, joint in enumerate(leg.joints):
+            low, high = np.degrees([joint.low_rad, joint.high_rad])
+            limits = ""
+            if joint.limits_rad is not None:
+                least, most = np.degrees(joint.limits_rad)
+                limits = f"{least:.0f}..{most:.0f}°" + (" !" if joint.outside else "")
+            table.add_row(
+                leg.leg if j == 0 else "",
+                "" if j or leg.rate_hz is None else f"{leg.rate_hz:.1f}",
+                f"{joint.joint} ({joint.axis})",
+                f"{joint.wire_rad:+.2f}",
+                f"{np.degrees(joint.angle_rad):+.1f}°",
+                f"{low:+.0f}..{high:+.0f}°",
+                f"{np.degrees(joint.goal_rad):+.1f}°",
+                f"{joint.direction:+d}",
+                limits,
+                where[j] if j < len(where) else "",
+            )
+    if moves:
+        table.caption = Text("\n".join(moves), style="not dim not italic")
+    return table
+
+
+def _foot(leg: LegView) -> list[str]:
+    """Where the foot is, in three lines beside the joints."""
+    lines = []
+    if leg.height_m is not None and leg.reach_m is not None:
+        side = "below" if leg.height_m < 0 else "above"
+        lines.append(f"{abs(leg.height_m) * 1e3:.0f} mm {side} the axis")
+        lines.append(f"{leg.reach_m * 1e3:.0f} mm out")
+    if leg.forward_m is not None and leg.left_m is not None:
+        ahead = "ahead" if leg.forward_m >= 0 else "behind"
+        side = "left" if leg.left_m >= 0 else "right"
+        lines.append(
+            f"{abs(leg.forward_m) * 1e3:.0f} mm {ahead}, {abs(leg.left_m) * 1e3:.0f} mm {side}"
+        )
+    return lines

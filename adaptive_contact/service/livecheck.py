@@ -1,0 +1,391 @@
+"""Whether samples mean what their robot's description says: the examination of ``check --live``.
+
+Works on the samples of any source.  Where a robot walks, signs, order and zeros are judged from its
+motion (:mod:`adaptive_contact.robot.conventions`).  Where it hangs or stands, its owner moves one
+joint after the other by hand, and compares what he sees with what is said here: which joint moved,
+and where the foot went by the description.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, foot
+from adaptive_contact.robot.conventions import judge_motion
+from adaptive_contact.robot.motion import LegMotion
+from adaptive_contact.robot.rigid import on_body
+from adaptive_contact.service.findings import Cause, Fault, Finding, entries
+from adaptive_contact.service.legcheck import check_ids, check_leg
+from adaptive_contact.service.status import LegFacts
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
+
+__all__ = ["Flatness", "JointView", "LegView", "LiveCheck", "LiveReport"]
+
+Array = NDArray[np.float64]
+
+# Samples kept of a leg: two minutes at 50 Hz.
+_KEPT: Final = 6000
+_REFUSED_KEPT: Final = 1000
+# A leg rests when no joint has moved by this, rad (two steps of an AX-12A), for this long, s.
+_REST_RAD: Final = 0.011
+_REST_S: Final = 0.3
+# A move by hand is told from this on, rad (7 degrees); a joint that moved by less than this share
+# of the one that moved most has only given way.
+_MOVED_RAD: Final = 0.12
+_GAVE_WAY: Final = 0.3
+# Beyond its limits by this, rad, in this share of the samples, is no overshoot.
+_BEYOND_RAD: Final = 0.05
+_BEYOND_SHARE: Final = 0.2
+# A plane is laid through the feet of so many legs.
+_LEAST_FEET: Final = 4
+
+
+class JointView(msgspec.Struct, frozen=True, kw_only=True):
+    """One joint, in the description's angles.
+
+    Attributes:
+        axis: ``yaw`` or ``pitch``.
+        angle_rad, goal_rad: of the newest sample.
+        low_rad, high_rad: least and largest reading.
+        limits_rad: of robot.toml.
+        direction, offset_rad: from the wire's angles, by ``[leg.angles]``.
+        wire_rad: the newest reading as the source sends it.
+    """
+
+    joint: str
+    axis: str
+    angle_rad: float
+    goal_rad: float
+    low_rad: float
+    high_rad: float
+    limits_rad: tuple[float, float] | None
+    direction: int
+    offset_rad: float
+    wire_rad: float
+
+    @property
+    def outside(self) -> bool:
+        """Whether the newest reading is beyond the limits."""
+        limits = self.limits_rad
+        return limits is not None and not limits[0] <= self.angle_rad <= limits[1]
+
+
+class LegView(msgspec.Struct, frozen=True, kw_only=True):
+    """One leg as it is now.
+
+    Attributes:
+        samples: taken in so far.
+        rate_hz: by the source's stamps; None for too few.
+        height_m, reach_m: of the foot over the first axis, and away from it; None without lengths.
+        forward_m, left_m: of the foot from the middle of the body.
+        above_m: by how much the foot is above its command, of a leg at rest; a leg that hangs gives
+            way to gravity, one that stands to the ground.
+    """
+
+    leg: str
+    samples: int
+    rate_hz: float | None
+    joints: list[JointView]
+    height_m: float | None = None
+    reach_m: float | None = None
+    forward_m: float | None = None
+    left_m: float | None = None
+    above_m: float | None = None
+
+
+class Flatness(msgspec.Struct, frozen=True, kw_only=True):
+    """How flat the feet lie, for a robot that stands on a level floor.
+
+    Attributes:
+        leg: whose foot is furthest from the plane of the others; None of four legs, where it cannot
+            be told whose.
+        off_m: by how much it is above that plane.
+    """
+
+    leg: str | None
+    off_m: float
+
+
+class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was found.
+
+    Attributes:
+        legs: those of the description that send samples.
+        moves: joints that were moved and came to rest, one line each.
+        confirmed: legs whose signs, order and zeros the motion confirms.
+        open: legs of which the motion tells nothing.
+        flatness: of the feet, where all legs rest.
+        findings: what is wrong, the worst first.
+    """
+
+    seconds: float
+    legs: list[LegView]
+    moves: list[str]
+    confirmed: list[str]
+    open: list[str]
+    flatness: Flatness | None
+    findings: list[Finding]
+
+    @property
+    def exit_code(self) -> int:
+        """0 where nothing is worse than a note, else 1."""
+        return int(any(finding.level != "note" for finding in self.findings))
+
+
+class LiveCheck:
+    """Takes in what is on the wire, and judges it against a robot's description.
+
+    Args:
+        robot: its description.
+
+    Attributes:
+        moves: joints that were moved and came to rest, one line each.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._legs = {leg.id: _LegCheck(leg, robot) for leg in robot.legs}
+        self._strangers: set[str] = set()
+        self.moves: list[str] = []
+
+    def take(self, received: Received) -> None:
+        """Take one message in; all but samples are left alone."""
+        leg_id = leg_of_key(received.key)
+        if leg_id is None or not received.key.endswith("/servo"):
+            return
+        leg = self._legs.get(leg_id)
+        if leg is None:
+            self._strangers.add(leg_id)
+            return
+        sample = decode(received.payload, ServoSample, received.encoding)
+        if isinstance(sample, Rejected):
+            leg.refused.append(sample)
+            return
+        moved = leg.take(sample)
+        if moved is not None:
+            self.moves.append(moved)
+
+    def legs(self) -> list[LegView]:
+        """Every leg that sends samples, as it is now."""
+        return [leg.view() for leg in self._legs.values() if leg.turned]
+
+    def angles(self) -> dict[str, list[float]]:
+        """(J,) rad of every leg's newest reading, by leg."""
+        return {name: leg.turned[-1].measured for name, leg in self._legs.items() if leg.turned}
+
+    def report(self, seconds: float) -> LiveReport:
+        """Judge what was taken in within ``seconds``."""
+        motions = {
+            name: LegMotion.of_samples(leg.turned)
+            for name, leg in self._legs.items()
+            if len(leg.turned) > 1
+        }
+        verdict = judge_motion(self._robot, motions)
+        wrong = {finding.leg: finding for finding in verdict.findings}
+        faults: list[tuple[str | None, Fault]] = []
+        sending = [name for name, leg in self._legs.items() if leg.samples or leg.refused]
+        for fault in check_ids(sorted({*sending, *self._strangers}), list(self._robot.leg_ids)):
+            faults.append((None, fault))
+        for name, leg in self._legs.items():
+            faults += [(name, fault) for fault in leg.faults(seconds)]
+            if name in wrong:
+                faults.append(
+                    (
+                        name,
+                        Fault(
+                            "error" if wrong[name].grave else "warning",
+                            Cause.SIGNS,
+                            "angles are not counted as robot.toml says",
+                            "write what is said here into robot.toml, and look again",
+                            wrong[name].line(leg.leg),
+                        ),
+                    )
+                )
+        told = {*wrong, *verdict.fits}
+        return LiveReport(
+            seconds=seconds,
+            legs=self.legs(),
+            moves=self.moves,
+            confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
+            open=[name for name in self._robot.leg_ids if name in motions and name not in told],
+            flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
+            findings=entries(faults),
+        )
+
+
+class _LegCheck:
+    """The samples of one leg, as they come and as its description reads them."""
+
+    def __init__(self, leg: Leg, robot: Robot) -> None:
+        self.leg = leg
+        self.samples: deque[ServoSample] = deque(maxlen=_KEPT)
+        self.turned: deque[ServoSample] = deque(maxlen=_KEPT)
+        self.refused: deque[Rejected] = deque(maxlen=_REFUSED_KEPT)
+        self._frame = AngleFrame(leg)
+        self._period_s = robot.period_s
+        self._quantum_rad = robot.quantum(leg.id)
+        self._count = 0
+        self._recent: deque[Array] = deque(maxlen=max(round(_REST_S / robot.period_s), 2))
+        self._rested: Array | None = None
+
+    def take(self, sample: ServoSample) -> str | None:
+        """Take a sample in; returns what was moved, once it rests again."""
+        self.samples.append(sample)
+        self._count += 1
+        joints = len(self.leg.joints)
+        values = (*sample.measured, *sample.desired)
+        if len(sample.measured) != joints or len(sample.desired) != joints:
+            return None
+        if not np.isfinite(values).all() or (sample.valid is not None and not all(sample.valid)):
+            return None
+        self.turned.append(self._frame.sample(sample))
+        self._recent.append(np.array(self.turned[-1].measured))
+        if not self.rests:
+            return None
+        now = self.last
+        before, self._rested = self._rested, now
+        if before is None or np.abs(now - before).max() < _MOVED_RAD:
+            # Rest creeps: what was there at first is what a move is measured from.
+            self._rested = now if before is None else before
+            return None
+        return _moved(self.leg, before, now)
+
+    @property
+    def last(self) -> Array:
+        """(J,) rad, the newest reading."""
+        return self._recent[-1]
+
+    @property
+    def rests(self) -> bool:
+        """Whether no joint has moved for a while."""
+        full = len(self._recent) == self._recent.maxlen
+        return full and bool((np.ptp(np.array(self._recent), axis=0) < _REST_RAD).all())
+
+    def view(self) -> LegView:
+        """The leg as it is now."""
+        newest, leg = self.turned[-1], self.leg
+        measured = np.array([sample.measured for sample in self.turned])
+        limits = leg.limits
+        joints = [
+            JointView(
+                joint=name,
+                axis=leg.joint_axes[j],
+                angle_rad=newest.measured[j],
+                goal_rad=newest.desired[j],
+                low_rad=float(measured[:, j].min()),
+                high_rad=float(measured[:, j].max()),
+                limits_rad=None if limits is None else (limits.lower_rad[j], limits.upper_rad[j]),
+                direction=self._frame.directions[j],
+                offset_rad=self._frame.offsets_rad[j],
+                wire_rad=self._frame.wire(newest.measured)[j],
+            )
+            for j, name in enumerate(leg.joints)
+        ]
+        view = LegView(leg=leg.id, samples=self._count, rate_hz=self._rate_hz(), joints=joints)
+        if leg.lengths_m is None:
+            return view
+        place = foot(newest.measured, leg.lengths_m, leg.joint_axes)
+        body = on_body(leg, place)
+        known = leg.mount != Mount()
+        commanded = foot(newest.desired, leg.lengths_m, leg.joint_axes)[2]
+        return msgspec.structs.replace(
+            view,
+            above_m=float(place[2] - commanded) if self.rests else None,
+            height_m=float(place[2]),
+            reach_m=float(np.hypot(place[0], place[1])),
+            forward_m=float(body[0]) if known else None,
+            left_m=float(body[1]) if known else None,
+        )
+
+    def faults(self, seconds: float) -> Iterator[Fault]:
+        """What is wrong with rate, units, order and range."""
+        facts = LegFacts(
+            joints=list(self.leg.joints),
+            lengths=self.leg.lengths_m is not None,
+            quantum_rad=self._quantum_rad,
+        )
+        yield from check_leg(
+            self.leg.id,
+            list(self.samples),
+            list(self.refused),
+            seconds=seconds,
+            period_s=self._period_s,
+            facts=facts,
+        )
+        limits = self.leg.limits
+        if limits is None or not self.turned:
+            return
+        measured = np.array([sample.measured for sample in self.turned])
+        below = measured < np.array(limits.lower_rad) - _BEYOND_RAD
+        above = measured > np.array(limits.upper_rad) + _BEYOND_RAD
+        share = (below | above).mean(axis=0)
+        for j in np.flatnonzero(share > _BEYOND_SHARE):
+            low, high = np.degrees([limits.lower_rad[j], limits.upper_rad[j]])
+            yield Fault(
+                "warning",
+                Cause.LIMITS,
+                "joints are beyond their limits",
+                "look at the order of joints, at directions and offsets_rad, or correct the limits "
+                "in robot.toml",
+                f"{self.leg.joints[j]} in {share[j]:.0%} of the samples, at "
+                f"{np.degrees(np.median(measured[:, j])):+.0f}° of {low:.0f}..{high:.0f}°",
+                float(share[j]),
+            )
+
+    def _rate_hz(self) -> float | None:
+        rows = [row for row in self.turned if row.run == self.turned[-1].run]
+        span_s = (rows[-1].t_ns - rows[0].t_ns) / 1e9
+        return (len(rows) - 1) / span_s if span_s > 0 else None
+
+
+def _moved(leg: Leg, before: Array, now: Array) -> str:
+    """Which joints were moved, and where the foot went by the description."""
+    by = now - before
+    most = np.abs(by).max()
+    joints = ", ".join(
+        f"{name} {np.degrees(by[j]):+.1f}°"
+        for j, name in enumerate(leg.joints)
+        if abs(by[j]) >= _GAVE_WAY * most
+    )
+    if leg.lengths_m is None:
+        return f"{leg.id}: {joints}"
+    was, came = (foot(q, leg.lengths_m, leg.joint_axes) for q in (before, now))
+    rise, turn = came[2] - was[2], np.arctan2(came[1], came[0]) - np.arctan2(was[1], was[0])
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    aside = turn * np.hypot(came[0], came[1])
+    parts = []
+    if abs(rise) >= _GAVE_WAY * abs(aside):
+        parts.append(f"{'up' if rise > 0 else 'down'} by {abs(rise) * 1e3:.0f} mm")
+    if abs(aside) >= _GAVE_WAY * abs(rise):
+        way = "left (counter-clockwise from above)" if aside > 0 else "right (clockwise from above)"
+        parts.append(f"to the {way} by {abs(aside) * 1e3:.0f} mm")
+    return f"{leg.id}: {joints}: the foot went {' and '.join(parts)}"
+
+
+def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:
+    """How far the feet are from a plane; None where too few legs with mounts rest."""
+    placed = {
+        leg.id: on_body(leg, foot(q, leg.lengths_m, leg.joint_axes))
+        for leg, q in resting.items()
+        if leg.lengths_m is not None and leg.mount != Mount()
+    }
+    names, points = list(placed), np.array(list(placed.values()))
+    if len(names) < _LEAST_FEET:
+        return None
+    off = []
+    for k in range(len(names)):
+        rest = np.delete(points, k, axis=0)
+        flat = np.column_stack([rest[:, :2], np.ones(len(rest))])
+        plane = np.linalg.lstsq(flat, rest[:, 2], rcond=None)[0]
+        left = float(np.abs(rest[:, 2] - flat @ plane).max())
+        off.append((left, float(points[k, 2] - np.append(points[k, :2], 1.0) @ plane)))
+    # The odd one out leaves the others flat; with four legs three always are.
+    odd = min(range(len(names)), key=lambda k: off[k][0])
+    return Flatness(leg=names[odd] if len(names) > _LEAST_FEET else None, off_m=off[odd][1])

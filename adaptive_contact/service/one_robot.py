@@ -1,0 +1,151 @@
+"""A recording read as that of one robot: its keys understood, and what is wrong with it named.
+
+Keys may stand under a namespace, or begin with ``/`` as topics of ROS do: a recording has neither
+Zenoh's setting nor a person who would try another.  What is misspelt is named, not guessed; why
+samples cannot be used is found as ``doctor`` finds it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.findings import Cause, Fault, entries, of_legs
+from adaptive_contact.service.legcheck import check_leg
+from adaptive_contact.service.recording import Record
+from adaptive_contact.service.status import LegFacts
+from adaptive_contact.wire import (
+    Rejected,
+    ServoSample,
+    decode,
+    leg_of_key,
+    meant_key,
+    namespace_of,
+)
+
+__all__ = ["OneRobot"]
+
+# Of each leg, samples and refusals that are looked at.
+_KEPT: Final = 1000
+_STRAYS: Final = 100  # keys of which each is counted
+_SHOWN: Final = 3
+
+# Faults of what was sent, not of how the robot moves: sure, and the reason why samples are refused.
+_OF_FORM: Final = frozenset(
+    {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}
+    | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD}
+)
+
+
+class OneRobot:
+    """Goes through records once and gives them with the keys of the contract.
+
+    Args:
+        records: of a recording.
+
+    Attributes:
+        namespace: that of the first leg's key; messages under others are left out and counted.
+    """
+
+    def __init__(self, records: Iterable[Record]) -> None:
+        self.namespace: str | None = None
+        self._records = records
+        self._keys: dict[str, str | None] = {}
+        self._others: Counter[str] = Counter()
+        self._strays: Counter[str] = Counter()
+        self._samples: dict[str, list[ServoSample]] = {}
+        self._refused: dict[str, list[Rejected]] = {}
+
+    def __iter__(self) -> Iterator[Record]:
+        for record in self._records:
+            if record.key in self._keys:
+                key = self._keys[record.key]
+            else:
+                key = self._keys[record.key] = self._own(record.key)
+            if key is None:
+                self._others[namespace_of(record.key) or ""] += 1
+                continue
+            if key.endswith("/servo"):
+                self._look_at(key, record)
+            elif key in self._strays:
+                self._strays[key] += 1
+            yield record if key == record.key else record._replace(key=key)
+
+    def _own(self, key: str) -> str | None:
+        """The key without what stands before it; None where it is of another robot."""
+        namespace = namespace_of(key)
+        if namespace is None:
+            if meant_key(key) is not None and len(self._strays) < _STRAYS:
+                self._strays[key] = 0
+            return key
+        if self.namespace is None:
+            self.namespace = namespace
+        if namespace != self.namespace:
+            return None
+        return key[key.index("robot/leg/") :]
+
+    def _look_at(self, key: str, record: Record) -> None:
+        if key in self._strays:
+            self._strays[key] += 1
+        leg = leg_of_key(key)
+        if leg is None:
+            return
+        samples = self._samples.setdefault(leg, [])
+        refused = self._refused.setdefault(leg, [])
+        if len(samples) >= _KEPT or len(refused) >= _KEPT:
+            return
+        sample = decode(record.payload, ServoSample, record.encoding)
+        if isinstance(sample, Rejected):
+            refused.append(sample)
+        else:
+            samples.append(sample)
+
+    @property
+    def legs(self) -> frozenset[str]:
+        """Legs with servo messages, of those that have been passed."""
+        return frozenset(self._samples)
+
+    def trouble(self, robot: Robot | None) -> list[str]:
+        """What is wrong with keys and samples, one line each; after the pass.
+
+        Args:
+            robot: whose legs were recorded; None to look at keys only.
+        """
+        lines = [
+            f"{count} messages under '{name}' not used: the recording is read as that of one robot "
+            f"({where}); record each into a file of its own"
+            for name, count in self._others.items()
+            for where in [f"under '{self.namespace}'" if self.namespace else "without namespace"]
+        ]
+        for key, count in self._strays.most_common(_SHOWN):
+            lines.append(f"{count} messages on {key} not used: did you mean {meant_key(key)}?")
+        if len(self._strays) > _SHOWN:
+            lines.append(f"and {len(self._strays) - _SHOWN} more such keys")
+        for finding in () if robot is None else entries(self._faults(robot)):
+            legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
+            lines.append(f"{legs}{finding.what}; {finding.remedy}")
+        return lines
+
+    def _faults(self, robot: Robot) -> Iterator[tuple[str | None, Fault]]:
+        for leg, samples in self._samples.items():
+            facts = None
+            if leg in robot.leg_ids:
+                described = robot.leg(leg)
+                facts = LegFacts(
+                    joints=list(described.joints),
+                    lengths=described.lengths_m is not None,
+                    quantum_rad=robot.quantum(leg),
+                )
+            faults = check_leg(
+                leg,
+                samples,
+                self._refused[leg],
+                seconds=0.0,
+                period_s=robot.period_s if facts is not None else None,
+                facts=facts,
+            )
+            for fault in faults:
+                if fault.cause in _OF_FORM:
+                    yield leg, fault

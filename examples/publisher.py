@@ -1,0 +1,69 @@
+"""A control loop that publishes one leg's samples: read, compute, write, publish.
+
+Put your servos into ``read`` and ``write`` and your gait into ``compute``; as they are, a leg
+swings in the air.  Needs ``eclipse-zenoh`` and ``msgpack`` only::
+
+    python examples/publisher.py tcp/127.0.0.1:7447
+"""
+
+import itertools
+import json
+import math
+import sys
+import time
+
+import msgpack
+import zenoh
+
+LEG, PERIOD_S = "rf", 0.02
+servos = [0.0, 0.6, -1.8]  # stands for the hardware: where the servos are, rad
+
+
+def read() -> list[float]:
+    """The servos' positions now, rad, in the order of `joints` in robot.toml."""
+    return list(servos)
+
+
+def compute(seq: int) -> list[float]:
+    """The goals of this tick, rad."""
+    return [0.2 * math.sin(seq * PERIOD_S), 0.6 + 0.2 * math.sin(3.1 * seq * PERIOD_S), -1.8]
+
+
+def write(goals: list[float]) -> None:
+    """Send the goals to the servos, which go half of the way in a tick."""
+    servos[:] = [at + 0.5 * (goal - at) for at, goal in zip(servos, goals, strict=True)]
+
+
+def wait_for_router(endpoint: str) -> zenoh.Session:
+    """Join the router as soon as it is there; later Zenoh reconnects by itself."""
+    client = {"mode": "client", "connect": {"endpoints": [endpoint]}}
+    while True:
+        try:
+            return zenoh.open(zenoh.Config.from_json5(json.dumps(client)))
+        except zenoh.ZError:
+            print(f"no router at {endpoint}; trying again", file=sys.stderr, flush=True)
+            time.sleep(1.0)
+
+
+def main() -> None:
+    """Run the loop until Ctrl-C."""
+    endpoint = sys.argv[1] if len(sys.argv) > 1 else "tcp/127.0.0.1:7447"
+    with wait_for_router(endpoint) as session:
+        out = session.declare_publisher(f"robot/leg/{LEG}/servo", encoding="application/msgpack")
+        run = time.time_ns() // 1_000_000  # this start; larger than that of any start before
+        due_s = time.monotonic()
+        for seq in itertools.count():
+            measured, t_ns = read(), time.monotonic_ns()
+            desired = compute(seq)
+            write(desired)
+            sample = {"v": 1, "run": run, "seq": seq, "t_ns": t_ns}
+            out.put(msgpack.packb({**sample, "measured": measured, "desired": desired}))
+            due_s += PERIOD_S
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,133 @@
+"""What every command's options have in common: durations, and flags in the help."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from adaptive_contact.cli import main
+from adaptive_contact.durations import seconds_of
+
+
+@pytest.fixture(scope="module")
+def program() -> Any:
+    if not main.app.registered_commands:
+        main._register()
+    return get_command(main.app)
+
+
+def _all(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    yield path, command
+    for name, below in getattr(command, "commands", {}).items():
+        yield from _all(below, (*path, name))
+
+
+def test_no_help_shows_a_type_behind_a_flag(program: Any, monkeypatch: Any) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
+    seen = 0
+    if not main.app.registered_commands:
+        main._register()
+    for path, _ in _all(program):
+        text = CliRunner().invoke(main.app, [*path, "--help"], prog_name="adaptive-contact").output
+        assert re.search(r"--help +(-h +)?Show", text), text
+        assert not re.search("bool", text, re.IGNORECASE), text
+        seen += 1
+    assert seen > 25
+
+
+def test_every_option_in_seconds_is_a_duration(program: Any) -> None:
+    """Whoever adds one takes the same option; those in other units have these in their names."""
+    found = {}
+    for path, command in _all(program):
+        for option in command.params:
+            if option.name in ("seconds", "duration", "wait", "from_s", "to_s"):
+                found[(*path, option.name)] = option.metavar
+    assert len(found) >= 12
+    assert set(found.values()) == {"DURATION"}
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("600", 600.0),
+        ("2.5", 2.5),
+        (".5s", 0.5),
+        ("90s", 90.0),
+        ("10m", 600.0),
+        ("10 min", 600.0),
+        ("1h", 3600.0),
+        ("2d12h", 216000.0),
+        ("1h30m", 5400.0),
+        ("1 h 30 m 5 s", 5405.0),
+        ("500ms", 0.5),
+        ("1e3", 1000.0),
+        ("2 Minutes", 120.0),
+        ("-3s", -3.0),
+    ],
+)
+def test_durations_that_people_write(text: str, seconds: float) -> None:
+    assert seconds_of(text) == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "m",
+        "soon",
+        "10x",
+        "1:30",
+        "30m1h",
+        "1m1m",
+        "10 20",
+        "1h30",
+        "nan",
+        "inf",
+        "1e999",
+        "1m-3s",
+    ],
+)
+def test_texts_that_are_no_duration(text: str) -> None:
+    assert seconds_of(text) is None
+
+
+@given(st.text(max_size=20))
+def test_any_text_is_a_duration_or_none(text: str) -> None:
+    found = seconds_of(text)
+    assert found is None or abs(found) < float("inf")
+
+
+@given(st.floats(0.0, 1e6))
+def test_a_number_is_seconds(number: float) -> None:
+    assert seconds_of(repr(number)) == number
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["doctor", "--seconds", "soon"], "'soon' is no duration; expected seconds, or a duration"),
+        (["doctor", "--seconds", "1h"], "'1h' is 3600 s; expected 0.5 to 600 s"),
+        (["watch", "--once", "--wait", "1:30"], "such as 90s, 10m or 1h30m"),
+        (["record", "x.mcap", "--seconds", "-1m"], "'-1m' is -60 s; expected 0 s or more"),
+        (["score", "x.mcap", "--from", "2x"], "'2x' is no duration"),
+    ],
+)
+def test_what_is_no_duration_is_one_line(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    monkeypatch.setattr("sys.argv", ["adaptive-contact", *words])
+    if not main.app.registered_commands:
+        main._register()
+    monkeypatch.setattr(main, "_register", lambda asked: None)
+    assert main._run() == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert says in said

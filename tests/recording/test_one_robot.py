@@ -1,0 +1,214 @@
+"""Recordings of others: keys that are understood or named, and why samples cannot be used."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+
+from adaptive_contact.cli import main
+from adaptive_contact.robot import inverse, shipped_robot
+from adaptive_contact.service.one_robot import OneRobot
+from adaptive_contact.service.recording import Record, RecordingWriter, read_recording
+from adaptive_contact.wire import MSGPACK, ContactEvent, ContactTruth, contact_key, truth_key
+
+TICK = 20_000_000
+LEGS = ("lf", "rf")
+Fields = dict[str, Any]
+
+
+def _fields(k: int, **changed: Any) -> Fields:
+    leg = shipped_robot().leg("rf")
+    assert leg.lengths_m is not None
+    phase = k % 40
+    height = -0.1 + 0.05 * (1 - abs(phase - 15) / 15 if phase < 30 else 0)
+    angles = [float(q) for q in inverse([0.13, 0.0, height], leg.lengths_m)]
+    read = [round(q / 0.005118) * 0.005118 for q in angles]
+    return {
+        "v": 1,
+        "t_ns": k * TICK,
+        "seq": k,
+        "measured": read,
+        "desired": angles,
+        "phase": "swing" if phase < 30 else "stance",
+        **changed,
+    }
+
+
+def _write(
+    path: Path,
+    change: Callable[[Fields], Fields] = lambda fields: fields,
+    key: Callable[[str], str] = lambda key: key,
+    pack: Callable[[Fields], tuple[bytes, str]] = lambda fields: (msgpack.packb(fields), MSGPACK),
+) -> Path:
+    """A walk of two legs, with truth and events."""
+    with RecordingWriter(path) as writer:
+        for k in range(400):
+            for leg in LEGS:
+                payload, encoding = pack(change(_fields(k)))
+                writer.write(key(f"robot/leg/{leg}/servo"), payload, encoding, k * TICK)
+                if k % 40 in (5, 25):
+                    touches = k % 40 == 25
+                    at = {"t_ns": k * TICK - TICK // 2, "contact": touches}
+                    truth = ContactTruth(**at, force=2.0 * touches)
+                    told = ContactEvent(
+                        leg=leg, t_ns=k * TICK, seq=k, onset_ns=k * TICK, contact=touches,
+                        status="valid", score=2.0, residual=[0.1], model_version=1,
+                    )  # fmt: skip
+                    for name, message in ((truth_key(leg), truth), (contact_key(leg), told)):
+                        writer.write_message(key(name), message, k * TICK)
+    return path
+
+
+@pytest.fixture
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[[str, Path], tuple[int, str, str]]:
+    if not main.app.registered_commands:
+        main._register()
+    monkeypatch.setattr(main, "_register", lambda asked: None)
+    more = {"replay": ["--events", "-"], "score": ["--json"], "fit": ["-o", str(tmp_path / "out")]}
+
+    def run_(command: str, path: Path) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["adaptive-contact", command, str(path), *more[command]])
+        code = main._run()
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return run_
+
+
+def _score(said: str) -> Any:
+    return {name: part for name, part in json.loads(said).items() if name != "recording"}
+
+
+def _as_json(begin: bytes) -> Callable[[Fields], tuple[bytes, str]]:
+    return lambda fields: (begin + json.dumps(fields).encode(), "text/json")
+
+
+@pytest.mark.parametrize(
+    ("key", "pack"),
+    [
+        (lambda key: f"/{key}", None),
+        (lambda key: f"hexapod1/{key}", None),
+        (lambda key: f"/lab/hexapod1/{key}", None),
+        (lambda key: key, _as_json(b"")),
+        (lambda key: key, _as_json(b"\xef\xbb\xbf")),
+        (lambda key: key, _as_json(b" \n\t")),
+        (lambda key: key, lambda fields: (json.dumps(fields).encode(), "zenoh/bytes")),
+        (lambda key: key, lambda fields: (msgpack.packb(fields), "zenoh/bytes")),
+    ],
+    ids=["a slash", "a namespace", "both", "text/json", "BOM", "white space", "none", "msgpack"],
+)
+def test_keys_and_encodings_that_are_understood(
+    key: Any, pack: Any, run: Any, tmp_path: Path
+) -> None:
+    plain = run("score", _write(tmp_path / "plain.mcap"))
+    other = run("score", _write(tmp_path / "a.mcap", key=key, **({"pack": pack} if pack else {})))
+    assert plain[0] == other[0] == 0
+    assert _score(plain[1]) == _score(other[1])
+    assert sum(row["touches"] for row in _score(plain[1])["rows"].values()) > 0
+    assert other[2] == ""
+    code, _, said = run("replay", tmp_path / "a.mcap")
+    assert code == 0
+    assert "800 samples in 400 ticks" in said
+
+
+@pytest.mark.parametrize("command", ["replay", "score", "fit"])
+@pytest.mark.parametrize(
+    ("misspelt", "meant"),
+    [
+        ("robot/legs/rf/servo", "robot/leg/rf/servo"),
+        ("rf/servo", "robot/leg/rf/servo"),
+        ("/robot/legs/rf/servo", "robot/leg/rf/servo"),
+        ("robot/leg/rf/servos", "robot/leg/rf/servo"),
+    ],
+)
+def test_a_misspelt_key_is_named(
+    command: str, misspelt: str, meant: str, run: Any, tmp_path: Path
+) -> None:
+    start, end = misspelt.split("rf")
+    path = _write(
+        tmp_path / "a.mcap",
+        key=lambda key: key.replace("robot/leg/", start).replace("/servo", end),
+    )
+    code, _, said = run(command, path)
+    assert code == 2
+    assert f"400 messages on {misspelt} not used: did you mean {meant}?" in said
+    assert "--key" not in said
+
+
+@pytest.mark.parametrize("command", ["replay", "score", "fit"])
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (
+            lambda f: f | {n: [math.degrees(q) for q in f[n]] for n in ("measured", "desired")},
+            "angles are not in radians: more than a turn; these look like degrees",
+        ),
+        (lambda f: f | {"t_ns": f["t_ns"] / 1e9}, "t_ns is no whole number"),
+        (lambda f: f | {"t_ns": f["t_ns"] // 1000}, "it seems to be in microseconds"),
+        (
+            lambda f: f | {n: f[n][:2] for n in ("measured", "desired")},
+            "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)",
+        ),
+        (lambda f: f | {"measured": "0.1 0.2 0.3"}, "payloads cannot be read"),
+        (lambda f: {n: v for n, v in f.items() if n != "seq"}, "missing required field `seq`"),
+        (lambda f: f | {"desired": [math.nan] * 3}, "samples hold NaN or infinity"),
+    ],
+    ids=["degrees", "seconds", "microseconds", "joints", "a text", "no seq", "NaN"],
+)
+def test_the_reason_is_the_one_that_doctor_gives(
+    command: str, change: Any, why: str, run: Any, tmp_path: Path
+) -> None:
+    _, _, said = run(command, _write(tmp_path / "a.mcap", change))
+    named = [line for line in said.splitlines() if why in line]
+    assert len(named) == 1, said
+    assert "legs lf rf: " in named[0]
+
+
+@pytest.mark.parametrize("command", ["replay", "score"])
+def test_a_sound_recording_is_accused_of_nothing(command: str, run: Any, tmp_path: Path) -> None:
+    code, _, said = run(command, _write(tmp_path / "a.mcap"))
+    assert code == 0
+    assert "not used" not in said
+    assert "legs lf rf" not in said
+
+
+def _records(*keys: str) -> list[Record]:
+    return [Record(key, msgpack.packb(_fields(0)), MSGPACK, 0, 0) for key in keys]
+
+
+def test_a_second_robot_is_left_out_and_named() -> None:
+    robots = OneRobot(
+        _records("a/robot/leg/rf/servo", "b/robot/leg/rf/servo", "b/robot/leg/lf/servo")
+    )
+    assert [record.key for record in robots] == ["robot/leg/rf/servo"]
+    (line,) = robots.trouble(None)
+    assert line.startswith("2 messages under 'b' not used")
+    assert "one robot (under 'a')" in line
+
+
+def test_keys_of_others_pass_as_they_are() -> None:
+    keys = ["camera/image", "/tf", "robot/sim/drift", "a/b/c/d/servo", "arm/command"]
+    robots = OneRobot(_records(*keys))
+    assert [record.key for record in robots] == keys
+    assert robots.trouble(None) == []
+
+
+def test_many_misspelt_keys_are_counted() -> None:
+    robots = OneRobot(_records(*(f"leg{i}/servo" for i in range(10))))
+    assert len(list(robots)) == 10
+    lines = robots.trouble(None)
+    assert len(lines) == 4
+    assert lines[-1] == "and 7 more such keys"
+
+
+def test_a_recording_is_still_read_whole(tmp_path: Path) -> None:
+    path = _write(tmp_path / "a.mcap")
+    assert len(list(OneRobot(read_recording(path)))) == len(list(read_recording(path)))

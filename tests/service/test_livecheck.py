@@ -1,0 +1,276 @@
+"""``robot check --live``: what any source's samples say of signs, order, zeros, range and rate."""
+
+from __future__ import annotations
+
+import functools
+import json
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adaptive_contact.cli import main as cli
+from adaptive_contact.cli._robot_live import _told
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Angles, Robot, foot, shipped_robot
+from adaptive_contact.robot.conventions import speaks_of_angles
+from adaptive_contact.service.link import Link, NoRouterError
+from adaptive_contact.service.livecheck import LiveCheck, LiveReport
+from adaptive_contact.service.traffic import Received
+from adaptive_contact.wire import MSGPACK, ServoSample, encode, leg_of_key, servo_key
+
+PERIOD_NS = 20_000_000
+STANDING = (0.0, 0.6, -1.8)
+TICKS = 1000
+
+
+def sample(seq: int, measured: Sequence[float], desired: Sequence[float] | None = None):
+    told = list(measured) if desired is None else list(desired)
+    return ServoSample(
+        t_ns=10**18 + seq * PERIOD_NS, seq=seq, measured=list(measured), desired=told, run=1
+    )
+
+
+def received(leg: str, one: ServoSample) -> Received:
+    return Received(servo_key(leg), encode(one), MSGPACK, 0, None)
+
+
+@functools.cache
+def walk() -> list[tuple[str, ServoSample]]:
+    pytest.importorskip("mujoco")
+    from adaptive_contact_sim.arrays import record_arrays
+    from adaptive_contact_sim.simulation import SimulationSettings
+    from adaptive_contact_sim.walk import WalkSettings
+
+    motion = WalkSettings(gait="tripod", stop_on="truth", react_ms=60.0)
+    run = record_arrays(SimulationSettings(motion=motion, seed=31), TICKS * PERIOD_NS / 1e9)
+    return [
+        (name, sample(k, leg.measured[k].tolist(), leg.desired[k].tolist()))
+        for k in range(TICKS)
+        for name, leg in run.legs.items()
+    ]
+
+
+def turned(samples: list[tuple[str, ServoSample]], turn: Callable) -> list[tuple[str, ServoSample]]:
+    """The samples of a source that counts otherwise."""
+    return [
+        (
+            leg,
+            msgspec.structs.replace(
+                one,
+                measured=np.asarray(turn(np.array(one.measured))).tolist(),
+                desired=np.asarray(turn(np.array(one.desired))).tolist(),
+            ),
+        )
+        for leg, one in samples
+    ]
+
+
+def report(samples: list[tuple[str, ServoSample]], robot: Robot | None = None) -> LiveReport:
+    check = LiveCheck(robot or shipped_robot())
+    for leg, one in samples:
+        check.take(received(leg, one))
+    return check.report(TICKS * PERIOD_NS / 1e9)
+
+
+def test_a_robot_that_walks_as_described_is_confirmed() -> None:
+    found = report(walk())
+    assert found.findings == []
+    assert found.exit_code == 0
+    assert found.confirmed == list(shipped_robot().leg_ids)
+    assert found.open == []
+    leg = found.legs[0]
+    last = next(one for name, one in reversed(walk()) if name == leg.leg)
+    place = foot(last.measured, shipped_robot().legs[0].lengths_m, ("yaw", "pitch", "pitch"))
+    assert leg.rate_hz == pytest.approx(50.0)
+    assert leg.height_m == pytest.approx(place[2])
+    assert leg.reach_m == pytest.approx(np.hypot(place[0], place[1]))
+    assert [joint.axis for joint in leg.joints] == ["yaw", "pitch", "pitch"]
+
+
+WAYS = {
+    "pitch downwards": (lambda q: q * [1, -1, -1], "directions = [1, -1, -1]"),
+    "tibia first": (lambda q: q[::-1], "in the order coxa, femur, tibia"),
+    "another zero": (lambda q: q - [0, 0.3, -0.6], "offsets_rad = [0, 0.3"),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_source_that_counts_otherwise_is_told_what_to_write(way: str) -> None:
+    turn, advice = WAYS[way]
+    found = report(turned(walk(), turn))
+    assert found.exit_code == 1
+    signs = [finding for finding in found.findings if finding.cause == "signs"]
+    assert len(signs) == 1
+    assert signs[0].legs == list(shipped_robot().leg_ids)
+    assert speaks_of_angles(signs[0].what)
+    assert advice in signs[0].what
+    assert found.confirmed == []
+
+
+def moved(*poses: Sequence[float], leg: str = "lf", robot: Robot | None = None) -> list[str]:
+    """What is said of a leg that is held in poses, with a move of a second between them."""
+    check = LiveCheck(robot or shipped_robot())
+    seq = 0
+    for k, pose in enumerate(poses):
+        start = np.array(poses[max(k - 1, 0)])
+        for share in (*np.linspace(0, 1, 50), *[1.0] * 25):
+            check.take(
+                received(leg, sample(seq, (start + share * (np.array(pose) - start)).tolist()))
+            )
+            seq += 1
+    return check.moves
+
+
+def test_a_joint_moved_by_hand_is_named_with_the_way_its_foot_went() -> None:
+    leg = shipped_robot().leg("lf")
+    raised = (0.0, 1.1, -1.8)
+    was, came = (foot(pose, leg.lengths_m, leg.joint_axes)[2] for pose in (STANDING, raised))
+    assert moved(STANDING, raised) == [
+        f"lf: femur +28.6°: the foot went up by {1e3 * (came - was):.0f} mm"
+    ]
+    (left,) = moved(STANDING, (0.4, 0.6, -1.8))
+    assert left.startswith("lf: coxa +22.9°: the foot went to the left (counter-clockwise")
+    (right,) = moved((0.4, 0.6, -1.8), STANDING)
+    assert "to the right (clockwise" in right
+    assert moved(STANDING, (0.0, 0.65, -1.8)) == []  # 3 degrees are no move
+
+
+def test_a_move_is_told_in_the_frame_of_the_description() -> None:
+    robot = shipped_robot()
+    down = Angles(directions=(1, -1, -1))
+    legs = tuple(msgspec.structs.replace(leg, angles=down) for leg in robot.legs)
+    robot = msgspec.structs.replace(robot, legs=legs)
+    (line,) = moved((0.0, -0.6, 1.8), (0.0, -1.1, 1.8), robot=robot)
+    assert "femur +28.6°: the foot went up" in line
+
+
+def still(poses: dict[str, Sequence[float]], ticks: int = 60) -> list[tuple[str, ServoSample]]:
+    return [(leg, sample(k, pose)) for k in range(ticks) for leg, pose in poses.items()]
+
+
+def test_feet_of_a_robot_that_stands_show_a_zero_that_is_off() -> None:
+    poses = dict.fromkeys(shipped_robot().leg_ids, STANDING)
+    flat = report(still(poses)).flatness
+    assert flat is not None
+    assert abs(flat.off_m) < 1e-9
+    off = report(still({**poses, "rm": (0.0, 0.6 + 0.25, -1.8)})).flatness
+    leg = shipped_robot().leg("rm")
+    up = foot((0.0, 0.85, -1.8), leg.lengths_m, leg.joint_axes)[2]
+    level = foot(STANDING, leg.lengths_m, leg.joint_axes)[2]
+    assert off is not None
+    assert off.leg == "rm"
+    assert off.off_m == pytest.approx(up - level)
+
+
+def test_a_leg_at_rest_says_whether_it_hangs_or_stands() -> None:
+    sagging = [("lf", sample(k, (0.0, 0.58, -1.8), STANDING)) for k in range(60)]
+    leg = shipped_robot().leg("lf")
+    hangs, told = (
+        foot(pose, leg.lengths_m, leg.joint_axes)[2] for pose in ((0.0, 0.58, -1.8), STANDING)
+    )
+    (view,) = report(sagging).legs
+    assert view.above_m == pytest.approx(hangs - told)
+    assert view.above_m < 0
+    lines = _told(report(sagging))
+    assert any(f"{1e3 * (told - hangs):.0f} mm below their commands" in line for line in lines)
+    assert not any("above their commands" in line for line in lines)
+    (moving,) = report(sagging[:5]).legs
+    assert moving.above_m is None  # not known to rest
+
+
+def test_nothing_is_said_of_signs_where_nothing_walks() -> None:
+    found = report(still(dict.fromkeys(shipped_robot().leg_ids, STANDING)))
+    assert found.findings == []
+    assert found.confirmed == []
+    assert found.open == list(shipped_robot().leg_ids)
+
+
+def test_what_the_wire_itself_shows() -> None:
+    poses = dict.fromkeys(shipped_robot().leg_ids, STANDING)
+    beyond = report(still({**poses, "lf": (0.0, 0.6, 1.8)}))
+    (limits,) = beyond.findings
+    assert (limits.cause, limits.leg) == ("limits", "lf")
+    assert "tibia in 100% of the samples, at +103° of -125..45°" in limits.what
+    degrees = report(turned(walk(), lambda q: np.degrees(q)))
+    assert [finding.cause for finding in degrees.findings] == ["units"]
+    named = report([(leg.upper(), one) for leg, one in still(poses)])
+    assert [finding.cause for finding in named.findings] == ["leg_ids"]
+    none = report([])
+    assert [finding.cause for finding in none.findings] == ["silent"]
+    assert none.exit_code == 1
+
+
+@pytest.fixture
+def run_live(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable]:
+    """The command, beside a source that publishes all samples; ends when they are taken in."""
+    from adaptive_contact.cli import robot as command
+
+    if not cli.app.registered_groups:
+        cli._register()
+    threads = []
+
+    def run(samples: list[tuple[str, ServoSample]], *words: str):
+        stop = threading.Event()
+        left = len(samples)
+        take = LiveCheck.take
+
+        def counted(self: LiveCheck, one: Received) -> None:
+            nonlocal left
+            take(self, one)
+            left -= leg_of_key(one.key) is not None
+            if left == 0:
+                stop.set()
+
+        monkeypatch.setattr(LiveCheck, "take", counted)
+        monkeypatch.setattr(command, "stoppable", lambda: stop)
+        publishers = {leg: router.publisher(servo_key(leg), reliable=True) for leg in dict(samples)}
+
+        def publish() -> None:
+            while not all(each.matched for each in publishers.values()) and not stop.wait(0.01):
+                pass
+            for leg, one in samples:
+                publishers[leg].put(one)
+
+        threads.append(threading.Thread(target=publish))
+        threads[-1].start()
+        where = ("--connect", router.endpoints[0], "--seconds", "120")
+        result = CliRunner().invoke(cli.app, ["robot", "check", "--live", *where, *words])
+        stop.set()
+        return result
+
+    yield run
+    for thread in threads:
+        thread.join(10)
+
+
+def test_over_zenoh_with_a_picture(run_live: Callable, tmp_path: Path) -> None:
+    result = run_live(walk(), "--picture", str(tmp_path / "legs.svg"))
+    assert result.exit_code == 0, result.output
+    assert "as the motion says, leg lf lm lr rf rm rr" in result.output
+    assert "nothing looks wrong" in result.output
+    assert "front (x)" in (tmp_path / "legs.svg").read_text()
+
+
+def test_over_zenoh_a_wrong_sign_ends_with_1_and_json_says_which(run_live: Callable) -> None:
+    result = run_live(turned(walk(), lambda q: q * [1, -1, -1]), "--json")
+    assert result.exit_code == 1
+    found = json.loads(result.stdout)
+    assert found["findings"][0][4] == "signs"
+    assert "directions = [1, -1, -1]" in found["findings"][0][2]
+
+
+def test_errors_are_one_line() -> None:
+    if not cli.app.registered_groups:
+        cli._register()
+
+    def raised(*words: str) -> BaseException | None:
+        return CliRunner().invoke(cli.app, ["robot", "check", *words]).exception
+
+    assert isinstance(raised("--live", "--connect", "tcp/127.0.0.1:1"), NoRouterError)
+    assert isinstance(raised("--live", "--device", "/dev/null"), ConfigurationError)
+    assert isinstance(raised("--connect", "tcp/127.0.0.1:1"), ConfigurationError)

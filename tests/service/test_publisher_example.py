@@ -1,0 +1,58 @@
+"""The example of a control loop, with a real service: the loop is there first, and waits."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import socket
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.wire import LearnerStatus, ServoSample, learner_key, servo_key
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "publisher.py"
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def test_it_needs_nothing_of_this_package() -> None:
+    assert "adaptive_contact" not in EXAMPLE.read_text(encoding="utf-8")
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(120)
+def test_the_loop_waits_for_the_router_and_its_samples_are_used(
+    command: Any, join: Any, inbox: Any
+) -> None:
+    endpoint = free_endpoint()
+    loop = command(str(EXAMPLE), endpoint, stderr=subprocess.PIPE)
+    assert loop.stderr.readline() == f"no router at {endpoint}; trying again\n"
+    words = ("serve", "--no-state", "--listen", endpoint)
+    served = command(
+        "-m", "adaptive_contact", *words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    assert "listening on" in served.stdout.readline()
+    client = join(endpoint)
+    statuses, samples = inbox(LearnerStatus), inbox(ServoSample)
+    client.subscribe(learner_key("rf"), statuses)
+    client.subscribe(servo_key("rf"), samples)
+    status = statuses.wait(lambda items: items[-1].ticks > 50, 60.0)[-1]
+    assert status.rejects == {}
+    assert status.status == "valid"
+    heard = samples.items[:50]
+    assert len({sample.run for sample in heard}) == 1
+    assert [b.seq - a.seq for a, b in itertools.pairwise(heard)] == [1] * 49
+    assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(heard))
+    loop.send_signal(signal.SIGINT)
+    assert loop.wait(20) == 130
+    assert "Traceback" not in loop.stderr.read()
+    loop.stderr.close()
+    served.send_signal(signal.SIGTERM)
+    assert served.wait(20) == 0

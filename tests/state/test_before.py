@@ -1,0 +1,171 @@
+"""States of the version before are read, or left for it: an upgrade and a step back lose nothing.
+
+``before/`` has a state as an older revision saved it, with the robot and baseline it belongs to.
+"""
+
+from __future__ import annotations
+
+import json
+import lzma
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.adapt import SNAPSHOT_FORMAT, LearnerBank, load_baseline
+from adaptive_contact.adapt.baseline import dump_baseline
+from adaptive_contact.robot import load_robot
+from adaptive_contact.service.link import Link, client_settings
+from adaptive_contact.service.state import (
+    FORMAT,
+    Record,
+    StateKeeper,
+    StateStore,
+    settings_digest,
+    unpack,
+)
+from adaptive_contact.wire import LearnerStatus, ServoSample, decode, learner_key, servo_key
+
+from .conftest import Desk
+
+HERE = Path(__file__).parent / "before"
+SAVED = json.loads((HERE / "status.json").read_text())
+
+
+@pytest.fixture
+def before(tmp_path: Path) -> Path:
+    """A folder with the robot's files and, in ``state``, its state of the version before."""
+    (tmp_path / "robot.toml").write_bytes((HERE / "robot.toml").read_bytes())
+    (tmp_path / "baseline.json").write_bytes(unpacked("baseline.json"))
+    (archive,) = HERE.glob("*.state.xz")
+    kept = tmp_path / "state" / "hexapod-ax12a" / archive.stem
+    kept.parent.mkdir(parents=True)
+    kept.write_bytes(unpacked(archive.stem))
+    return tmp_path
+
+
+def unpacked(name: str) -> bytes:
+    return lzma.decompress((HERE / f"{name}.xz").read_bytes())
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.suffix != ""}
+
+
+@pytest.mark.e2e
+def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) -> None:
+    """The whole service: what it counts goes on, and so does the number that its source counts."""
+    command = [
+        *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
+        *("--config", str(before / "robot.toml"), "--baseline", str(before / "baseline.json")),
+        *("--state", str(before / "state")),
+    ]
+    (old,) = (before / "state").rglob("*.state")
+    content = old.read_bytes()
+    log = before / "log"
+    with log.open("w") as stderr:
+        serve = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
+    try:
+        assert serve.stdout is not None
+        endpoint = serve.stdout.readline().split("listening on ")[1].split(";")[0]
+        with Link.open(client_settings([endpoint], wait=False)) as link:
+            told = spoken(link, lambda status: True)
+            assert (told.ticks, told.contacts) == (SAVED["ticks"], SAVED["contacts"])
+            assert told.model_version == SAVED["model_version"]
+            assert told.buffer.swings == SAVED["swings"]
+            assert told.drift.level == pytest.approx(SAVED["drift_level"])
+            publisher = link.publisher(servo_key("rf"), reliable=True)
+            for step in range(1, 6):  # 7 were lost while the service was replaced
+                publisher.put(
+                    ServoSample(
+                        t_ns=SAVED["t_ns"] + (7 + step) * 20_000_000,
+                        seq=SAVED["seq"] + 7 + step,
+                        measured=[0.0, -0.4, 1.0],
+                        desired=[0.0, -0.4, 1.0],
+                    )
+                )
+            after = spoken(link, lambda status: status.ticks == SAVED["ticks"] + 5)
+            assert after.missed == 7
+        serve.terminate()
+        assert serve.wait(10) == 0
+    finally:
+        serve.kill()
+        serve.wait(5)
+        serve.stdout.close()
+    assert "state restored" in log.read_text()
+    assert "state refused" not in log.read_text()
+    # A step back: what was saved at the end is in the format that the version before reads, and
+    # the state that it had left is the one before.
+    record, first = unpack(old.read_bytes()), unpack(content)
+    assert isinstance(record, Record)
+    assert isinstance(first, Record)
+    assert record.seq == SAVED["seq"] + 12
+    assert old.read_bytes()[8:10] == content[8:10]
+    assert record.body["follower"]["format"] == first.body["follower"]["format"]
+    assert old.with_suffix(".before").read_bytes() == content
+
+
+def spoken(link: Link, test: Any) -> LearnerStatus:
+    """The first status of the leg that passes a test."""
+    found: list[LearnerStatus] = []
+    came = threading.Event()
+
+    def hear(received: Any) -> None:
+        status = decode(received.payload, LearnerStatus, received.encoding)
+        assert isinstance(status, LearnerStatus)
+        if test(status):
+            found.append(status)
+            came.set()
+
+    subscribed = link.subscribe(learner_key("rf"), hear)
+    assert came.wait(20), "no such status in 20 s"
+    subscribed.close()
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    "formats", [(FORMAT + 1, SNAPSHOT_FORMAT), (FORMAT, SNAPSHOT_FORMAT + 1), (FORMAT + 1, 9)]
+)
+def test_a_version_with_another_format_leaves_these_alone_and_a_step_back_finds_them(
+    before: Path, formats: tuple[int, int]
+) -> None:
+    robot = load_robot(before / "robot.toml")
+    baseline = load_baseline(before / "baseline.json")
+    left = files(before / "state")
+
+    def opened(kinds: tuple[int, int]) -> tuple[StateKeeper, Any, Any]:
+        text = dump_baseline(baseline)
+        store = StateStore.open(before / "state", robot.name)
+        keeper = StateKeeper(
+            store, robot.name, lambda leg: settings_digest(robot, leg, text, formats=kinds)
+        )
+        learner = LearnerBank(robot, baseline).learner("rf", 3)
+        report = learner.model_report
+        assert report is not None
+        return keeper, learner, keeper.restore("rf", learner, report.library, 0)
+
+    keeper, learner, position = opened(formats)
+    assert position is None
+    assert learner.status.ticks == 0
+    assert (keeper.facts.restored, keeper.facts.refused) == ([], [])
+    for now in (1, 2, 3):  # so often that no name is left that was written before
+        keeper.take(Desk("rf", learner), now)
+        assert keeper.flush(5)
+    keeper.close()
+    assert files(before / "state").items() > left.items()
+    # A step back, and another step ahead.
+    for kinds, ticks in (((FORMAT, SNAPSHOT_FORMAT), SAVED["ticks"]), (formats, 0)):
+        keeper, learner, _ = opened(kinds)
+        assert keeper.facts.restored == ["rf"]
+        assert learner.status.ticks == ticks
+        keeper.close()
+
+
+def test_the_digest_of_todays_formats_is_that_of_the_version_before(before: Path) -> None:
+    robot = load_robot(before / "robot.toml")
+    text = dump_baseline(load_baseline(before / "baseline.json"))
+    (kept,) = (before / "state").rglob("*.state")
+    assert kept.name == f"rf-servo-{settings_digest(robot, 'rf', text)}.state"
