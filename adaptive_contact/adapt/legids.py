@@ -50,7 +50,7 @@ Mask = NDArray[np.bool_]
 SWAPPED: Final = "the samples are those of leg"
 
 # When the samples are judged, s: a tripod's tenth swing ends after 14 s.  Two verdicts must agree.
-TIMES_S: Final = (12.0, 20.0, 40.0, 60.0)
+TIMES_S: Final = (12.0, 20.0, 28.0, 40.0, 60.0)
 # Samples kept of a leg: a minute at 50 Hz.
 KEPT: Final = 3000
 # Free ticks of a leg from which its residuals tell.

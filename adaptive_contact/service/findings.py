@@ -123,7 +123,7 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.NOT_FINITE: _LEARNER,
     Cause.UNITS: _VALUES | _LEARNER | {Cause.UNDECLARED},
     Cause.ECHO: _VALUES | _LEARNER,
-    Cause.TWINS: _LEARNER,
+    Cause.TWINS: _LEARNER | {Cause.PHASE},
     Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
     Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES, Cause.LIMITS},
     Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},

@@ -143,7 +143,7 @@ def test_a_leg_that_a_cable_holds_while_it_walks(walk: list[m.Sent]) -> None:
 
 
 def test_all_legs_lost_at_once_point_to_the_description_first(walk: list[m.Sent]) -> None:
-    made = list(m.late_goals(6)(walk, np.random.default_rng(1)))
+    made = list(m.late_goals(5)(walk, np.random.default_rng(1)))
     diagnosis = listen(made, shipped_robot(), BASELINE)
     assert causes(diagnosis)[0] == Cause.NOT_THIS_ROBOT, diagnosis.findings
     first = diagnosis.findings[0]

@@ -14,7 +14,8 @@ def test_ten_thousand_broken_payloads_are_all_handled() -> None:
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     found = script.fuzz(10_000, 1, lambda line: None)
-    assert found["accepted"] > 300, "a good share gets through all checks"
+    # Of eight seeds, 132 to 930: a made-up run or number shuts out what comes after it.
+    assert found["accepted"] > 100, "a good share gets through all checks"
     assert {kind.__name__ for kind in script.KINDS} <= set(found)
     for reason in ("malformed", "wrong_type", "missing_field", "version"):
         assert found[reason] > 0
