@@ -133,7 +133,10 @@ class Team:
                         self._fault(self.learners[i], fault)
                 batch.finish()
             for i in self._open:
-                self.learners[i].settle()
+                try:
+                    self.learners[i].settle()
+                except Exception as fault:
+                    self._fault(self.learners[i], fault)
             self._open.clear()
         self._settle()
 

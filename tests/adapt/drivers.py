@@ -19,7 +19,8 @@ from adaptive_contact.detect.history import (
     restart_history,
     take,
 )
-from adaptive_contact.detect.swing import follow_command, follow_foot
+from adaptive_contact.detect.source import take_phase
+from adaptive_contact.detect.swing import follow_command, follow_foot, place_foot
 from adaptive_contact.detect.tick import begin_labels, enter_row, note_hole
 from adaptive_contact.identify import leg_library
 from adaptive_contact.identify.library import with_changes
@@ -211,3 +212,25 @@ class Labels:
             row._replace(lift=bool(kept["lift"]), level=float(kept["level"]))
             for row, kept in zip(self._seen[first:last], found, strict=True)
         ]
+
+
+class Phases:
+    """Follows the phases that a leg's samples say, as a tick does."""
+
+    def __init__(self, robot: Robot, leg: Leg) -> None:
+        self.place = place_of(robot, leg)
+
+    def take(self, sample: ServoSample) -> None:
+        """A sample's phase and command."""
+        b, leg, height = self.place.batch, self.place.leg, 0.0
+        desired = np.array(sample.desired)
+        if leg["has_lengths"]:
+            place_foot(desired, b.lengths[0], b.pitched[0], b.now)
+            height = float(b.now[2])
+        phase = _PHASES[sample.phase]
+        take_phase(leg, phase, desired, height, b.phase_before[0], b.parts[0])
+
+    @property
+    def swapped(self) -> bool:
+        """Stance is published as swing."""
+        return bool(self.place.leg["swapped"])

@@ -12,11 +12,13 @@ import pytest
 from adaptive_contact import ContactLearner
 from adaptive_contact.adapt import Baseline, WhenAmbiguous
 from adaptive_contact.adapt.learner import ContactLearner as Learner
-from adaptive_contact.adapt.sources import ECHO_EVIDENCE, ECHO_TICKS, EchoWatch, PhaseWatch
+from adaptive_contact.adapt.sources import EchoWatch
+from adaptive_contact.detect.source import ECHO_EVIDENCE, ECHO_TICKS
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
 
 from .conftest import FakeLeg, play, samples
+from .drivers import Phases
 
 STEP = 0.005
 SWING, PERIOD = 24, 28  # ticks of the fake leg's swings, and from one to the next
@@ -84,7 +86,7 @@ def test_a_copy_is_told_within_one_swing(lag: int, rounding: Rounding) -> None:
         made = echoed(stream, begin - lag, begin + SWING, lag=lag, rounding=rounding)
         watch = EchoWatch(3, STEP)
         told(watch, made[:begin])
-        watch.echoing.clear()
+        watch._echoing[:] = False
         watch.begin()
         assert told(watch, made[begin : begin + SWING]) >= {1, 2}
 
@@ -165,7 +167,7 @@ def test_a_copy_ends_with_three_ticks_that_are_none() -> None:
 def test_swapped_phases_are_told_and_end(robot: Robot, geometry: bool) -> None:
     leg = robot.leg("rf") if geometry else without_lengths(robot)
     stream = swapped(swings(14), 4 * PERIOD + 7, 9 * PERIOD + 3)
-    watch = PhaseWatch(leg)
+    watch = Phases(robot, leg)
     states = []
     for sample in stream:
         watch.take(sample)
@@ -184,7 +186,7 @@ def without_lengths(robot: Robot) -> Leg:
 
 def test_a_leg_that_is_put_elsewhere_fast_is_not_swapped(robot: Robot) -> None:
     """A stance that is faster than the swings beside it, whose foot comes down as far."""
-    watch = PhaseWatch(robot.leg("rf"))
+    watch = Phases(robot, robot.leg("rf"))
     for k, sample in enumerate(swings(12)):
         fast = 5 * PERIOD + SWING <= k < 6 * PERIOD
         desired = [x + 0.4 * (k % 2) for x in sample.desired] if fast else sample.desired
