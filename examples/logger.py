@@ -95,7 +95,9 @@ def log(options: argparse.Namespace, stop: threading.Event) -> None:
         options.connect or (), namespace=options.namespace, zenoh_config=options.zenoh_config
     )
     with Link.open(settings, on_wait=say, stop=stop) as link:
-        for key in (ALL_CONTACT, ALL_LEARNER, BRIDGES):
+        # The last word on each leg comes to who joins late, too.
+        link.subscribe(ALL_CONTACT, inbox.put, history=True)
+        for key in (ALL_LEARNER, BRIDGES):
             link.subscribe(key, inbox.put)
         print("listening", flush=True)
         while not stop.is_set():

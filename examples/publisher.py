@@ -30,8 +30,8 @@ def compute(seq: int) -> list[float]:
 
 
 def write(goals: list[float]) -> None:
-    """Send the goals to the servos, which go half of the way in a tick."""
-    servos[:] = [at + 0.5 * (goal - at) for at, goal in zip(servos, goals, strict=True)]
+    """Send the goals to the servos, which go a fifth of the way in a tick."""
+    servos[:] = [at + 0.2 * (goal - at) for at, goal in zip(servos, goals, strict=True)]
 
 
 def wait_for_router(endpoint: str) -> zenoh.Session:

@@ -85,7 +85,8 @@ def serve(
     with _refitting() as process:
         from threadpoolctl import threadpool_limits
 
-        from adaptive_contact import adapt
+        from adaptive_contact.adapt import LearnerBank
+        from adaptive_contact.adapt import WhenAmbiguous as Policy
         from adaptive_contact.service.faults import FaultLog
         from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
@@ -112,12 +113,12 @@ def serve(
         robot, learned, origin = _load(config, baseline)
         compile_tick()
         refitter = ProcessRefitter(process=process)
-        bank = adapt.LearnerBank(
+        bank = LearnerBank(
             robot,
             learned,
             refitter=refitter,
             on_fault=FaultLog(),
-            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+            when_ambiguous=Policy(when_ambiguous),
         )
         try:
             link = Link.open(settings, on_wait=say_waiting, stop=stop)

@@ -101,7 +101,7 @@ def test_the_failure_of_a_process_is_one_line(
 @pytest.mark.parametrize(
     ("args", "word"),
     [
-        (["--seconds", "nan"], "expected 8 to 3600 s"),
+        (["--seconds", "nan"], "'nan' is no duration; expected seconds"),
         (["--out", "file"], "cannot be used"),
     ],
 )
