@@ -312,10 +312,12 @@ def ambiguous_from(
             follower._belied.told = True
         else:
             follower.monitor.status = "ambiguous"
+        learner._publish()  # what an assessed swing does
         event = learner.update(sample)
         events += [] if event is None else [event]
     follower._belied.forget()
     follower.monitor.status = "valid"
+    learner._publish()
     return events + play(learner, stream[end:])
 
 
