@@ -2,7 +2,8 @@
 
 What is kept is machine code that later starts load: it lies in a folder that belongs to this user,
 that nobody else may write to, and whose name holds a digest of the sources it was made from.
-Without such a folder everything is compiled at each start.
+Without such a folder everything is compiled at each start; without numba nothing is, and the same
+code runs as plain Python.
 """
 
 from __future__ import annotations
@@ -17,18 +18,28 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-import numba
 import numpy as np
-from numba.core import config as _numba_config
 
-__all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "is_cached", "records"]
+try:
+    import numba
+    from numba.core import config as _numba_config
+except ImportError:  # there is none for this computer: pyproject.toml names those it is for
+    numba = None
+    _numba_config = None
 
-config: Any = _numba_config  # its settings are made at import, and have no types
+__all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "compiles", "is_cached", "records"]
+
+_config: Any = _numba_config  # its settings are made at import, and have no types
 
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
 _SOURCES: Final = ("detect", "identify")
+
+
+def compiles() -> bool:
+    """Whether anything is compiled: not without numba, and not with ``NUMBA_DISABLE_JIT``."""
+    return numba is not None and not _config.DISABLE_JIT
 
 
 @functools.cache
@@ -66,23 +77,23 @@ def is_cached() -> bool:
 
 def records(scalars: Any) -> Any:
     """Rows of scalars as compiled code takes them; uncompiled, with names that Python finds."""
-    return scalars.view(np.recarray) if config.DISABLE_JIT else scalars
+    return scalars if compiles() else scalars.view(np.recarray)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of arrays when it is first called, or load what was compiled before."""
-    if config.DISABLE_JIT:
+    if not compiles():
         return function
     folder = cache_folder()
-    before = config.CACHE_DIR
-    config.CACHE_DIR = "" if folder is None else str(folder)
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = "" if folder is None else str(folder)
     try:
         # Other floating-point rules than IEEE's would make results depend on the machine.
         return numba.njit(
             cache=folder is not None, inline="never", error_model="numpy", nogil=True
         )(function)
     finally:
-        config.CACHE_DIR = before
+        _config.CACHE_DIR = before
 
 
 def _expanded(name: str | None) -> Path | None:
@@ -112,7 +123,7 @@ def _owned(folder: Path) -> Path | None:
 
 def _digest() -> str:
     """Of what the machine code is made from: sources, numba, Python."""
-    found = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
+    found = hashlib.sha256(f"{getattr(numba, '__version__', None)} {sys.version}".encode())
     here = Path(__file__).parent
     for package in _SOURCES:
         for source in sorted((here / package).glob("*.py")):

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-import sys
+import os
+import platform
+
+from adaptive_contact.cli._output import say
 
 __all__ = ["compile_tick"]
 
 
 def compile_tick() -> None:
     """Load the compiled tick; the first start after an installation compiles it, and says so."""
-    from adaptive_contact.compiled import cache_folder, is_cached
+    from adaptive_contact.compiled import cache_folder, compiles, is_cached
     from adaptive_contact.detect.batch import compile_ahead
 
+    if not compiles():
+        why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"
+        if os.environ.get("NUMBA_DISABLE_JIT"):
+            why = "NUMBA_DISABLE_JIT is set"
+        _tell(f"{why}: ticks run as plain Python, too slow for a robot that walks")
+        return
     if not is_cached():
-        kept = (
-            "once" if cache_folder() else "at each start, as no folder could be had to keep it in"
-        )
-        print(
-            f"adaptive-contact: compiling the arithmetic of a tick for this computer, {kept} "
-            "(10 to 20 s)",
-            file=sys.stderr,
-            flush=True,
-        )
+        kept = "at each start, as no folder could be had to keep it in"
+        if cache_folder():
+            kept = "once"
+        _tell(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
     compile_ahead()
+
+
+def _tell(line: str) -> None:
+    say(f"adaptive-contact: {line}", err=True)
