@@ -14,7 +14,8 @@ import importlib
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from adaptive_contact.adapt import ContactLearner, load_baseline
+    from adaptive_contact.leg_learner import ContactLearner
+    from adaptive_contact.model.model_file import load_baseline
     from adaptive_contact.robot import load_robot
     from adaptive_contact.wire import ContactEvent, LearnerStatus, ServoSample
 
@@ -31,10 +32,10 @@ __version__ = "0.1.0"
 # Loaded when asked for: the command line begins here, too, and its help needs no linear algebra.
 _PLACES: Final = {
     "ContactEvent": "wire",
-    "ContactLearner": "adapt",
+    "ContactLearner": "leg_learner",
     "LearnerStatus": "wire",
     "ServoSample": "wire",
-    "load_baseline": "adapt",
+    "load_baseline": "model",
     "load_robot": "robot",
 }
 

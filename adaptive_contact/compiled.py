@@ -20,12 +20,13 @@ from typing import Any, Final
 
 import numpy as np
 
+numba: Any
 try:
     import numba
     from numba.core import config as _numba_config
 except ImportError:  # there is none for this computer: pyproject.toml names those it is for
     numba = None
-    _numba_config = None
+    _numba_config = None  # type: ignore[assignment]
 
 __all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "compiles", "is_cached", "records"]
 
@@ -34,7 +35,7 @@ _config: Any = _numba_config  # its settings are made at import, and have no typ
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
-_SOURCES: Final = ("detect", "identify")
+_SOURCES: Final = ("detect", "learn", "model")
 
 
 def compiles() -> bool:

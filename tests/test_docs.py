@@ -146,7 +146,7 @@ def test_the_readme_s_control_loop_runs(
 ) -> None:
     """As it stands there, on a walk of the simulator: it reports touches and their ends."""
     pytest.importorskip("mujoco")
-    from adaptive_contact.adapt import save_baseline, shipped_baseline
+    from adaptive_contact.model import save_baseline, shipped_baseline
     from adaptive_contact.robot import shipped_robot
     from adaptive_contact_sim import SimulationSettings, WalkSettings
     from adaptive_contact_sim.arrays import record_arrays

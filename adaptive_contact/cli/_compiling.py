@@ -13,7 +13,7 @@ __all__ = ["compile_tick"]
 def compile_tick() -> None:
     """Load the compiled tick; the first start after an installation compiles it, and says so."""
     from adaptive_contact.compiled import cache_folder, compiles, is_cached
-    from adaptive_contact.detect.batch import compile_ahead
+    from adaptive_contact.leg_group import compile_ahead
 
     if not compiles():
         why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"

@@ -13,10 +13,10 @@ from adaptive_contact.errors import ConfigurationError, IdentificationError, Too
 if TYPE_CHECKING:
     import numpy as np
 
-    from adaptive_contact.adapt.gather import LegGatherer
-    from adaptive_contact.adapt.training import Stretch, Training
     from adaptive_contact.bridge.collect import Script
     from adaptive_contact.bridge.plan import PortPlan
+    from adaptive_contact.fit.recordings import LegGatherer
+    from adaptive_contact.fit.train import Stretch, Training
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
 
@@ -126,7 +126,7 @@ def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) 
     """
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact.adapt.training import learn
+    from adaptive_contact.fit.train import learn
 
     streams = {
         leg: [
@@ -166,7 +166,7 @@ def _shortfalls(
     error: IdentificationError,
 ) -> list[tuple[str, float]]:
     """What is missing of every leg, in words, and how many times as much it takes."""
-    from adaptive_contact.identify import leg_library
+    from adaptive_contact.model import leg_library
 
     # Thresholds rest on all legs together: each has its part in what they lack.
     together = error.needed / max(error.have, 1) if isinstance(error, TooLittleDataError) else 0.0

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.cli._output import say
+from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Mount, Robot, foot
-from adaptive_contact.robot.rigid import on_body
 
 __all__ = ["chain", "draw", "write_picture"]
 

@@ -26,8 +26,8 @@ def baseline(
     """Record the simulated robot and learn its baseline; the result depends on no clock."""
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact.adapt import save_baseline
     from adaptive_contact.cli.fit import print_training
+    from adaptive_contact.model import save_baseline
     from adaptive_contact.robot import shipped_robot
 
     with needs_simulator():

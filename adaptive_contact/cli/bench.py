@@ -36,8 +36,8 @@ def bench(
     from rich.progress import Progress
     from rich.table import Table
 
-    from adaptive_contact.adapt.baseline import load_baseline, shipped_baseline
     from adaptive_contact.errors import BaselineError
+    from adaptive_contact.model.model_file import load_baseline, shipped_baseline
     from adaptive_contact.robot import shipped_robot
     from adaptive_contact.score.tables import summary_json
 

@@ -13,8 +13,8 @@ from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
-    from adaptive_contact.adapt.gather import LegGatherer
-    from adaptive_contact.adapt.training import Training
+    from adaptive_contact.fit.recordings import LegGatherer
+    from adaptive_contact.fit.train import Training
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.findings import Finding
     from adaptive_contact.wire import Rejected, ServoSample
@@ -76,9 +76,9 @@ def fit(
     """Learn a contact-free model of every recorded leg, and say how good it is."""
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact.adapt.baseline import save_baseline
-    from adaptive_contact.adapt.training import learn
-    from adaptive_contact.adapt.verdict import verdict
+    from adaptive_contact.fit.train import learn
+    from adaptive_contact.fit.verdict import verdict
+    from adaptive_contact.model.model_file import save_baseline
 
     check_output(out, "--out")
     robot = recorded_robot(config, recordings)
@@ -126,7 +126,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
     Raises:
         ConfigurationError: no tick of a recording shows how a leg moves.
     """
-    from adaptive_contact.adapt.gather import LegGatherer
+    from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.service.findings import of_legs
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.recording import read_recording
@@ -260,8 +260,8 @@ def check_conventions(
         ConfigurationError: there is such a leg; a wrong yaw alone, or a zero that is little off, is
             said only.
     """
-    from adaptive_contact.adapt.gather import judge_conventions
-    from adaptive_contact.adapt.legids import judge_recorded_ids
+    from adaptive_contact.diagnose.leg_ids import judge_recorded_ids
+    from adaptive_contact.fit.recordings import judge_conventions
 
     for leg, line in judge_recorded_ids(
         robot, {leg: one.last_run() for leg, one in gathered.items()}
@@ -283,7 +283,7 @@ def check_conventions(
 
 def refuse_useless(robot: Robot, training: Training) -> None:
     """End the command with code 1 where what was learned is no model of a leg; one line a cause."""
-    from adaptive_contact.adapt.verdict import refusals
+    from adaptive_contact.fit.verdict import refusals
 
     refused = refusals(robot, training)
     if not refused:

@@ -33,8 +33,8 @@ from adaptive_contact.errors import ConfigurationError, LinkError, RecordingErro
 from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
-    from adaptive_contact.adapt.bank import LearnerBank
-    from adaptive_contact.adapt.baseline import Baseline
+    from adaptive_contact.bank import LearnerBank
+    from adaptive_contact.model.model_file import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
     from adaptive_contact.service.recording import Recording
@@ -141,7 +141,7 @@ def _to_events(
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact import adapt
-    from adaptive_contact.adapt.bank import LearnerBank
+    from adaptive_contact.bank import LearnerBank
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, replay_events
@@ -277,7 +277,7 @@ def _on_signal(stop: threading.Event) -> None:
 
 def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
     """What is learned of the robot already; the shipped ones go together."""
-    from adaptive_contact.adapt.baseline import load_baseline, shipped_baseline
+    from adaptive_contact.model.model_file import load_baseline, shipped_baseline
 
     if baseline is not None:
         return load_baseline(baseline)

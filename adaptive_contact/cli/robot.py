@@ -352,8 +352,6 @@ def learn_(
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
 
-    from adaptive_contact.adapt.baseline import save_baseline
-    from adaptive_contact.adapt.verdict import verdict
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import (
         check_conventions,
@@ -362,6 +360,8 @@ def learn_(
         print_training,
         refuse_useless,
     )
+    from adaptive_contact.fit.verdict import verdict
+    from adaptive_contact.model.model_file import save_baseline
 
     check_output(out, "--out")
     kept = learning.free_file(out) if recording is None else recording

@@ -39,7 +39,7 @@ from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, Li
 from adaptive_contact.priority import cores, take_priority
 
 if TYPE_CHECKING:
-    from adaptive_contact.adapt import Baseline
+    from adaptive_contact.model import Baseline
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.state import StateKeeper
@@ -85,8 +85,8 @@ def serve(
     with _refitting() as process:
         from threadpoolctl import threadpool_limits
 
-        from adaptive_contact.adapt import LearnerBank
-        from adaptive_contact.adapt import WhenAmbiguous as Policy
+        from adaptive_contact.bank import LearnerBank
+        from adaptive_contact.learn.mode import WhenAmbiguous as Policy
         from adaptive_contact.service.faults import FaultLog
         from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
@@ -194,13 +194,13 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
 
     robot = shipped_robot() if config is None else load_robot(config)
     if baseline is not None:
-        from adaptive_contact.adapt import load_baseline
+        from adaptive_contact.model import load_baseline
         from adaptive_contact.service.settings import shown_path
 
         return robot, load_baseline(baseline), shown_path(baseline)
     if config is not None:
         return robot, None, None
-    from adaptive_contact.adapt import shipped_baseline
+    from adaptive_contact.model import shipped_baseline
 
     learned = shipped_baseline(robot.name)
     return robot, learned, None if learned is None else f"shipped with {robot.name}"
@@ -213,7 +213,7 @@ def _keeper(
 
     Robots of one kind are told apart by their namespaces.
     """
-    from adaptive_contact.adapt import SNAPSHOT_FORMAT
+    from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
     from adaptive_contact.service.server import version
     from adaptive_contact.service.state import (
         FORMAT,
@@ -225,7 +225,7 @@ def _keeper(
 
     text = ""
     if learned is not None:
-        from adaptive_contact.adapt.baseline import dump_baseline
+        from adaptive_contact.model.model_file import dump_baseline
 
         text = dump_baseline(learned)
     name = robot.name if namespace is None else f"{namespace}/{robot.name}"

@@ -1,6 +1,6 @@
 """One leg's ticks in time, compiled: mean rate, schedule, and whether what is late is the reading.
 
-See :class:`adaptive_contact.adapt.stream.RateWatch` for the reasons.
+See :class:`adaptive_contact.detect.stream.RateWatch` for the reasons.
 """
 
 from __future__ import annotations

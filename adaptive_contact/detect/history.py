@@ -12,17 +12,32 @@ from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.layout import DEPTH, VALUES
 from adaptive_contact.detect.regressors import predict, regressors
 
-# Constants: see adapt/tracker.py (moved here with their evidence).
-LIFT_OFF_TICKS: Final = 5
+# No position servo of this class turns faster (AX-12A: 6.2 rad/s): a reading further from the one
+# before is a fault of the bus, such as the -π that some return for "no answer".
 MAX_STEP_RAD_S: Final = 25.0
+# A joint that repeats its last reading to the step, while the model expects it to move by this
+# many, is more likely stale than stopped dead: it waits a tick, while the other joints are judged;
+# and one more while these move as predicted, to within so many steps: ground that stops one joint
+# dead does not leave the others alone.
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
+# What a joint can do in a tick is learned from it: a reading off its prediction by more than this
+# many times the largest movement ever seen or predicted, and so many steps, is none.  Ground
+# that stops a joint dead leaves the prediction by one such movement at most.
 REACH: Final = 1.25
 REACH_QUANTA: Final = 4.0
+# Ticks predicted until the largest is known; about ten swings.
 REACH_TICKS: Final = 200
+# A value that was refused twice to the last bit is what a failed read leaves behind: where it is
+# off the prediction by this many steps, it is doubted for one tick.
 KNOWN_QUANTA: Final = 3.0
+# So many impossible readings in a row are a new truth (a horn slipped, an offset was set).
 MAX_IMPOSSIBLE: Final = 3
+# A reading earlier than this, in periods, is moved by no more: its noise would grow with it.
 MOST_EARLY: Final = -0.5
+# Ticks after a substitute in which the prediction leans on it most (velocity terms), and the
+# factor on the residual's variance there: a substitute errs by a whole residual, a reading by two
+# thirds of one.
 UNSURE_TICKS: Final = 2
 UNSURE_VARIANCE: Final = 2.5
 

@@ -84,7 +84,7 @@ LEG: Final = np.dtype(
         # Swing: the foot.
         ("rising", b1),
         ("cleared", b1),
-        ("held", b1),
+        ("obstructed", b1),
         ("rise", f8),
         ("moved", f8),
         ("surface", f8),
@@ -109,7 +109,8 @@ LEG: Final = np.dtype(
         ("thetas_n", i4),
         # Statistic.
         ("context", i4),
-        ("level", f8),
+        ("variance_scale", f8),  # in force
+        ("__", f8),
         ("inflated", b1),  # the covariance is
         ("clock_most", f8),
         ("clock_left", i4),
@@ -158,12 +159,12 @@ LEG: Final = np.dtype(
         ("began_full", b1),
         ("has_seam", b1),
         ("has_theta", b1),
-        ("owes_release", b1),
+        ("release_pending", b1),
         ("hole_ns", i8),  # -1 for none
         ("changed", b1),
         ("has_domain", b1),
         # What this tick found.
-        ("found", i8),
+        ("flags", i8),
         ("score", f8),
         ("onset_ns", i8),
         ("distance", f8),
@@ -175,7 +176,7 @@ LEG: Final = np.dtype(
 # One row of a swing in hand.
 ROW: Final = np.dtype(
     [
-        ("level", f8),
+        ("nis", f8),
         ("value", f8),
         ("sigma", f8),
         ("t_ns", i8),
@@ -199,7 +200,7 @@ def new_legs(count: int) -> NDArray[np.void]:
 
 _BEGINNING: Final = {
     "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
-    "sound": True, "level": 1.0, "loaded": True, "hole_ns": -1, "surface": -np.inf,
+    "sound": True, "variance_scale": 1.0, "loaded": True, "hole_ns": -1, "surface": -np.inf,
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
     "apex": -np.inf, "asked_n": 1, "low_at_m": np.inf, "untouched_ns": -1, "phase_part": -1,
     "resolved_fallen": np.nan, "began_count": 1,

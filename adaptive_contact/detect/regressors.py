@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.compiled import compiled
-from adaptive_contact.identify import ChangeLibrary, Library
-from adaptive_contact.identify.library import FORETOLD_KNEES_RAD_S
+from adaptive_contact.model.library import FORETOLD_KNEES_RAD_S, ChangeLibrary, Library
 
 __all__ = ["TermTable", "predict", "regressors", "term_table"]
 

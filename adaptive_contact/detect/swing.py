@@ -12,20 +12,28 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.compiled import compiled
-from adaptive_contact.detect.history import LIFT_OFF_TICKS
 from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
+from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, RISE_M, STILL_M, STILL_TICKS
 
+# A foot this far above where it stood has left the ground.  Ground that gives, and legs that were
+# pressed, let it rise before that: by less in all but one tick in a thousand on hard ground and
+# on soft.
 CLEARANCE_M: Final = 0.015
+# Ground that gives is felt late, and a foot rises out of it for long: where it begins its swing so
+# far below the onset that was told, it is off the ground only above where it was so many ticks
+# before that onset (``swing_judge.py``).
 SUNK_M: Final = 0.006
-SOFT_TICKS: Final = 12
+SOFT_TICKS: Final = 12  # by then it is, all the same
+# A lift in which the foot has risen by less says nothing of the leg: it may never have left the
+# ground.
 LIFTED_M: Final = 0.006
+# A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
 CLEAR_TICKS: Final = 11
+# Without geometry the first half of a swing stands for its lift, if it holds enough ticks after the
+# foot has let go; the shortest of the last few swings says how long they are.
 LIFT_TICKS: Final = 10
+# Ticks for which the last lack of a preview is remembered, for the note.
 RECENT_TICKS: Final = 50
-RISE_M: Final = 0.004
-STILL_TICKS: Final = 2
-STILL_M: Final = 0.0008
-
 # Ticks after the turn to stance in which a foot that has not touched may still do so: a servo is
 # three or four behind its command, and on rough ground the last feet touch when others lift off.
 AFTER_TICKS: Final = 16

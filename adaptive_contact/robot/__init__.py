@@ -15,7 +15,13 @@ from adaptive_contact.robot.description import (
     ServoBus,
     ServoLaw,
 )
-from adaptive_contact.robot.geometry import foot, foot_point, height_gradient, inverse, link_angles
+from adaptive_contact.robot.kinematics import (
+    foot,
+    foot_point,
+    height_gradient,
+    inverse,
+    link_angles,
+)
 from adaptive_contact.robot.load import load_robot, parse_robot, shipped_robot
 
 __all__ = [

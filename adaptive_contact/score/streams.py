@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Leg, Robot, foot
-from adaptive_contact.robot.phase import infer_phase
+from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.score.contacts import truth_changes
 from adaptive_contact.score.outcome import Events, LegStream
 from adaptive_contact.score.swings import find_swings, lift_by_height

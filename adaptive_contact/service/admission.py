@@ -7,7 +7,7 @@ taken over from the same state, it gives the same answers.
 
 from __future__ import annotations
 
-from adaptive_contact.adapt.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
+from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
 from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import Reject, ServoSample
 

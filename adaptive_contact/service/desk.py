@@ -211,7 +211,7 @@ class Desk:
             return self.learner.status
 
     def _begin_anew(self, fault: Exception) -> None:
-        self.learner.begin_anew(fault)
+        self.learner.reset_after_fault(fault)
         self._faults(self.leg, fault)
 
     def _silence(self, now_ns: int) -> str:

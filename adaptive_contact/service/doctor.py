@@ -16,8 +16,8 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.adapt.legids import SWAPPED
-from adaptive_contact.robot.conventions import speaks_of_angles
+from adaptive_contact.conventions.judge import speaks_of_angles
+from adaptive_contact.diagnose.leg_ids import SWAPPED
 from adaptive_contact.service.findings import (
     EXPLAINS,
     REFUSED_FOR,

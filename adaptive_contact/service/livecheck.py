@@ -1,7 +1,7 @@
 """Whether samples mean what their robot's description says: the examination of ``check --live``.
 
 Works on the samples of any source.  Where a robot walks, signs, order and zeros are judged from its
-motion (:mod:`adaptive_contact.robot.conventions`).  Where it hangs or stands, its owner moves one
+motion (:mod:`adaptive_contact.conventions.judge`).  Where it hangs or stands, its owner moves one
 joint after the other by hand, and compares what he sees with what is said here: which joint moved,
 and where the foot went by the description.
 """
@@ -16,10 +16,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.conventions.judge import judge_motion
+from adaptive_contact.conventions.motion import LegMotion
+from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, foot
-from adaptive_contact.robot.conventions import judge_motion
-from adaptive_contact.robot.motion import LegMotion
-from adaptive_contact.robot.rigid import on_body
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts

@@ -18,7 +18,7 @@ __all__ = ["Bank", "Learner", "Question"]
 
 
 class Learner(Protocol):
-    """One leg's learner, as :class:`adaptive_contact.adapt.learner.ContactLearner` is."""
+    """One leg's learner, as :class:`adaptive_contact.leg_learner.ContactLearner` is."""
 
     @property
     def status(self) -> LearnerStatus:
@@ -31,15 +31,15 @@ class Learner(Protocol):
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
 
-    def begin_anew(self, fault: Exception) -> None:
+    def reset_after_fault(self, fault: Exception) -> None:
         """Go on after a fault from what was last saved, or anew, and say so in the status."""
 
-    def owe_release(self) -> None:
+    def request_release(self) -> None:
         """Say with the next sample that the leg is free: a service before may have said else."""
 
 
 class Bank(Protocol):
-    """All legs at once, as :class:`adaptive_contact.adapt.bank.LearnerBank` is."""
+    """All legs at once, as :class:`adaptive_contact.bank.LearnerBank` is."""
 
     def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
         """Take at most one sample per leg; bad ones are refused by value and counted."""

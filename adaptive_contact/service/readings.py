@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.gather import stray_readings
-from adaptive_contact.adapt.sources import EchoWatch
+from adaptive_contact.detect.source_watch import EchoWatch
+from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Cause, Fault
 from adaptive_contact.wire import ServoSample
 

@@ -19,12 +19,12 @@ from typing import Final
 import numpy as np
 import structlog
 
-from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
-from adaptive_contact.adapt.conventions import ConventionJob
-from adaptive_contact.adapt.legids import IdJob
-from adaptive_contact.adapt.refit import Job, RefitJob, RefitResult
-from adaptive_contact.identify import FitStatus
-from adaptive_contact.robot.conventions import Verdict
+from adaptive_contact.conventions.judge import Verdict
+from adaptive_contact.diagnose.angle_watch import ConventionJob
+from adaptive_contact.diagnose.leg_ids import IdJob
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
+from adaptive_contact.learn.cold_start import ColdJob, ColdResult
 from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refit_worker import read_frame, write_frame
 

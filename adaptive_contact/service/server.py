@@ -335,7 +335,7 @@ class Service:
             report = learner.model_report
             library = "none" if report is None else report.library or "unnamed"
             resumes = self._keeper.restore(leg, learner, library, now_ns)
-        learner.owe_release()
+        learner.request_release()
         desk = self._desks[leg] = Desk(self._link, leg, learner, joints, now_ns, resumes)
         self._order.append(desk)
         if leg in self._robot.leg_ids:

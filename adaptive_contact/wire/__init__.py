@@ -33,6 +33,7 @@ from adaptive_contact.wire.keys import (
     truth_key,
 )
 from adaptive_contact.wire.messages import (
+    MAX_ANGLE_RAD,
     MAX_PREVIEW_TICKS,
     VERSION,
     BufferCounts,
@@ -61,6 +62,7 @@ __all__ = [
     "ALL_SERVO",
     "ALL_TRUTH",
     "JSON",
+    "MAX_ANGLE_RAD",
     "MAX_PAYLOAD_BYTES",
     "MAX_PREVIEW_TICKS",
     "MAX_SAMPLE_BYTES",

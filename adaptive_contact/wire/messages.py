@@ -7,11 +7,13 @@ fields are ignored when read, so that fields can be added without a new version.
 
 from __future__ import annotations
 
+import math
 from typing import Final, Literal
 
 import msgspec
 
 __all__ = [
+    "MAX_ANGLE_RAD",
     "MAX_PREVIEW_TICKS",
     "VERSION",
     "BufferCounts",
@@ -38,6 +40,8 @@ VERSION: Final = 1
 # No library looks further ahead than 20 ticks.  A payload holds tens of thousands of rows, and
 # every leg would wait while they are looked at.
 MAX_PREVIEW_TICKS: Final = 64
+# A joint reads within a few turns of zero; what is further out is not an angle of a leg.
+MAX_ANGLE_RAD: Final = 8 * math.pi
 
 Phase = Literal["swing", "stance"]
 Status = Literal["learning", "valid", "adapting", "ambiguous", "silent"]

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, foot
 from adaptive_contact.score import (
     Events,
@@ -90,7 +91,7 @@ def play(
     learners = {leg: make(robot, leg, baseline) for leg in legs}
     events: dict[str, list[ContactEvent]] = {leg: [] for leg in legs}
     streams = [samples_of(run, leg) for leg in legs]
-    team = Team(list(learners.values()))
+    team = LegGroup(list(learners.values()))
     spent = 0.0
     for samples in zip(*streams, strict=True):
         begin = time.perf_counter()

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import as_completed
 from typing import Final, NamedTuple
 
-from adaptive_contact.adapt import Baseline
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import LegOutcome, Summary, summarise
 from adaptive_contact_sim.arrays import record_arrays

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.refit import Job
-from adaptive_contact.adapt.team import Team
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.fit.refit_job import Job
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.refits import ProcessRefitter
 from adaptive_contact.service.state import Identity, Record, Refused, StateStore
@@ -77,12 +78,12 @@ class _Watched(ProcessRefitter):
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline) -> TickSpeed:
-    """Measure :class:`~adaptive_contact.adapt.team.Team` over a run of all legs."""
+    """Measure :class:`~adaptive_contact.leg_group.Team` over a run of all legs."""
     legs = list(run.legs)
     refitter = _Watched()
     with threadpool_limits(1), contextlib.closing(refitter):
         learners = [ContactLearner(robot, leg, baseline, refitter=refitter) for leg in legs]
-        team = Team(learners)
+        team = LegGroup(learners)
         spent, during = [], []
         begun = time.process_time()
         for samples in zip(*(samples_of(run, leg) for leg in legs), strict=True):
@@ -115,7 +116,7 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -
         return {leg: ContactLearner(robot, leg, baseline) for leg in run.legs}
 
     learners = bank()
-    team = Team(list(learners.values()))
+    team = LegGroup(list(learners.values()))
     for samples in zip(*(samples_of(run, leg) for leg in run.legs), strict=True):
         team.advance(samples)
     who = {leg: Identity(robot.name, leg, "", "") for leg in run.legs}

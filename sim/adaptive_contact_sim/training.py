@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.adapt.gather import untouched
-from adaptive_contact.adapt.training import Stretch, Training, learn
+from adaptive_contact.fit.recordings import untouched
+from adaptive_contact.fit.train import Stretch, Training, learn
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays

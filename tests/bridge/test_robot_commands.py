@@ -24,7 +24,7 @@ from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, Mount, Port, foot, parse_robot, shipped_robot
-from adaptive_contact.robot.phase import infer_phase
+from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.

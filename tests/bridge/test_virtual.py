@@ -306,7 +306,7 @@ def test_quadruped_scenarios_are_permanent_and_repeat() -> None:
 
 
 def test_the_shipped_quadruped_baseline_detects() -> None:
-    from adaptive_contact.adapt import shipped_baseline
+    from adaptive_contact.model import shipped_baseline
 
     robot = shipped_robot("quadruped")
     baseline = shipped_baseline(robot.name)

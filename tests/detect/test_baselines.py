@@ -7,9 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.detect import ContactState
-from adaptive_contact.detect.baseline_events import alarm_ticks
-from adaptive_contact.detect.baselines import (
+from adaptive_contact.detect.detector import DECIDED, TOUCHED, swing_tick
+from adaptive_contact.detect.layout import new_legs
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.model.glr import statistic
+from adaptive_contact.model.noise import WINDOWS, context
+from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
+from adaptive_contact_sim.experiments.comparison_rules import (
     JUDGED_AFTER_TICKS,
     Motion,
     Prediction,
@@ -20,9 +24,6 @@ from adaptive_contact.detect.baselines import (
     position_difference,
     tracking_error,
 )
-from adaptive_contact.detect.noise import WINDOWS, context
-from adaptive_contact.detect.statistic import statistic
-from adaptive_contact.errors import IdentificationError
 
 QUANTUM = 0.005
 
@@ -46,16 +47,18 @@ def reference_alarms(
     score: np.ndarray, swing: np.ndarray, threshold: float, descending: np.ndarray
 ) -> list[int]:
     """The state machine of the product, tick by tick, on one score."""
-    state, found, before = ContactState(), [], -1
+    legs = new_legs(1).view(np.recarray)
+    found, before = [], -1
     for k in range(len(score)):
         if swing[k] != before:
             before = swing[k]
-            state.reset()
+            legs[0] = new_legs(1)[0]
         if swing[k] < 0:
             continue
         value = score[k] / threshold
-        decision = state.swing_tick(value, value, k, k, descending=bool(descending[k]))
-        if decision is not None and decision.contact:
+        legs[0].flags, legs[0].at_ns = 0, k
+        swing_tick(legs[0], value, value, k, bool(descending[k]))
+        if legs[0].flags & DECIDED and legs[0].flags & TOUCHED:
             found.append(k)
     return found
 

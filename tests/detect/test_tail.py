@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adaptive_contact.detect.tail import PRIOR_EXCEEDANCES, PRIOR_SHAPE, fit_tail
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
+from adaptive_contact.model.tail import PRIOR_EXCEEDANCES, PRIOR_SHAPE, fit_tail
 
 
 @pytest.mark.parametrize("shape", [-0.1, 0.0, 0.2, 0.4])

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.identify import FitStatus, Window, leg_library
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.model import Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments import identification as study
 from adaptive_contact_sim.experiments.collisions import ten_collisions

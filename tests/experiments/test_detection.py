@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt import ContactLearner, LearnerMode, shipped_baseline
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegStream, Row, TruthChanges, summarise
 from adaptive_contact_sim.evaluate import samples_of

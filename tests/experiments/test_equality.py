@@ -10,16 +10,9 @@ import pytest
 from pysindy.feature_library.base import BaseFeatureLibrary
 from sklearn.linear_model import LinearRegression
 
-from adaptive_contact.identify import (
-    Factor,
-    FitSettings,
-    FitStatus,
-    Library,
-    Window,
-    fit_sparse,
-    leg_library,
-)
-from adaptive_contact.identify.regression import RANK_CUTOFF
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.fit.sparse_regression import RANK_CUTOFF
+from adaptive_contact.model import Factor, Library, Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments.compression import compare
 from adaptive_contact_sim.experiments.data import Stream

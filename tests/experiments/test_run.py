@@ -12,8 +12,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from adaptive_contact.adapt import shipped_baseline
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact_sim.evaluate import play

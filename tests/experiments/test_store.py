@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.identify import leg_library
+from adaptive_contact.model import leg_library
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.experiments import data
 from adaptive_contact_sim.experiments.evaluation import jobs_of

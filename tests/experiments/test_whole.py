@@ -12,8 +12,7 @@ import pytest
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.detect import tail
-from adaptive_contact.identify import Window
+from adaptive_contact.model import Window, tail
 from adaptive_contact_sim.experiments import identification, models, store
 from adaptive_contact_sim.experiments.analytical import Gains
 from adaptive_contact_sim.experiments.plan import QUICK

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgpack
 
-from adaptive_contact.adapt import Baseline, LearnerBank
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from adaptive_contact.adapt.baseline import shipped_baseline
-from adaptive_contact.adapt.training import LegFigures, Training, learn
-from adaptive_contact.adapt.verdict import refusals
 from adaptive_contact.cli.fit import check_conventions, gather
-from adaptive_contact.detect import Tail
 from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.fit.train import LegFigures, Training, learn
+from adaptive_contact.fit.verdict import refusals
+from adaptive_contact.model.model_file import shipped_baseline
+from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import Robot, shipped_robot
 
 from . import mistakes as m

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt.baseline import shipped_baseline
-from adaptive_contact.adapt.legids import judge_recorded_ids
+from adaptive_contact.diagnose.leg_ids import judge_recorded_ids
+from adaptive_contact.model.model_file import shipped_baseline
 from adaptive_contact.robot import Mount, shipped_robot
 from adaptive_contact.service.findings import Cause
 from adaptive_contact.service.legcheck import check_recording

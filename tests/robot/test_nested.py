@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptive_contact.adapt import load_baseline
 from adaptive_contact.errors import BaselineError, ConfigurationError
+from adaptive_contact.model import load_baseline
 from adaptive_contact.robot import load_robot
 
 DEPTHS = (100, 1_000, 20_000)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from adaptive_contact.conventions.judge import LegMotion, Verdict, judge_motion
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact.robot.conventions import LegMotion, Verdict, judge_motion
 
 TICKS, CYCLE = 1500, 100
 STEP_RAD = 0.001534

@@ -36,15 +36,15 @@ class Fault:
 
 FAULTS: Final = (
     Fault(
-        "threshold of a contact", "detect/events.py",
+        "threshold of a contact", "model/contact_state.py",
         "if score <= 1.0:", "if score <= 1.02:", "pose-obstacles",
     ),
     Fault(
-        "calm ticks to rearm", "detect/events.py",
+        "calm ticks to rearm", "model/contact_state.py",
         "REARM_TICKS: Final = 4", "REARM_TICKS: Final = 5", "pose-obstacles",
     ),
     Fault(
-        "sign of the onset's share", "detect/events.py",
+        "sign of the onset's share", "model/contact_state.py",
         "np.clip(-(residual @ increment)", "np.clip((residual @ increment)", "pose-obstacles",
     ),
     Fault(
@@ -57,60 +57,60 @@ FAULTS: Final = (
         "self.increment[rows[1:]] = increment[rows[1:]]", "walk-flat",
     ),
     Fault(
-        "ticks before an onset", "adapt/segments.py",
+        "ticks before an onset", "model/labelled_swing.py",
         "GUARD_TICKS: Final = 3", "GUARD_TICKS: Final = 2", "pose-obstacles",
     ),
     Fault(
-        "ticks at the end of a swing", "adapt/segments.py",
+        "ticks at the end of a swing", "model/labelled_swing.py",
         "LAST_TICKS: Final = 6", "LAST_TICKS: Final = 5", "pose-free",
     ),
     Fault(
-        "ticks around a hole", "adapt/segments.py",
+        "ticks around a hole", "model/labelled_swing.py",
         "HOLE_TICKS: Final = 8", "HOLE_TICKS: Final = 0", "lost-samples",
     ),
     Fault(
-        "a push from the ground", "adapt/segments.py",
+        "a push from the ground", "model/labelled_swing.py",
         "PUSHED_SIGMA: Final = 1.0", "PUSHED_SIGMA: Final = 1.2", "pose-joint6",
     ),
     Fault(
-        "forgetting", "identify/recursive.py",
+        "forgetting", "learn/rls.py",
         "settings.forgetting * (1.0 + weight * m)", "1.0 + weight * m", "pose-free",
     ),
     Fault(
-        "lifts in doubt before a change", "adapt/monitor.py",
+        "lifts in doubt before a change", "learn/drift.py",
         "DOUBTS: Final = 2", "DOUBTS: Final = 3", "pose-friction4",
     ),
     Fault(
-        "lifts until settled", "adapt/monitor.py",
+        "lifts until settled", "learn/drift.py",
         "SETTLED_SWINGS: Final = 3", "SETTLED_SWINGS: Final = 4", "pose-friction4",
     ),
     Fault(
-        "lifts far off that are a hold", "adapt/monitor.py",
+        "lifts far off that are a hold", "learn/drift.py",
         "FAR_LEVEL: Final = 100.0", "FAR_LEVEL: Final = 120.0", "trailing-foot",
     ),
     Fault(
-        "ticks until a refit takes effect", "adapt/challenger.py",
+        "ticks until a refit takes effect", "learn/candidate.py",
         "REFIT_DUE_TICKS: Final = 50", "REFIT_DUE_TICKS: Final = 51", "walk-no-phase",
     ),
     Fault(
-        "rows of the trial of a refit", "adapt/challenger.py",
+        "rows of the trial of a refit", "learn/candidate.py",
         "TRIAL_ROWS: Final = 200", "TRIAL_ROWS: Final = 199", "pose-free",
     ),
     Fault(
-        "segment that a buffer gives up", "adapt/buffer.py",
+        "segment that a buffer gives up", "learn/replay_buffer.py",
         "Counter(cells).most_common(1)[0][0]", "cells[-1]", "pose-obstacles",
     ),
     Fault(
-        "reason of a refusal", "adapt/stream.py",
+        "reason of a refusal", "detect/stream.py",
         "return self._refuse(sample, now, Reject.DUPLICATE_SEQ)",
         "return self._refuse(sample, now, Reject.TIME_BACKWARDS)", "bad-samples",
     ),
     Fault(
-        "samples until a publisher takes back", "adapt/stream.py",
+        "samples until a publisher takes back", "detect/stream.py",
         "TAKE_BACK_SAMPLES: Final = 25", "TAKE_BACK_SAMPLES: Final = 24", "two-publishers",
     ),
     Fault(
-        "a rate that is off", "adapt/stream.py",
+        "a rate that is off", "detect/stream.py",
         "MOST_OFF: Final = 0.10", "MOST_OFF: Final = 0.30", "other-rate",
     ),
     Fault(
@@ -118,27 +118,27 @@ FAULTS: Final = (
         "UNSURE_VARIANCE: Final = 2.5", "UNSURE_VARIANCE: Final = 2.4", "lost-samples",
     ),
     Fault(
-        "a foot that is held", "adapt/swing.py",
+        "a foot that is held", "detect/swing_judge.py",
         "LIFTED_M: Final = 0.006", "LIFTED_M: Final = 0.012", "caught-foot",
     ),
     Fault(
-        "seed of when legs refit", "adapt/challenger.py",
+        "seed of when legs refit", "learn/candidate.py",
         "SPREAD * zlib.crc32(leg.encode())", "SPREAD * zlib.crc32(leg.encode()[:1])", "pose-free",
     ),
     Fault(
-        "tail that follows", "adapt/recent.py",
+        "tail that follows", "learn/noise_tracker.py",
         "if not row.value > level:", "if not row.value > 1.1 * level:", "pose-free",
     ),
     Fault(
-        "swings of a cold start", "adapt/coldstart.py",
+        "swings of a cold start", "learn/cold_start.py",
         "FIRST_TRY_SWINGS: Final = 20", "FIRST_TRY_SWINGS: Final = 21", "cold-start",
     ),
     Fault(
-        "first lifts of an unfit baseline", "adapt/monitor.py",
+        "first lifts of an unfit baseline", "learn/drift.py",
         "UNFIT_LIFTS: Final = 3", "UNFIT_LIFTS: Final = 4", "unfit-baseline",
     ),
     Fault(
-        "counts over a restart", "adapt/learner.py",
+        "counts over a restart", "leg_learner.py",
         'self._guard.restore(saved.get("stream"))', "pass", "service-restart",
     ),
 )  # fmt: skip

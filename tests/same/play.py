@@ -43,9 +43,9 @@ class Learners:
             self._alone = ContactLearner(self._robot, self.legs[0], self._baseline)
             return
         try:
-            from adaptive_contact.adapt import LearnerBank
-        except ImportError:
-            from adaptive_contact.bank import LearnerBank  # where the redesign puts it
+            from adaptive_contact.bank import LearnerBank
+        except ImportError:  # of before the redesign
+            from adaptive_contact.adapt.bank import LearnerBank
         self._bank = LearnerBank(self._robot, self._baseline)
         for leg in self.legs:
             self._bank.learner(leg)
@@ -74,7 +74,7 @@ class Learners:
             report = self[leg].model_report
             threshold = None if report is None else report.threshold
             return None if threshold is None else {"scores": [], "thresholds": [threshold]}
-        from adaptive_contact.detect import statistic
+        from adaptive_contact.detect import statistic  # only older revisions come here
 
         tracker, thresholds = detector.tracker, detector.thresholds
         usable = np.array(tracker.usable)

@@ -23,9 +23,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from adaptive_contact.adapt import save_baseline
-from adaptive_contact.adapt.training import learn
-from adaptive_contact.identify import Window
+from adaptive_contact.fit.train import learn
+from adaptive_contact.model import Window, save_baseline
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.wire import Drift, ServoSample
 from adaptive_contact_sim import (

@@ -38,14 +38,14 @@ HEIGHTS = np.concatenate(
 )
 
 
-class Heard(NamedTuple):
+class LiftAssessment(NamedTuple):
     key: str
     payload: bytes
     encoding: str = MSGPACK
 
 
-def heard(key: str, message: Message, encoding: str = MSGPACK) -> Heard:
-    return Heard(key, encode(message, encoding), encoding)
+def heard(key: str, message: Message, encoding: str = MSGPACK) -> LiftAssessment:
+    return LiftAssessment(key, encode(message, encoding), encoding)
 
 
 def desired(tick: int) -> list[float]:
@@ -57,7 +57,7 @@ def desired(tick: int) -> list[float]:
 
 def walk(
     swings: int = 5, *, leg: str = "rf", phase: bool = True, run: int | None = 1, start: int = 0
-) -> list[Heard]:
+) -> list[LiftAssessment]:
     """Samples of one leg; the swing of 600 ms begins at 800 k ms."""
     messages = []
     for k in range(40 * swings):
@@ -74,7 +74,7 @@ def walk(
     return messages
 
 
-def truth(at_ms: float, until_ms: float | None = None, *, leg: str = "rf") -> list[Heard]:
+def truth(at_ms: float, until_ms: float | None = None, *, leg: str = "rf") -> list[LiftAssessment]:
     key = truth_key(leg)
     begin = ContactTruth(
         t_ns=round(at_ms * MS), contact=True, force=3.0, speed_m_s=0.4, surface="hard"
@@ -100,11 +100,11 @@ def event(at_ms: float, *, leg: str = "rf", contact: bool = True) -> ContactEven
     )
 
 
-def air(leg: str = "rf") -> Heard:
+def air(leg: str = "rf") -> LiftAssessment:
     return heard(truth_key(leg), ContactTruth(t_ns=0, contact=False, force=0.0))
 
 
-def events(*times_ms: float) -> list[Heard]:
+def events(*times_ms: float) -> list[LiftAssessment]:
     return [heard(contact_key("rf"), event(ms)) for ms in times_ms]
 
 
@@ -167,11 +167,11 @@ def test_bad_messages_are_counted_and_change_nothing() -> None:
     expected = score_messages(messages, ROBOT)
     sample = ServoSample(t_ns=0, seq=0, measured=[0.0] * 3, desired=[0.0] * 3, phase="swing")
     bad = [
-        Heard(servo_key("rf"), b"\xc1"),
-        Heard(truth_key("rf"), b"{}", JSON),
-        Heard(contact_key("rf"), b"[]", JSON),
-        Heard("robot/leg/*/servo", encode(sample)),
-        Heard("robot/leg/a/b/servo", encode(sample)),
+        LiftAssessment(servo_key("rf"), b"\xc1"),
+        LiftAssessment(truth_key("rf"), b"{}", JSON),
+        LiftAssessment(contact_key("rf"), b"[]", JSON),
+        LiftAssessment("robot/leg/*/servo", encode(sample)),
+        LiftAssessment("robot/leg/a/b/servo", encode(sample)),
         heard(servo_key("rf"), ServoSample(t_ns=1, seq=1, measured=[0.0], desired=[0.0])),
         heard(servo_key("rf"), ServoSample(t_ns=-1, seq=1, measured=[0.0] * 3, desired=[0.0] * 3)),
         heard(
@@ -179,8 +179,8 @@ def test_bad_messages_are_counted_and_change_nothing() -> None:
             ServoSample(t_ns=1, seq=1, measured=[0.0] * 3, desired=[0.0, float("nan"), 0.0]),
         ),
         messages[3],  # once more, at the end: late
-        Heard("other/servo", b"not ours"),
-        Heard("robot/leg/rf/command", b"not used"),
+        LiftAssessment("other/servo", b"not ours"),
+        LiftAssessment("robot/leg/rf/command", b"not used"),
     ]
     messages[20:20] = bad[:8]
     score = score_messages([*messages, *bad[8:]], ROBOT)

@@ -55,8 +55,8 @@ Trips = dict[int, list[float]]
 REFIT = """
 import os
 import numpy as np
-from adaptive_contact.adapt.refit import RefitJob, refit
-from adaptive_contact.identify import Factor
+from adaptive_contact.fit.refit_job import RefitJob, refit
+from adaptive_contact.model import Factor
 os.nice(5)
 rng = np.random.default_rng(1)
 truth = rng.normal(size=(62, 3)) * (rng.random((62, 3)) < 0.4)

@@ -84,10 +84,10 @@ class FakeLearner:
     def count(self, reason: Reject, times: int = 1) -> None:
         self.rejects[reason] += times
 
-    def owe_release(self) -> None:
+    def request_release(self) -> None:
         self.owes_release = True
 
-    def begin_anew(self, fault: Exception) -> None:
+    def reset_after_fault(self, fault: Exception) -> None:
         self.fault = None
         self.note = f"begun anew: {fault}"
 
@@ -189,7 +189,7 @@ def main() -> None:
     module.SNAPSHOT_FORMAT = 3  # type: ignore[attr-defined]
     module.WhenAmbiguous = str  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.adapt"] = module
-    sys.modules["adaptive_contact.adapt.stream"] = STREAM
+    sys.modules["adaptive_contact.detect.stream"] = STREAM
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refits"] = refits

@@ -22,13 +22,13 @@ from typing import Any
 
 import msgspec
 
-from adaptive_contact.adapt.stream import (
+from adaptive_contact.bridge.status import BridgeStatus, Quantiles
+from adaptive_contact.detect.stream import (
     CONFIRM_SAMPLES,
     MOST_DOUBTS,
     Accepted,
     StreamGuard,
 )
-from adaptive_contact.bridge.status import BridgeStatus, Quantiles
 from adaptive_contact.service.intake import Raw, read
 from adaptive_contact.service.meters import LatencyMs
 from adaptive_contact.service.state import Identity, Record, StateFacts, pack

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.adapt import LearnerBank, shipped_baseline
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_live import _told
+from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Robot, foot, shipped_robot
-from adaptive_contact.robot.conventions import speaks_of_angles
 from adaptive_contact.service.link import Link, NoRouterError
 from adaptive_contact.service.livecheck import LiveCheck, LiveReport
 from adaptive_contact.service.traffic import Received

@@ -19,8 +19,9 @@ import pytest
 from structlog.testing import capture_logs
 from threadpoolctl import threadpool_info
 
-from adaptive_contact.adapt.refit import InlineRefitter, RefitJob, RefitResult, Refitter
-from adaptive_contact.identify import Factor, FitStatus
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.fit.refit_job import InlineRefitter, RefitJob, RefitResult, Refitter
+from adaptive_contact.model import Factor
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service import refits
 from adaptive_contact.service.refit_process import end_process, start_process

@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 
-from adaptive_contact.adapt.buffer import SlidingBuffer
-from adaptive_contact.adapt.challenger import REFIT_DUE_TICKS, Challenger, first_refit_after
-from adaptive_contact.adapt.coldstart import ColdJob, ColdResult
-from adaptive_contact.adapt.refit import Job, RefitResult
-from adaptive_contact.adapt.segments import Row
-from adaptive_contact.identify import FitStatus, LegModel, Library
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.fit.refit_job import Job, RefitResult
+from adaptive_contact.learn.candidate import REFIT_DUE_TICKS, Candidate, first_refit_after
+from adaptive_contact.learn.cold_start import ColdJob, ColdResult
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.model import LegModel, Library
+from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.robot import Leg
 from adaptive_contact.service.refits import _failed
 
@@ -48,7 +49,7 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
     library = Library("linear", ("a", "b"), ("pitch", "pitch"))
     p = library.size
     rng = np.random.default_rng(0)
-    buffer = SlidingBuffer()
+    buffer = ReplayBuffer()
     for k in range(40):
         buffer.add(
             [Row(rng.normal(size=p), np.zeros(2), 1.0, 1.0, 0, k, True, True, True)] * 12, 0, 0
@@ -57,7 +58,7 @@ def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> N
         (FitStatus.LOST, f"refused: the fit ended with 'lost: {WHY}'"),
         (FitStatus.NOT_FINITE, "refused: the fit ended with 'not_finite'"),
     ):
-        challenger = Challenger("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
+        challenger = Candidate("rf", np.full(2, 0.01), np.ones(p), Giving(up_with=status))
         for _ in range(first_refit_after("rf")[0]):
             challenger.swing_done(LegModel(library, np.zeros((p, 2))), buffer, 0)
         for _ in range(REFIT_DUE_TICKS + 1):

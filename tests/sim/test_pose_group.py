@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt import shipped_baseline
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.identify import stack
+from adaptive_contact.model import shipped_baseline, stack
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim import record_arrays
 from adaptive_contact_sim.elements import LEGS

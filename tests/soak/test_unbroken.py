@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptive_contact.adapt import ContactLearner, shipped_baseline
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import COUNTED, ROWS, Events, Gatherer, LegOutcome, match
 from adaptive_contact.service.recording import read_recording

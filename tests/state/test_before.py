@@ -15,8 +15,10 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.adapt import SNAPSHOT_FORMAT, LearnerBank, load_baseline
-from adaptive_contact.adapt.baseline import dump_baseline
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
+from adaptive_contact.model import load_baseline
+from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.robot import load_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.state import (

@@ -13,7 +13,8 @@ from typing import Final
 
 import pytest
 
-from adaptive_contact.adapt import LearnerBank, shipped_baseline
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.service.state import StateKeeper, StateStore
 from adaptive_contact.service.state.keeper import Position
@@ -101,7 +102,7 @@ def test_events_are_those_of_a_learner_that_was_never_interrupted(tmp_path: Path
         assert after.status.buffer == before.status.buffer
         assert after.status.model_version == before.status.model_version
 
-        after.owe_release()  # as the service does
+        after.request_release()  # as the service does
 
     expected = told(run(whole, ticks[split:]), begin_ns)
     events = run(resumed, ticks[split:])

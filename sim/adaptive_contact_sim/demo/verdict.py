@@ -15,9 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt import ContactLearner, LearnerMode, shipped_baseline
-from adaptive_contact.adapt.gather import untouched
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.fit.recordings import untouched
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
     Gatherer,
@@ -203,7 +205,7 @@ def _replay(
     }
     row = {leg: {int(t): i for i, t in enumerate(s.t_ns)} for leg, s in streams.items()}
     events: list[ContactEvent] = []
-    team = Team(list(learners.values()))
+    team = LegGroup(list(learners.values()))
     for tick in control_ticks(records, lambda leg, _: leg in learners, Counts()):
         decided = team.advance([tick.get(leg) for leg in learners])
         events += [event for event in decided if event is not None]

@@ -17,17 +17,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt import ContactLearner
-from adaptive_contact.adapt.training import learn, swing_ticks
-from adaptive_contact.detect.baseline_events import alarm_ticks
-from adaptive_contact.detect.baselines import JUDGED_AFTER_TICKS, Prediction, paper_rule
 from adaptive_contact.errors import IdentificationError
-from adaptive_contact.identify import LegModel, Window
+from adaptive_contact.fit.train import learn, swing_ticks
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import LegModel, Window
 from adaptive_contact.robot import Robot
-from adaptive_contact.robot.phase import directions
+from adaptive_contact.robot.gait_phase import directions
 from adaptive_contact.score import find_swings
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
+from adaptive_contact_sim.experiments.comparison_rules import (
+    JUDGED_AFTER_TICKS,
+    Prediction,
+    paper_rule,
+)
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.identification import PAPER_WINDOW
 from adaptive_contact_sim.experiments.recording import simulation_of

@@ -12,15 +12,8 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import (
-    Factor,
-    FitSettings,
-    Library,
-    LibraryName,
-    Window,
-    fit_sparse,
-    leg_library,
-)
+from adaptive_contact.fit import FitSettings, fit_sparse
+from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments.data import Stream, join, load, record_all
 from adaptive_contact_sim.experiments.identification import PAPER_WINDOW

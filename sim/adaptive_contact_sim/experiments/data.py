@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.training import Stretch
+from adaptive_contact.fit.train import Stretch
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run
 from adaptive_contact_sim.experiments.gantry import record_gantry
 from adaptive_contact_sim.experiments.plan import GantrySettings, Piece

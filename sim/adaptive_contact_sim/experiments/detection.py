@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.baselines import Calibration
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
 from adaptive_contact.score import LegOutcome, Row, poisson_mean, summarise
+from adaptive_contact_sim.experiments.comparison_rules import Calibration
 from adaptive_contact_sim.experiments.detectors import DETECTORS, Bench
 from adaptive_contact_sim.experiments.evaluation import (
     AIM,

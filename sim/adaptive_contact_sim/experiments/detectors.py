@@ -15,10 +15,16 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.training import swing_ticks
-from adaptive_contact.detect import NoiseModel
-from adaptive_contact.detect.baseline_events import alarm_ticks
-from adaptive_contact.detect.baselines import (
+from adaptive_contact.fit.train import swing_ticks
+from adaptive_contact.model import LegModel, stack
+from adaptive_contact.model.noise import NoiseModel
+from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
+from adaptive_contact.robot.gait_phase import directions
+from adaptive_contact.score import Events, LegOutcome, find_swings, match, summarise
+from adaptive_contact_sim.evaluate import leg_stream
+from adaptive_contact_sim.experiments.analytical import Gains, NominalLeg, predict
+from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
+from adaptive_contact_sim.experiments.comparison_rules import (
     Calibration,
     Motion,
     Prediction,
@@ -29,12 +35,6 @@ from adaptive_contact.detect.baselines import (
     position_difference,
     tracking_error,
 )
-from adaptive_contact.identify import LegModel, stack
-from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
-from adaptive_contact.robot.phase import directions
-from adaptive_contact.score import Events, LegOutcome, find_swings, match, summarise
-from adaptive_contact_sim.evaluate import leg_stream
-from adaptive_contact_sim.experiments.analytical import Gains, NominalLeg, predict
 from adaptive_contact_sim.experiments.data import Stream
 
 __all__ = ["DETECTORS", "Bench", "Evidence", "LegModels", "evidence_of", "tune_bench"]
@@ -95,7 +95,7 @@ def evidence_of(
     """
     told = predict(NominalLeg.of(), [(s.measured, s.desired) for s in streams], gains)
     found = []
-    for stream, foretold in zip(streams, told, strict=True):
+    for stream, rollout in zip(streams, told, strict=True):
         leg = robot.leg(stream.leg)
         fitted = models[stream.piece.leg_run.name]
         found.append(
@@ -110,7 +110,7 @@ def evidence_of(
                 {
                     "servo": _predict(fitted.servo, stream),
                     "paper": _predict(fitted.paper, stream),
-                    "analytical": _against(stream.measured, foretold),
+                    "analytical": _against(stream.measured, rollout),
                 },
                 find_swings(stream.run.t_ns, stream.swing).of_tick,
             )

@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.baseline_events import alarm_ticks
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Events
+from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
 from adaptive_contact_sim.experiments.data import Stream, load
 from adaptive_contact_sim.experiments.detectors import DETECTORS, Evidence, evidence_of
 from adaptive_contact_sim.experiments.models import Learned, learned, models_key

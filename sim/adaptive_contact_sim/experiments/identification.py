@@ -16,17 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import (
-    Factor,
-    FitSettings,
-    FitStatus,
-    Library,
-    LibraryName,
-    Window,
-    fit_sparse,
-    leg_library,
-)
-from adaptive_contact.identify.window import Rows
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
+from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.rows import (

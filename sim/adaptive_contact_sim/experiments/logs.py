@@ -18,26 +18,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.baseline_events import alarm_ticks
-from adaptive_contact.detect.baselines import (
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model import Factor, Library, LibraryName, Window
+from adaptive_contact.model.window import Rows, stack
+from adaptive_contact.robot import ROBOT_HOUR_TICKS
+from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
+from adaptive_contact_sim.experiments.comparison_rules import (
     Motion,
     Prediction,
     calibrate,
     learn_noise,
     likelihood_ratio,
 )
-from adaptive_contact.errors import IdentificationError
-from adaptive_contact.identify import (
-    Factor,
-    FitSettings,
-    FitStatus,
-    Library,
-    LibraryName,
-    Window,
-    fit_sparse,
-)
-from adaptive_contact.identify.window import Rows, stack
-from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact_sim.experiments.log_files import PERIOD_S, Recording, load_logs
 from adaptive_contact_sim.experiments.rows import NO_MODEL, blockwise, factor_of, worst
 

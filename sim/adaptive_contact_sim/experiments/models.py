@@ -13,13 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from adaptive_contact.adapt.baseline import Baseline, dump_baseline, parse_baseline
-from adaptive_contact.adapt.training import Training, learn
-from adaptive_contact.detect import NoiseModel, Tail
-from adaptive_contact.detect.baselines import Calibration
-from adaptive_contact.identify import LibraryName, Window
+from adaptive_contact.fit.train import Training, learn
+from adaptive_contact.model import LibraryName, Window
+from adaptive_contact.model.model_file import Baseline, dump_baseline, parse_baseline
+from adaptive_contact.model.noise import NoiseModel
+from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.experiments.analytical import Gains, NominalLeg, predict, tune_gains
+from adaptive_contact_sim.experiments.comparison_rules import Calibration
 from adaptive_contact_sim.experiments.data import Stream, load
 from adaptive_contact_sim.experiments.detectors import (
     Bench,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 
-from adaptive_contact.adapt import Baseline, ContactLearner
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -37,7 +38,7 @@ def play_streams(
     ]
     samples: list[list[ServoSample]] = [samples_of(s.run, s.leg) for s in streams]
     events: list[list[ContactEvent]] = [[] for _ in streams]
-    team = Team(learners)
+    team = LegGroup(learners)
     for tick in itertools.zip_longest(*samples):
         for own, event in zip(events, team.advance(tick), strict=True):
             if event is not None:

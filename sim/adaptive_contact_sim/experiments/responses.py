@@ -7,16 +7,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import (
-    FitSettings,
-    FitStatus,
-    LegModel,
-    LibraryName,
-    Window,
-    fit_sparse,
-    leg_library,
-    stack,
-)
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model import LegModel, LibraryName, Window, leg_library, stack
 from adaptive_contact.robot import Robot
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.experiments.identification import PAPER_WINDOW

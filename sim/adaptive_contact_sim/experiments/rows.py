@@ -9,15 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import (
-    Factor,
-    FitSettings,
-    FitStatus,
-    Library,
-    Rows,
-    fit_sparse,
-    stack,
-)
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model import Factor, Library, Rows, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.experiments.data import Stream
 from adaptive_contact_sim.servo import QUANTUM_RAD

@@ -21,7 +21,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import Factor, FitStatus
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.model import Factor
 
 __all__ = ["RIDGE", "PaperFit", "paper_fit"]
 

@@ -39,7 +39,7 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT: Final = 1
 _ADVICE: Final = "free some space, or give another folder with --out"
 # Packages whose source decides what an evaluation gives.
-_EVALUATING: Final = ("identify", "detect", "adapt", "score", "robot")
+_EVALUATING: Final = ("model", "fit", "detect", "learn", "score", "robot")
 # Of the experiments, what only counts and shows what was evaluated: a new table is no reason to
 # evaluate ten robot-hours again.
 _SHOWING: Final = frozenset(

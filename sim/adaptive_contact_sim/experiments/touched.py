@@ -17,7 +17,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.baseline_events import alarm_ticks
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.score import (
     ROWS,
@@ -33,6 +32,7 @@ from adaptive_contact.score import (
     summarise,
 )
 from adaptive_contact_sim.evaluate import leg_stream
+from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
 from adaptive_contact_sim.experiments.data import load
 from adaptive_contact_sim.experiments.detectors import DETECTORS
 from adaptive_contact_sim.experiments.evaluation import (

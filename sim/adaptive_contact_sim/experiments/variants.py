@@ -12,7 +12,9 @@ from typing import Final
 
 import msgspec
 
-from adaptive_contact.adapt import Baseline, ContactLearner, LearnerMode
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact_sim.evaluate import samples_of

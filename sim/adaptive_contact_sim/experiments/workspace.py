@@ -18,17 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from adaptive_contact.identify import (
-    Factor,
-    FitSettings,
-    FitStatus,
-    Library,
-    LibraryName,
-    Window,
-    fit_sparse,
-    leg_library,
-)
-from adaptive_contact.identify.window import Rows
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
+from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Robot, foot, shipped_robot
 from adaptive_contact_sim.experiments.data import Stream, join, load
 from adaptive_contact_sim.experiments.identification import PAPER_WINDOW, told_condition

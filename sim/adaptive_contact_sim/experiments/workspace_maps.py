@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.identify import Domain, Library
-from adaptive_contact.identify.window import Rows
+from adaptive_contact.model import Domain, Library
+from adaptive_contact.model.window import Rows
 from adaptive_contact_sim.experiments.rows import BLOCK, factor_of, noise_floor
 from adaptive_contact_sim.workspace import WORKSPACES
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptive_contact.adapt import ContactLearner, shipped_baseline
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegOutcome, LegStream, match
 from adaptive_contact.service.recording import read_recording

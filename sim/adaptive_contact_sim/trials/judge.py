@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.kinds import KINDS
+from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.score import (
     LegOutcome,
     LegStream,

@@ -6,8 +6,10 @@ import functools
 from dataclasses import replace
 from typing import Final
 
-from adaptive_contact.adapt import Baseline, ContactLearner, LearnerMode, shipped_baseline
 from adaptive_contact.errors import BaselineError
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline, shipped_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.trials.spec import BaselineChoice, Variant
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt.changes import ready_for_changes
+from adaptive_contact.learn.change_terms import ready_for_changes
 from adaptive_contact.score import LegOutcome
 from adaptive_contact_sim.trials.canvas import COLOURS, INK, OUTCOMES, figure, save
 from adaptive_contact_sim.trials.figures import Judgement

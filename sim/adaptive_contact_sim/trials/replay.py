@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact
-from adaptive_contact.adapt import ContactLearner
-from adaptive_contact.adapt.baseline import dump_baseline
-from adaptive_contact.adapt.kinds import KINDS
-from adaptive_contact.adapt.team import Team
+from adaptive_contact.diagnose.change_classifier import KINDS
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
 from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
@@ -47,7 +47,7 @@ Times = NDArray[np.int64]
 FORMAT: Final = 2
 STATUSES: Final[tuple[Status, ...]] = get_args(Status)
 # Packages whose source decides what a learner does with a recording.
-_LEARNING: Final = ("identify", "detect", "adapt", "robot")
+_LEARNING: Final = ("model", "fit", "detect", "learn", "diagnose", "robot")
 
 
 class SwingLog(NamedTuple):
@@ -210,7 +210,7 @@ def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
         for i, leg in enumerate(legs)
         for variant in spec.variants
     ]
-    team = Team([watch.learner for _, watch in watches])
+    team = LegGroup([watch.learner for _, watch in watches])
     for k, samples in enumerate(zip(*streams, strict=True)):
         decided = team.advance([samples[i] for i, _ in watches])
         over = [k > 0 and bool(s[k - 1]) and not s[k] for s in swings]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from adaptive_contact.adapt.kinds import KINDS
+from adaptive_contact.diagnose.change_classifier import KINDS
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import cannot_write, write_file
 from adaptive_contact_sim.trials.figures import NOTHING

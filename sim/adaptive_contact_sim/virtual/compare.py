@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from adaptive_contact.adapt import Baseline, LearnerBank
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Score, score_messages
 from adaptive_contact.service.recording import read_recording

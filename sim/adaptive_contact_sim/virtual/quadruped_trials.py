@@ -20,11 +20,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.adapt import Baseline, LearnerBank
-from adaptive_contact.adapt.baseline import save_baseline
-from adaptive_contact.adapt.gather import LegGatherer
-from adaptive_contact.adapt.training import Training, learn
+from adaptive_contact.bank import LearnerBank
 from adaptive_contact.files import write_file
+from adaptive_contact.fit.recordings import LegGatherer
+from adaptive_contact.fit.train import Training, learn
+from adaptive_contact.model import Baseline
+from adaptive_contact.model.model_file import save_baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Row, Score, score_messages
 from adaptive_contact.wire import (

@@ -1,0 +1,1 @@
+"""Are a robot's angles counted as it is described: signs, zeros, order of joints."""

@@ -1,0 +1,299 @@
+r"""Finds joints whose angles mean something else than ``robot.toml`` says, from the motion.
+
+Half of all robots count pitch angles downwards, and a leg described so is learned, judged and
+driven wrong without any error.  Three facts of a robot's body show it, none of them a model:
+
+1. *Feet that stand do not move against each other* (``rigid.py``).  Needs
+   the mounts of three legs; shows signs, the order of joints, and zeros.
+2. *A foot that swings is higher than one that stands*, and a foot that stands is below the axis
+   that pitches it.  Both turn round with the signs of all pitch joints of a leg.
+3. *The ground pushes up.*  Where a leg stands, it is above its command in the direction
+   :math:`\partial h/\partial q`.
+
+Only commands are used for 1 and 2: they have no noise, and no drift of a servo changes them.  A
+finding needs facts that a right description contradicts *and* another choice that explains them;
+all else is no finding: a wrong accusation is worse than silence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from adaptive_contact.conventions.motion import LegMotion, control_ticks
+from adaptive_contact.conventions.rigid import Reading
+from adaptive_contact.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
+from adaptive_contact.conventions.together import OPEN_RAD, choose
+from adaptive_contact.robot.angles import AngleFrame, angles_text
+from adaptive_contact.robot.description import Leg, Mount, Robot
+
+__all__ = [
+    "ConventionFinding",
+    "LegMotion",
+    "Verdict",
+    "judge_hanging",
+    "judge_motion",
+    "speaks_of_angles",
+]
+
+_UPSIDE_DOWN: Final = "the foot is above its axis, and comes down in its swings"
+_PUSHED: Final = "the foot is above its axis, and the ground pushes it down"
+_PULLED: Final = "the foot hangs above its command at rest, and gravity pulls it down"
+_AGAINST: Final = "feet that stand move against each other, as they are described"
+# Holds of a leg that hangs before their sag counts, and how far it must be, steps of the servo.
+LEAST_HOLDS: Final = 4
+SAG_QUANTA: Final = 1.5
+# What every message of a finding has one of.
+_WRONG_WAY: Final = "grow the wrong way"
+_IN_ORDER: Final = "do not come in the order of robot.toml"
+_ZEROS: Final = "zeros are not where robot.toml says"
+
+
+@dataclasses.dataclass(frozen=True)
+class ConventionFinding:
+    """One leg whose angles do not mean what its description says.
+
+    Attributes:
+        leg: its id.
+        joints: names of the joints concerned.
+        message: what was seen, one line without the leg's name.
+        advice: what to write into ``robot.toml``, one line.
+        directions: (J,) to write as ``[leg.angles] directions``; those in force included.
+        offsets_rad: (J,) likewise.
+        certain: False where another choice explains the motion as well.
+        grave: heights of the foot are wrong, so that nothing can be judged or learned by them.
+        order: (J,) which of the source's values is each joint's; None where they come in order.
+    """
+
+    leg: str
+    joints: tuple[str, ...]
+    message: str
+    advice: str
+    directions: tuple[int, ...]
+    offsets_rad: tuple[float, ...]
+    certain: bool = True
+    grave: bool = True
+    order: tuple[int, ...] | None = None
+
+    def agrees(self, other: ConventionFinding | None) -> bool:
+        """Whether another judgement has found the same, but for what a fit of zeros leaves open."""
+        if other is None or len(other.offsets_rad) != len(self.offsets_rad):
+            return False
+        apart = [a - b for a, b in zip(self.offsets_rad, other.offsets_rad, strict=True)]
+        mine, theirs = (
+            (found.leg, found.joints, found.directions, found.order, found.certain, found.grave)
+            for found in (self, other)
+        )
+        return mine == theirs and all(abs(d) < OPEN_RAD for d in apart)
+
+    def line(self, leg: Leg) -> str:
+        """What was seen and what to write, for samples of any source."""
+        text = f"{self.message}: {self.advice}"
+        if leg.servos is not None:  # the bridge refuses a leg with [leg.angles]
+            text += f" (where the bridge reads this leg, {self.servo_advice(leg)})"
+        return text
+
+    def servo_advice(self, leg: Leg) -> str:
+        """The same for a leg that the bridge reads, whose signs stand in ``[leg.servos]``."""
+        servos, joints = leg.servos, len(leg.joints)
+        if self.order is not None:
+            ids = servos.ids if servos else tuple(range(1, joints + 1))
+            return f"write [leg.servos] ids = {[ids[k] for k in self.order]}"
+        directions = (servos.directions if servos else None) or (1,) * joints
+        offsets = (servos.offsets_rad if servos else None) or (0.0,) * joints
+        return "write " + angles_text(
+            [sign * d for sign, d in zip(self.directions, directions, strict=True)],
+            [s * o + p for s, o, p in zip(self.directions, offsets, self.offsets_rad, strict=True)],
+            "[leg.servos]",
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What the motion so far says.
+
+    Attributes:
+        findings: legs that are described wrong, in the robot's order.
+        fits: legs whose description the motion confirms.
+    """
+
+    findings: tuple[ConventionFinding, ...] = ()
+    fits: tuple[str, ...] = ()
+
+
+def speaks_of_angles(note: str) -> bool:
+    """Whether a leg's note is the message of a finding."""
+    return any(words in note for words in (_WRONG_WAY, _IN_ORDER, _ZEROS))
+
+
+def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+    """Judge signs, order and zeros of all legs that have lengths.
+
+    Args:
+        robot: its description, as the samples were turned by.
+        motions: by leg.
+    """
+    ticks = control_ticks(motions, robot.period_s)
+    legs = [
+        LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
+        for leg in robot.legs
+        if leg.id in ticks and leg.lengths_m is not None and len(ticks[leg.id]) > 1
+    ]
+    legs = [leg for leg in legs if len(leg.flips) > 1]
+    if not legs:
+        return Verdict()
+    chosen = choose(legs, robot.period_s) if _mounts_told(robot) else {}
+    findings, fits = [], []
+    for leg in legs:
+        pattern = chosen.get(leg.leg.id)
+        if pattern == 0:
+            fits.append(leg.leg.id)
+            continue
+        if pattern is not None:
+            findings.append(_finding(leg, pattern))
+            continue
+        alone = leg.alone()
+        if alone is not None:
+            findings.append(_finding_alone(leg, alone))
+    return Verdict(tuple(findings), tuple(fits))
+
+
+def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
+    """Judge the signs of legs that hang free, from what gravity does to them at rest.
+
+    A servo holds a leg a little below its command.  The first pitch joint carries the most: an
+    AX-12A gives way by four to five steps there, and by less than its friction at the next one, so
+    that a single sign further out is not shown.  A servo with an integral gain does not give way.
+
+    Args:
+        robot: its description, as the samples were turned by.
+        motions: by leg; holds of 0.36 s and more are looked at.
+    """
+    findings, fits = [], []
+    ticks = control_ticks(motions, robot.period_s)
+    for leg in robot.legs:
+        if leg.id not in motions or leg.lengths_m is None or len(ticks.get(leg.id, ())) < 2:
+            continue
+        choices = LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
+        if not choices.pitch.any():
+            continue
+        sags = choices.sags_rad()
+        if len(sags) < LEAST_HOLDS or abs(float(np.median(sags))) < SAG_QUANTA * robot.quantum(
+            leg.id
+        ):
+            continue
+        down = float(np.mean(sags > 0))
+        if down >= SURE_SHARE:
+            fits.append(leg.id)
+        elif down <= 1 - SURE_SHARE:
+            signs = [-1 if pitch else 1 for pitch in choices.pitch]
+            findings.append(_sign_finding(leg, signs, _PULLED))
+    return Verdict(tuple(findings), tuple(fits))
+
+
+def _mounts_told(robot: Robot) -> bool:
+    return sum(leg.mount != Mount() for leg in robot.legs) >= 2
+
+
+def _finding(leg: LegChoices, pattern: int) -> ConventionFinding:
+    """What a pattern that is not the described one means, with what to write."""
+    reading = leg.readings[pattern]
+    plain = Reading.plain(len(leg.leg.joints))
+    if reading.order != plain.order:
+        return _order_finding(leg.leg, reading)
+    if any(reading.offsets_rad):
+        return _zero_finding(leg, reading)
+    told = _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
+    return _sign_finding(leg.leg, reading.directions, told)
+
+
+def _finding_alone(leg: LegChoices, alone: Alone) -> ConventionFinding:
+    """What a leg shows by itself, with what to write."""
+    signs, *others = (leg.readings[k].directions for k in (alone.pattern, *alone.others))
+    return _sign_finding(leg.leg, signs, _PUSHED if alone.pushed else _UPSIDE_DOWN, others)
+
+
+def _order_finding(leg: Leg, reading: Reading) -> ConventionFinding:
+    """The finding of an order that is not ``joints``'."""
+    frame = AngleFrame(leg)
+    came = [leg.joints[reading.order.index(k)] for k in range(len(leg.joints))]
+    moved = tuple(name for k, name in enumerate(leg.joints) if reading.order[k] != k)
+    advice = f"publish measured, desired and valid in the order {', '.join(leg.joints)}"
+    if any(sign < 0 for sign in reading.directions):
+        turned = _listed([n for n, s in zip(leg.joints, reading.directions, strict=True) if s < 0])
+        advice += f"; then look at the signs of {turned}"
+    message = f"the joints {_IN_ORDER}: they seem to come as {', '.join(came)}; {_AGAINST}"
+    return ConventionFinding(
+        leg.id,
+        moved,
+        message,
+        advice,
+        tuple(frame.directions),
+        tuple(frame.offsets_rad),
+        order=reading.order,
+    )
+
+
+def _zero_finding(leg: LegChoices, reading: Reading) -> ConventionFinding:
+    """The finding of zeros, and signs with them, that are not the convention's."""
+    frame = AngleFrame(leg.leg)
+    moved = zip(leg.leg.joints, reading.directions, reading.offsets_rad, strict=True)
+    off = [(name, sign, offset) for name, sign, offset in moved if offset or sign < 0]
+    directions = tuple(s * d for s, d in zip(reading.directions, frame.directions, strict=True))
+    offsets = tuple(
+        s * o + p
+        for s, o, p in zip(reading.directions, frame.offsets_rad, reading.offsets_rad, strict=True)
+    )
+    zeros = _listed([f"{name} by {offset:+.2f} rad" for name, _, offset in off if offset])
+    turned = [name for name, sign, _ in off if sign < 0]
+    grows = f", and the angles of {_listed(turned)} {_WRONG_WAY}" if turned else ""
+    message = f"{_ZEROS}: {zeros}{grows}; {_AGAINST}"
+    advice = "write " + angles_text(directions, offsets, "[leg.angles]")
+    advice += (
+        "; zeros are found to some 0.05 rad; where they are right, measure lengths_m and mount"
+    )
+    return ConventionFinding(
+        leg.leg.id,
+        tuple(name for name, _, _ in off),
+        message,
+        advice,
+        directions,
+        offsets,
+        grave=bool(turned) or not leg.sane(0),
+    )
+
+
+def _sign_finding(
+    leg: Leg, signs: Sequence[int], told: str, others: Sequence[Sequence[int]] = ()
+) -> ConventionFinding:
+    """The finding of wrong signs, with what to write; directions in force are taken along."""
+    frame = AngleFrame(leg)
+    joints = tuple(name for name, sign in zip(leg.joints, signs, strict=True) if sign < 0)
+    directions = tuple(s * d for s, d in zip(signs, frame.directions, strict=True))
+    offsets = tuple(s * o + 0.0 for s, o in zip(signs, frame.offsets_rad, strict=True))
+    advice = "write " + angles_text(directions, offsets, "[leg.angles]")
+    for other in others:
+        turned = [s * d for s, d in zip(other, frame.directions, strict=True)]
+        advice += f"; if that does not help, directions = {turned}"
+    message = f"the angles of {_listed(joints)} {_WRONG_WAY}: {told}"
+    pitched = {
+        name for name, axis in zip(leg.joints, leg.joint_axes, strict=True) if axis == "pitch"
+    }
+    return ConventionFinding(
+        leg.id,
+        joints,
+        message,
+        advice,
+        directions,
+        offsets,
+        certain=not others,
+        # A wrong yaw alone changes no height.
+        grave=bool(pitched & set(joints)),
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

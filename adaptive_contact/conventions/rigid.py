@@ -1,0 +1,427 @@
+r"""Feet that stand do not move against each other, whatever the body does over them.
+
+With the legs' mounts known, the distance of two standing feet is constant.  How far commanded feet
+break that is
+
+.. math:: \rho^2 = \frac{\overline{(\Delta |p_i - p_j|)^2}}{\overline{|\Delta p|^2}}
+
+over ticks in which both stand.  Where a description reads the angles right, it is 0.03 to 0.08,
+and least: :func:`fit_readings` finds the order, the signs and the zeros for which it is least, from
+starts all over their range.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.robot.description import Leg
+from adaptive_contact.robot.kinematics import foot
+
+__all__ = [
+    "FLOOR",
+    "MOST",
+    "SURE_RAD",
+    "Feet",
+    "Reading",
+    "Refined",
+    "Stream",
+    "fit_readings",
+    "on_body",
+    "refine",
+    "rigidity",
+    "standing",
+]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# After a touch a controller may press the foot down for this long, s, and before the lift a
+# phase may be told late.
+SETTLE_S: Final = 0.12
+BEFORE_LIFT_S: Final = 0.06
+# Of the ticks of a pair, the worst share is left out: feet that slip, and touches.
+TRIMMED: Final = 0.3
+# A pair of legs with fewer ticks in common tells nothing.
+LEAST_ROWS: Final = 40
+# Rows of a pair that are looked at; more add nothing, as they come from the same swings.
+MOST_ROWS: Final = 120
+# Standing feet must move by so much per displacement, m, for their distance to tell anything.
+LEAST_WAY_M: Final = 0.002
+# rho² beyond which a pair is as bad as can be.
+MOST: Final = 4.0
+# Starts of a search: steps of an offset, rad, by the number of pitch joints; more are not searched.
+START_STEPS_RAD: Final = {1: math.pi / 8, 2: math.pi / 4, 3: math.pi / 2}
+REFINED: Final = 6
+# Rows of a leg that tell whether a start is worth looking at, and the share that must be below the
+# axis there; a start is not yet the answer.
+GLANCED: Final = 60
+BELOW_SHARE: Final = 0.8
+# rho of feet that stand: 0.03 to 0.08 where the description is right.
+RIGID: Final = 0.1
+# How many times better (in squares) the right reading must be than any other.
+BETTER: Final = 4.0
+# Below this rho nothing but rounding and slip is left: what is below is as good.
+FLOOR: Final = 0.03
+# Errors of rows are not independent: their mean square is as sure as that of so many.
+SWINGS: Final = 30
+# Zeros are told where their standard deviation is within this, rad.
+SURE_RAD: Final = 0.05
+# Two fits whose zeros are closer are the same, rad.
+ALIKE_RAD: Final = 0.15
+MOST_STEPS: Final = 12
+_NUDGE_RAD: Final = 1e-3
+_DAMPING, _MOST_DAMPING = 1e-4, 1e2
+_SETTLED_RAD: Final = 1e-3
+
+
+class Reading(NamedTuple):
+    """How a source's angles are read: ``directions * angles[order] + offsets_rad``.
+
+    Attributes:
+        order: (J,) which of the source's values is each joint's.
+        directions: (J,) 1 or -1.
+        offsets_rad: (J,) rad.
+    """
+
+    order: tuple[int, ...]
+    directions: tuple[int, ...]
+    offsets_rad: tuple[float, ...]
+
+    @staticmethod
+    def plain(joints: int) -> Reading:
+        """As they come."""
+        return Reading(tuple(range(joints)), (1,) * joints, (0.0,) * joints)
+
+    def angles(self, source: Array) -> Array:
+        """(n, J) rad of the description for (n, J) rad of the source."""
+        turned = source[:, list(self.order)] * np.array(self.directions)
+        return np.asarray(turned + np.array(self.offsets_rad))
+
+    def shifted(self, by_rad: Sequence[float] | Array) -> Reading:
+        """The same with zeros moved on."""
+        moved = [float(o + d) for o, d in zip(self.offsets_rad, by_rad, strict=True)]
+        return self._replace(offsets_rad=tuple(moved))
+
+
+@dataclasses.dataclass(frozen=True)
+class Stream:
+    """What one leg was commanded.
+
+    Attributes:
+        leg: its description, with lengths and mount.
+        desired: (n, J) rad.
+        grid: (n,) control ticks.
+        swing: (n,) the source's word; None where it does not tell.
+    """
+
+    leg: Leg
+    desired: Array
+    grid: Ints
+    swing: Mask | None
+
+    def place(self, reading: Reading, rows: Ints | None = None) -> Array:
+        """(n, 3) m, the commanded foot in the leg's frame."""
+        assert self.leg.lengths_m is not None
+        source = self.desired if rows is None else self.desired[rows]
+        return foot(reading.angles(source), self.leg.lengths_m, self.leg.joint_axes)
+
+
+def on_body(leg: Leg, place: Array) -> Array:
+    """(n, 3) m in the body's frame, of places in the leg's."""
+    yaw = leg.mount.yaw_rad
+    turn = np.array(
+        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
+    )
+    return np.asarray(place @ turn.T + np.array(leg.mount.xyz_m))
+
+
+def standing(stream: Stream, height: Array, lag: int, period_s: float) -> Mask:
+    """(n,) ticks in which the foot stands, and has for ``lag`` ticks.
+
+    Args:
+        stream: of the leg.
+        height: (n,) m of its foot; asked where the source does not tell the phase.
+        lag: ticks of a displacement.
+        period_s: the control tick.
+    """
+    if stream.swing is not None:
+        down = ~stream.swing
+    else:  # by its height, the lower half of its range
+        low, high = np.quantile(height, (0.05, 0.95))
+        down = height < (low + high) / 2
+    count = np.concatenate([[0], np.cumsum(down)])
+    n = len(down)
+    settle = round(SETTLE_S / period_s) + lag
+    first = np.maximum(np.arange(n) - settle, 0)
+    last = np.minimum(np.arange(n) + round(BEFORE_LIFT_S / period_s) + 1, n)
+    steady = count[last] - count[first] == last - first
+    steady[:settle] = False
+    steady[lag:] &= stream.grid[lag:] - stream.grid[:-lag] == lag
+    return np.asarray(steady)
+
+
+def rigidity(p: Array, q: Array) -> float:
+    """rho² of two feet; infinite where they hardly move.
+
+    Args:
+        p: (m, 2, 3) m, where one is and was.
+        q: (m, 2, 3) m, likewise.
+    """
+    change, way2 = _changes(p, q)
+    kept = _least(change)
+    way = float(way2[kept].mean())
+    return float(np.square(change[kept]).mean() / way) if way >= LEAST_WAY_M**2 else np.inf
+
+
+def _changes(p: Array, q: Array) -> tuple[Array, Array]:
+    """(m,) m by which the feet's distance changes, and (m,) m² of their way."""
+    between = np.linalg.norm(p - q, axis=2)
+    both = np.stack([p, q])
+    way2 = np.square(both[:, :, 0] - both[:, :, 1]).sum(axis=2).mean(axis=0)
+    return between[:, 0] - between[:, 1], way2
+
+
+def _least(change: Array) -> Ints:
+    """Rows without the worst."""
+    return np.argsort(np.abs(change))[: math.ceil((1 - TRIMMED) * len(change))]
+
+
+class _Pair(NamedTuple):
+    """Two legs and the places of their common rows in each leg's."""
+
+    i: int
+    j: int
+    rows: Ints
+    columns: Ints
+    weight: float
+
+
+class Feet:
+    """Feet that stand, to be read in many ways.
+
+    Args:
+        streams: of three legs or more.
+        lag: ticks of a displacement.
+        period_s: the control tick.
+        readings: by which the height tells who stands, where the source does not.
+    """
+
+    def __init__(
+        self, streams: Sequence[Stream], lag: int, period_s: float, readings: Sequence[Reading]
+    ) -> None:
+        self.streams = streams
+        rows = []
+        for stream, reading in zip(streams, readings, strict=True):
+            height = stream.place(reading)[:, 2]
+            rows.append(np.flatnonzero(standing(stream, height, lag, period_s)))
+        self._pairs: list[_Pair] = []
+        used: list[list[Ints]] = [[] for _ in streams]
+        for i, j in itertools.combinations(range(len(streams)), 2):
+            mine, theirs = (streams[k].grid[rows[k]] for k in (i, j))
+            _, a, b = np.intersect1d(mine, theirs, return_indices=True)
+            if len(a) < LEAST_ROWS:
+                continue
+            step = -(-len(a) // MOST_ROWS)
+            a, b = rows[i][a[::step]], rows[j][b[::step]]
+            used[i].append(a)
+            used[j].append(b)
+            # Legs that stand by turns meet in few ticks, those of a touch and a lift.
+            self._pairs.append(_Pair(i, j, a, b, float(len(a) * step) ** 2))
+        self._rows = [np.unique(np.concatenate(own)) if own else rows[0][:0] for own in used]
+        self._both = [np.concatenate([own, own - lag]) for own in self._rows]
+        self._pairs = [
+            pair._replace(
+                rows=np.searchsorted(self._rows[pair.i], pair.rows),
+                columns=np.searchsorted(self._rows[pair.j], pair.columns),
+            )
+            for pair in self._pairs
+        ]
+
+    def _compared(self, readings: Sequence[Reading]) -> Iterator[tuple[_Pair, Array, Array]]:
+        """Every pair with the changes of its distance, (m,) m, and its ways squared, (m,) m²."""
+        places = []
+        for stream, rows, reading in zip(self.streams, self._both, readings, strict=True):
+            both = on_body(stream.leg, stream.place(reading, rows))
+            places.append(both.reshape(2, -1, 3).transpose(1, 0, 2))
+        for pair in self._pairs:
+            yield pair, *_changes(places[pair.i][pair.rows], places[pair.j][pair.columns])
+
+    def costs(self, readings: Sequence[Reading], least_partners: int = 2) -> Array:
+        """(n,) rho² of every leg with the others; infinite where it stands with too few of them."""
+        total, weight = np.zeros(len(self.streams)), np.zeros(len(self.streams))
+        partners = np.zeros(len(self.streams))
+        for pair, change, way2 in self._compared(readings):
+            kept = _least(change)
+            way = float(way2[kept].mean())
+            if way < LEAST_WAY_M**2:
+                continue
+            for k in (pair.i, pair.j):
+                total[k] += pair.weight * np.square(change[kept]).mean() / way
+                weight[k] += pair.weight
+                partners[k] += 1
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(partners >= least_partners, total / weight, np.inf)
+
+    def kept(self, readings: Sequence[Reading]) -> list[Ints]:
+        """Rows of every pair that are not left out as its worst."""
+        return [_least(change) for _, change, _ in self._compared(readings)]
+
+    def errors(self, readings: Sequence[Reading], kept: Sequence[Ints]) -> Array:
+        """(m,) changes of distance over each pair's way, weighed: their squares add to rho²."""
+        whole = sum(pair.weight for pair in self._pairs)
+        parts = [
+            change[rows]
+            * math.sqrt(pair.weight / whole / len(rows) / max(way2[rows].mean(), LEAST_WAY_M**2))
+            for (pair, change, way2), rows in zip(self._compared(readings), kept, strict=True)
+        ]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+
+class Refined(NamedTuple):
+    """Zeros near a start for which the feet are most rigid.
+
+    Attributes:
+        moved_rad: (n, J) rad by which the zeros of every leg have moved.
+        spread_rad: the largest standard deviation of a parameter, rad: where the motion does not
+            show a zero, as that of feet that go to and fro in a line, it is large.
+    """
+
+    moved_rad: Array
+    spread_rad: float
+
+
+def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int]]) -> Refined:
+    """Find the zeros near a start for which the feet are most rigid, by Gauss-Newton.
+
+    Args:
+        feet: that stand.
+        readings: (n,) of the legs, to start from.
+        moved: of every leg, the parameter that shifts each joint's zero, -1 for none; legs that
+            share a parameter are shifted alike.
+    """
+    count = 1 + max(max(own) for own in moved)
+
+    def at(x: Array) -> list[Reading]:
+        padded = np.append(x, 0.0)
+        return [r.shifted(padded[list(own)]) for r, own in zip(readings, moved, strict=True)]
+
+    def cost(x: Array) -> float:
+        read = at(x)
+        return float(np.square(feet.errors(read, feet.kept(read))).sum())
+
+    def linear(x: Array) -> tuple[Array, Array]:
+        kept = feet.kept(at(x))
+        base = feet.errors(at(x), kept)
+        slopes = [feet.errors(at(x + nudge), kept) - base for nudge in _NUDGE_RAD * np.eye(count)]
+        jacobian = np.stack(slopes, axis=1) / _NUDGE_RAD
+        return jacobian.T @ jacobian, jacobian.T @ base
+
+    x, damping = np.zeros(count), _DAMPING
+    least = cost(x)
+    for _ in range(MOST_STEPS):
+        normal, slope = linear(x)
+        scale = damping * (np.trace(normal) / count + _DAMPING)
+        step = -np.linalg.solve(normal + scale * np.eye(count), slope)
+        tried = cost(x + step)
+        if tried >= least:
+            if damping > _MOST_DAMPING:
+                break
+            damping *= 10
+            continue
+        x, least, damping = x + step, tried, damping / 10
+        if np.abs(step).max() < _SETTLED_RAD:
+            break
+    normal, _ = linear(x)
+    weakest = float(np.linalg.eigvalsh(normal)[0])
+    floor = max(least, FLOOR**2) / SWINGS
+    padded = np.append(x, 0.0)
+    return Refined(
+        np.stack([padded[list(own)] for own in moved]),
+        math.sqrt(floor / weakest) if weakest > 0 else math.inf,
+    )
+
+
+def fit_readings(
+    streams: Sequence[Stream],
+    lag: int,
+    period_s: float,
+    sane: Callable[[int, Reading], bool],
+) -> Reading | None:
+    """Find the signs and zeros, the same for all legs, for which standing feet are rigid.
+
+    Args:
+        streams: of three legs or more, with the same axes.
+        lag: ticks of a displacement.
+        period_s: the control tick.
+        sane: whether a leg, by its place, may move so.
+
+    Returns:
+        The only reading that explains the motion; None for none, or more than one.
+    """
+    axes = streams[0].leg.joint_axes
+    pitched = [j for j, axis in enumerate(axes) if axis == "pitch"]
+    step = START_STEPS_RAD.get(len(pitched))
+    if step is None or any(stream.leg.joint_axes != axes for stream in streams):
+        return None
+    legs = len(streams)
+    glanced = [np.arange(0, len(s.grid), max(len(s.grid) // GLANCED, 1)) for s in streams]
+    told = all(stream.swing is not None for stream in streams)
+    plain = Reading.plain(len(axes))
+    shared = Feet(streams, lag, period_s, [plain] * legs) if told else None
+    angles = np.arange(-math.pi, math.pi - _NUDGE_RAD, step)
+    starts = []
+    for directions in itertools.product((1, -1), repeat=len(axes)):
+        for zeros in itertools.product(angles, repeat=len(pitched)):
+            offsets = [0.0] * len(axes)
+            for j, zero in zip(pitched, zeros, strict=True):
+                offsets[j] = float(zero)
+            reading = Reading(plain.order, directions, tuple(offsets))
+            if any(
+                np.mean(s.place(reading, rows)[:, 2] < 0.0) < BELOW_SHARE
+                for s, rows in zip(streams, glanced, strict=True)
+            ):
+                continue
+            feet = shared or Feet(streams, lag, period_s, [reading] * legs)
+            cost = float(np.minimum(feet.costs([reading] * legs), MOST).mean())
+            starts.append((cost, reading, feet))
+    starts.sort(key=lambda start: start[0])
+    found: list[tuple[float, float, Reading]] = []
+    for _, reading, feet in starts[:REFINED]:
+        refined = refine(feet, [reading] * legs, [range(len(axes))] * legs)
+        best = _near_zero(reading.shifted(refined.moved_rad[0]))
+        if not all(sane(k, best) for k in range(legs)):
+            continue
+        if not told:
+            feet = Feet(streams, lag, period_s, [best] * legs)
+        cost = float(np.minimum(feet.costs([best] * legs), MOST).max())
+        found.append((max(cost, FLOOR**2), refined.spread_rad, best))
+    if not found:
+        return None
+    found.sort(key=lambda each: each[0])
+    least, spread, best = found[0]
+    rivals = [cost for cost, _, reading in found[1:] if not _alike(reading, best)]
+    if spread > SURE_RAD or least >= RIGID**2 or any(cost < BETTER * least for cost in rivals):
+        return None
+    return best
+
+
+def _near_zero(reading: Reading) -> Reading:
+    """The same with offsets within half a turn."""
+    return reading._replace(
+        offsets_rad=tuple(math.remainder(offset, math.tau) for offset in reading.offsets_rad)
+    )
+
+
+def _alike(one: Reading, other: Reading) -> bool:
+    """Whether two readings are the same but for what a fit leaves open."""
+    apart = [a - b for a, b in zip(one.offsets_rad, other.offsets_rad, strict=True)]
+    same = one.order == other.order and one.directions == other.directions
+    return same and all(abs(math.remainder(d, math.tau)) < ALIKE_RAD for d in apart)

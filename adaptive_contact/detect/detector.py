@@ -1,0 +1,672 @@
+"""One tick of several legs, compiled: from accepted samples to events, and on to predictions.
+
+:func:`judge_tick` is the first half: nothing an event waits for is left out of it, and nothing
+else is in it.  :func:`finish_tick` is the second: commands, and the predictions of the next tick.
+Between the two, Python takes what the first half has flagged.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from adaptive_contact.compiled import compiled
+from adaptive_contact.detect.clock import PAUSE, follow_clock, restart_clock, vote_late
+from adaptive_contact.detect.echo import (
+    ECHO,
+    ECHO_WIDTH,
+    NONE,
+    PHASE,
+    begin_echo,
+    restart_phase,
+    take_command,
+    take_phase,
+    take_readings,
+)
+from adaptive_contact.detect.history import (
+    UNSURE_TICKS,
+    foresee,
+    judged,
+    push_command,
+    repair,
+    restart_history,
+    take,
+)
+from adaptive_contact.detect.layout import DEPTH
+from adaptive_contact.detect.regressors import predict, regressors
+from adaptive_contact.detect.swing import (
+    QUIET_SCORE,
+    RECENT_TICKS,
+    UNKNOWN,
+    descending,
+    follow_command,
+    follow_foot,
+    forget_phase,
+    place_foot,
+)
+from adaptive_contact.model.noise import SPEED_EDGES_QUANTA
+
+# Flags of a tick, for the second half.
+RESTARTED: Final = 1  # the source began again
+BROKE_OFF: Final = 2  # what comes does not connect to what was
+RESOLVED: Final = 4  # the swing before is over
+BEGAN: Final = 8  # a swing begins
+ENTERED: Final = 16  # a row was entered
+TOPPED: Final = 32  # the top of the lift has just been passed
+DECIDED: Final = 64  # a contact began or ended: an event
+TOUCHED: Final = 128  # and it began
+TOUCHING: Final = 256  # a tick of a contact in hand
+RATE_OFF: Final = 512
+SOURCE: Final = 2048  # what the source sends says nothing of the leg, or does again
+RELEASE_PENDING: Final = 1024  # a contact ended that no tick will decide
+
+# A tick is calm when its distance from the free model is below this share of the threshold: one
+# free tick in a thousand is not, while a foot let go of is at several times the threshold.
+CALM_SCORE: Final = 0.5
+# Calm ticks in a row that show a foot to be off the ground.  A foot about to leave it may look
+# calm for one tick, while the push along and the pull back cancel.
+CALM_TICKS: Final = 3
+# And within a swing, after a contact, one more.
+REARM_TICKS: Final = 4
+# Without calm, the first tick of a lift taken for free: a foot pressed in the stance before has let
+# go by the 7th tick of the command (measured in pose, 62 of 62 cases).
+FREE_LIFT_TICKS: Final = 8
+# A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
+MAX_ROWS: Final = 400
+SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
+
+
+@compiled
+def begin_labels(leg):
+    """A swing begins: no row is held back."""
+    leg.hole_ns = -1
+    leg.lift_n = leg.row_n = leg.commanded_n = 0
+    leg.topped = leg.closed = leg.broken = leg.top_seen = False
+
+
+@compiled
+def note_hole(leg, rows):
+    """Readings were lost, or were none: what went on meanwhile shows in no residual."""
+    if leg.row_n > leg.lift_n:
+        leg.hole_ns = rows[leg.row_n - 1].t_ns
+
+
+@compiled
+def break_off(leg):
+    """What comes does not connect: the swing cannot be resolved, and is not learned."""
+    leg.flags |= BROKE_OFF
+    leg.whole = leg.stood = leg.touching = False
+    begin_labels(leg)
+    leg.broken = True
+
+
+@compiled
+def context_of(leg, command, before):
+    """Context of a tick, from its command and the one before."""
+    speed = 0.0
+    for j in range(len(command)):
+        speed = max(speed, abs(command[j] - before[j]))
+    speed /= leg.quantum
+    at = SPEEDS if leg.descent else 0
+    for edge in SPEED_EDGES_QUANTA:
+        if speed >= edge:
+            at += 1
+    return at
+
+
+@compiled
+def model_doubt(theta, index, per_scale, root, size, joint):
+    """Variance of a joint's prediction that comes from its coefficients, over the noise's."""
+    total = 0.0
+    for c in range(size):
+        v = 0.0
+        for k in range(size):
+            v += theta[index[joint, k]] * per_scale[joint, k] * root[joint, k, c]
+        total += v * v
+    return total
+
+
+@compiled
+def leverage(theta, reach):
+    """How far regressors lie outside of what the fit has seen."""
+    total = 0.0
+    for r in range(reach.shape[0]):
+        z = 0.0
+        for c in range(reach.shape[1]):
+            z += reach[r, c] * theta[c]
+        total += z * z
+    return total
+
+
+@compiled
+def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, against):
+    """Fill (windows,) statistic over threshold, NaN where it reaches too far back.
+
+    A foot about to stand has arrived, and what it is predicted to do says nothing of where the
+    ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
+    the foot's height.
+
+    Returns:
+        The squared distance of the last residual from zero, whitened.
+    """
+    joints = history.shape[2]
+    distance = 0.0
+    for j in range(joints):
+        sums[0, j] = sums[1, j] = 0.0
+    for width in range(DEPTH):
+        for j in range(joints):
+            sums[0, j] += history[0, width, j]
+            sums[1, j] += history[1, width, j]
+        square = product = 0.0
+        for r in range(joints):
+            of_residual = of_increment = 0.0
+            for c in range(joints):
+                w = whiten[leg.context, width, r, c] * shrink[c]
+                of_residual += w * sums[0, c]
+                of_increment += w * (-gradient[c] if against else sums[1, c])
+            square += of_residual * of_residual
+            product += of_residual * of_increment
+        if width == 0:
+            distance = square
+        if width + 1 > leg.usable:
+            scores[width] = np.nan
+        else:
+            scores[width] = square / limits[width] if product < 0.0 else 0.0
+    return distance
+
+
+@compiled
+def onset(leg, history, width):
+    """When a touch began that a window of so many ticks has shown, ns."""
+    first = width - 1
+    power = along = 0.0
+    for j in range(history.shape[2]):
+        power += history[1, first, j] ** 2
+        along += history[0, first, j] * history[1, first, j]
+    share = min(max(-along / power, 0.0), 1.0) if power > 0.0 else 1.0
+    return leg.at_ns - first * leg.period_ns - np.int64(np.rint(share * leg.period_ns))
+
+
+@compiled
+def release(leg, t_ns, score):
+    """End a contact, if there is one."""
+    if not leg.contact:
+        return
+    leg.contact = False
+    leg.flags |= DECIDED
+    leg.onset_ns = leg.calm_since if leg.calm else t_ns
+    leg.score = score
+
+
+@compiled
+def swing_tick(leg, score, distance, onset_ns, past_lift):
+    """Judge a swing tick; NaN changes nothing."""
+    if score != score:
+        return
+    leg.calm = leg.calm + 1 if distance < CALM_SCORE else 0
+    if leg.calm == 1:
+        leg.calm_since = leg.at_ns
+    if leg.loaded:
+        if leg.calm < CALM_TICKS and not past_lift:
+            return
+        leg.loaded = False
+        release(leg, leg.at_ns, score)
+        return
+    if leg.contact:
+        if leg.calm >= REARM_TICKS:
+            release(leg, leg.at_ns, score)
+        return
+    if score <= 1.0:
+        return
+    leg.contact, leg.calm = True, 0
+    leg.flags |= DECIDED | TOUCHED
+    leg.onset_ns, leg.score = onset_ns, score
+
+
+@compiled
+def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, z):
+    """Split a residual into a push from the ground and the rest."""
+    joints = len(residual)
+    length = along = 0.0
+    for r in range(joints):
+        g = w = 0.0
+        for c in range(joints):
+            at = whiten[leg.context, 0, r, c] / math.sqrt(unit[c])
+            g += at * gradient[c]
+            w += at * residual[c]
+        length += g * g
+        along += g * w
+    length = math.sqrt(length)
+    row.push = True
+    if length == 0.0:
+        row.sigma = np.inf
+        for j in range(joints):
+            aside[j] = target[j]
+        return
+    row.sigma = along / length
+    for j in range(joints):
+        aside[j] = target[j] - gradient[j] * (row.sigma / length)
+
+
+@compiled
+def height_gradient(angles, lengths, pitched, gradient):
+    """Fill (J,) m per rad, how the foot rises with each joint."""
+    pitch = beyond = 0.0
+    for j in range(len(angles)):
+        if pitched[j]:
+            pitch += angles[j]
+        gradient[j] = lengths[j] * math.cos(pitch)
+    for j in range(len(angles) - 1, -1, -1):
+        beyond += gradient[j]
+        gradient[j] = beyond if pitched[j] else 0.0
+
+
+@compiled
+def enter_row(
+    leg, rows, thetas, targets, asides, theta, history, distance, value, free, past_top,
+    whiten, unit, last_measured, lengths, pitched, gradient, target,
+):  # fmt: skip
+    """Hold a judged tick back until its swing is resolved."""
+    joints = history.shape[2]
+    leg.flags |= ENTERED
+    if not leg.gated:
+        pass
+    elif leg.broken or not (leg.topped or leg.rising or past_top):
+        return
+    elif leg.rising and not leg.topped:
+        if not (free or leg.ticks >= FREE_LIFT_TICKS):
+            return
+    elif leg.closed:
+        leg.topped = True
+        return
+    at = leg.row_n if leg.gated else 0  # ungated, each is learned at once
+    first, most = (
+        (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
+    )
+    if most >= MAX_ROWS:  # the oldest goes
+        for k in range(first, at - 1):
+            rows[k], thetas[k], targets[k], asides[k] = (
+                rows[k + 1], thetas[k + 1], targets[k + 1], asides[k + 1],
+            )  # fmt: skip
+        at -= 1
+        if first == 0:
+            leg.lift_n -= 1
+            leg.commanded_n = max(leg.commanded_n - 1, 0)
+    row = rows[at]
+    row.nis = distance * leg.variance_scale / joints
+    row.value = value
+    row.context = leg.context
+    row.t_ns = leg.at_ns
+    row.calm, row.cleared, row.push = free, leg.cleared, False
+    for j in range(joints):
+        target[j] = history[0, 0, j] + history[1, 0, j]
+        targets[at, j] = target[j]
+    thetas[at] = theta
+    if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
+        height_gradient(last_measured, lengths, pitched, gradient)
+        push_from_ground(
+            leg, row, asides[at], history[0, 0], target, whiten, unit, gradient, target
+        )
+    if not leg.gated:
+        row.lift = leg.rising
+        return
+    leg.row_n = at + 1
+    if leg.rising and not leg.topped:
+        row.lift = True
+        leg.lift_n = at + 1
+        if not past_top:
+            leg.commanded_n = leg.lift_n
+        return
+    leg.topped = True
+    row.lift = False
+
+
+@compiled
+def let_go(leg):
+    """Forget whether the leg touches: it cannot be known."""
+    leg.release_pending |= leg.reported
+    leg.contact, leg.loaded, leg.calm = False, True, 0
+
+
+@compiled
+def unwrap(leg, measured, desired, preview, last, restart):
+    """Take the encoder's seam out of a sample's angles, in place."""
+    joints = len(measured)
+    if leg.has_seam and not restart:
+        near(desired, last)
+    leg.has_seam = True
+    for j in range(joints):
+        last[j] = desired[j]
+    near(measured, desired)
+    for k in range(len(preview)):
+        near(preview[k], desired if k == 0 else preview[k - 1])
+
+
+@compiled
+def near(angles, origin):
+    """Move angles into the turn nearest to others, if one is further than half a turn off."""
+    for j in range(len(angles)):
+        if abs(angles[j] - origin[j]) > math.pi:
+            for k in range(len(angles)):
+                turns = np.rint((angles[k] - origin[k]) / (2.0 * math.pi))
+                angles[k] -= 2.0 * math.pi * turns
+            return
+
+
+@compiled
+def restart_leg(leg, command, before, desired, doubts):
+    """The source began again: what came before does not connect."""
+    leg.flags |= RESTARTED
+    let_go(leg)
+    leg.whole = leg.stood = False
+    leg.ticks = leg.after = 0
+    leg.obstructed = False
+    leg.surface = leg.touch_at = leg.touch_before = -np.inf
+    leg.heights_n = 0
+    leg.has_desired = leg.has_measured = False
+    forget_phase(leg)
+    leg.open = False
+    break_off(leg)
+    for j in range(len(desired)):
+        command[j] = before[j] = desired[j]
+    restart_history(leg, doubts)
+
+
+@compiled
+def follow_source(
+    leg, measured, valid, has_valid, commands, runs, off, echoing, doubts
+):  # fmt: skip
+    """Stop judging a leg of which its source says nothing, or go on."""
+    if leg.ticks == 1:
+        begin_echo(runs)
+    if leg.ticks or leg.echoes:
+        step = leg.quantum
+        most = ECHO_WIDTH * step
+        take_readings(leg, measured, valid, has_valid, step, most, commands, runs, off, echoing)
+    cause = ECHO if leg.echoes else PHASE if leg.swapped else NONE
+    if cause == leg.cause:
+        return
+    leg.cause = cause
+    leg.flags |= SOURCE
+    break_off(leg)
+    if cause != NONE:
+        let_go(leg)
+        return
+    if leg.known:
+        restart_history(leg, doubts)
+    leg.loaded, leg.calm = True, 0
+
+
+@compiled
+def judge_tick(
+    legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid,
+    preview_in, ring, seam, echo_commands, echo_runs, echo_off, echoing, phase_before, parts,
+    command, before, lengths, pitched, low, lengths_ticks, last_desired, last_measured,
+    last_read, path, asked, commanded, foot, start, heights, window, lags, preview, history,
+    increment, theta, thetas, began_window, reach, believed, last, doubts, stale, refused,
+    values, counts, kind, first, entry, weight, knee, law, xi0, coefficients, whiten, limits,
+    limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows, row_thetas,
+    row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
+):  # fmt: skip
+    """The first half of a tick of every leg that has an accepted sample."""
+    joints = measured.shape[1]
+    table = (kind, first, entry, weight, knee, law)
+    for i in range(len(legs)):
+        if not accepted[i]:
+            continue
+        leg = legs[i]
+        leg.flags = 0
+        leg.t_ns, leg.seq = t_ns[i], seq[i]
+        # The sample, as it connects to the stream.
+        unwrap(leg, measured[i], desired[i], preview_in[i], seam[i], restart[i])
+        if restart[i]:
+            restart_clock(leg)
+        missed = follow_clock(leg, t_ns[i], seq[i], ring[i])
+        leg.missed = missed
+        leg.accepted_n += 1
+        leg.total_n += 1
+        if leg.late != 1:
+            leg.lateness = 0.0
+        if restart[i]:
+            restart_leg(leg, command[i], before[i], desired[i], doubts[i])
+            leg.began_ns, leg.began_n, leg.began_count = leg.at_ns, leg.total_n, 1
+        elif missed and leg.known:
+            if missed != PAUSE and missed < leg.length:
+                note_hole(leg, rows[i])
+                bridge(
+                    leg, desired[i] if lost[i] else command[i], missed, window[i], lags, preview,
+                    history[i], increment[i], theta[i], thetas[i], reach[i], believed[i],
+                    last[i], doubts[i], stale[i], refused[i], values[i], counts[i],
+                    table, xi0[i], coefficients[i], room, bools, floats,
+                )  # fmt: skip
+            else:
+                restart_history(leg, doubts[i])
+                break_off(leg)
+                leg.loaded, leg.calm = True, 0
+        if restart[i] or missed:
+            leg.echo_n = 0
+            begin_echo(echo_runs[i])
+            if restart[i]:
+                restart_phase(leg, parts[i])
+        take_command(leg, desired[i], echo_commands[i])
+        height = 0.0
+        if leg.has_lengths and phase[i] != UNKNOWN:
+            place_foot(desired[i], lengths[i], pitched[i], now)
+            height = now[2]
+        take_phase(leg, phase[i], desired[i], height, phase_before[i], parts[i])
+        # The swing, by the command.
+        awaited = leg.known and not (leg.loaded or leg.contact)
+        whole = leg.whole
+        ends = follow_command(
+            leg, phase[i], measured[i], desired[i], seq[i], lengths[i], pitched[i], low[i],
+            lengths_ticks[i], last_desired[i], last_measured[i], last_read[i], path[i], asked[i],
+            commanded[i], foot[i], start[i], now, awaited,
+        )  # fmt: skip
+        if (ends or leg.ticks == 0) and leg.open and leg.known:
+            leg.open = False
+            leg.flags |= RESOLVED
+            leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
+            leg.resolved_whole = whole
+            if not ends:
+                leg.resolved_rise, leg.resolved_fallen = leg.rise, leg.fallen
+            leg.row_n = leg.lift_n
+            leg.closed = True
+        if leg.ticks == 1:
+            leg.flags |= BEGAN
+            if leg.began_count == 2:
+                leg.began_ns, leg.began_n = leg.began_next_ns, leg.began_next_n
+            leg.began_next_ns, leg.began_next_n = leg.at_ns, leg.total_n
+            leg.began_count = 2
+            leg.open = True
+            leg.touching = False
+            begin_labels(leg)
+            leg.broken = not (leg.whole or leg.has_lengths)
+            leg.loaded, leg.calm = True, 0
+            leg.began_full = leg.known and leg.filled >= leg.length and preview == 0
+            if leg.known:
+                leg.usable = 0
+                began_window[i] = window[i]
+        follow_source(
+            leg, measured[i], valid[i], has_valid[i], echo_commands[i], echo_runs[i], echo_off[i],
+            echoing[i], doubts[i],
+        )  # fmt: skip
+        void = leg.misread or leg.cause != NONE
+        leg.release_pending |= leg.reported and (void or leg.withholds)
+        if leg.release_pending:
+            leg.flags |= RELEASE_PENDING
+        if not leg.known:
+            continue
+        # The reading.
+        repair(
+            leg, measured[i], valid[i], has_valid[i], now_reading(floats), window[i], lags, preview,
+            history[i], increment[i], reach[i], believed[i], last[i], doubts[i], stale[i],
+            refused[i], values[i], counts[i], table, xi0[i], coefficients[i], theta[i], room,
+            bools, floats,
+        )  # fmt: skip
+        take(leg, floats[6], window[i], lags, history[i], increment[i])
+        can = judged(leg, theta[i], thetas[i])
+        follow_foot(
+            leg, floats[6], lengths[i], pitched[i], lengths_ticks[i], last_measured[i], heights[i],
+            asked[i], commanded[i], foot[i], start[i], now,
+        )  # fmt: skip
+        if leg.rate_off:
+            restart_history(leg, doubts[i])
+            break_off(leg)
+            leg.flags |= RATE_OFF
+            continue
+        if void:  # what is high and low, or where the leg is, is not known
+            break_off(leg)
+            continue
+        if not can:
+            note_hole(leg, rows[i])
+            continue
+        if leg.ticks < 2:
+            continue
+        # The residual, against its variance.
+        leg.context = context_of(leg, command[i], before[i])
+        for j in range(joints):
+            unit[i, j] = leg.variance_scale
+            if leg.inflated:
+                doubt = model_doubt(theta[i], index[i], per_scale[i], root[i], sizes[i], j)
+                unit[i, j] *= 1.0 + doubt
+            unit[i, j] *= leg.inflation
+        if leg.clock_left or leg.stretch:
+            if leg.stretch:
+                leg.clock_most, leg.clock_left = abs(leg.stretch), UNSURE_TICKS + 1
+            leg.clock_left -= 1
+            if leg.stretch and not (leg.loaded or leg.contact or leg.after):
+                vote_late(leg, history[i, 0, 0], history[i, 1, 0], sigma[i])
+            if leg.late < 0:
+                for j in range(joints):
+                    by = leg.clock_most * history[i, 1, 0, j] / sigma[i, j]
+                    unit[i, j] += by * by
+        for j in range(joints):
+            floats[2, j] = 1.0 / math.sqrt(unit[i, j])
+        against = leg.after > 0 and leg.has_lengths
+        if against:
+            height_gradient(last_measured[i], lengths[i], pitched[i], floats[3])
+        of_tick = limits_awaited[i] if leg.after else limits[i]
+        leg.distance = statistic(
+            leg, history[i], whiten[i], floats[2], of_tick, scores[i], sums, floats[3], against
+        )
+        # Free, loaded, or contact.
+        past_lift = descending(leg, lengths_ticks[i])
+        topped = leg.topped and not leg.broken if leg.gated else not leg.broken
+        loaded = leg.loaded
+        score, onset_ns = scores[i, 0], leg.at_ns
+        for width in range(1, DEPTH):
+            if scores[i, width] > score:
+                score = scores[i, width]
+        if leg.after:
+            leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0
+        if score > 1.0:
+            up = leg.rising or not past_lift
+            if leg.gated and up and not (leg.topped or leg.broken):
+                score = 1.0
+            elif not loaded:
+                spread, score, widest = 0.0, 0.0, 1
+                for width in range(min(leg.thetas_n, DEPTH)):
+                    if leg.has_domain:
+                        spread += leverage(thetas[i, width], domain[i])
+                    within = scores[i, width] / (1.0 + spread / (width + 1))
+                    if within > score:
+                        score, widest = within, width + 1
+                onset_ns = onset(leg, history[i], widest)
+        swing_tick(leg, score, leg.distance / limits[i, 0], onset_ns, past_lift and topped)
+        free = not (loaded or leg.contact)
+        if loaded and not leg.loaded:
+            leg.usable = 0
+        elif free and not leg.after:
+            for j in range(joints):
+                free_ring[i, leg.free_n % len(free_ring[i]), j] = history[i, 0, 0, j]
+            leg.free_n += 1
+        # What is learned from it, later.
+        if leg.learning:
+            if leg.touching:
+                leg.flags |= TOUCHING
+            if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
+                enter_row(
+                    leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
+                    history[i], leg.distance, scores[i, 0] * of_tick[0], free, past_lift,
+                    whiten[i], unit[i], last_measured[i], lengths[i], pitched[i], floats[0],
+                    floats[1],
+                )  # fmt: skip
+                if leg.topped and not leg.broken and not leg.top_seen:
+                    leg.top_seen = True
+                    leg.flags |= TOPPED
+
+
+@compiled
+def now_reading(floats):
+    """Scratch that holds the repaired reading."""
+    return floats[6]
+
+
+@compiled
+def bridge(
+    leg, desired, missed, window, lags, preview, history, increment, theta, thetas, reach, believed,
+    last, doubts, stale, refused, values, counts, table, xi0, coefficients, room, bools, floats,
+):  # fmt: skip
+    """Fill a short gap by the model's own predictions, with commands interpolated."""
+    joints = len(desired)
+    origin = floats[7]
+    for j in range(joints):
+        origin[j] = window[lags * joints + j]
+    for k in range(1, missed + 1):
+        if not foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
+            restart_history(leg, doubts)
+            return
+        for j in range(joints):
+            floats[8, j] = window[j] + increment[j]
+        repair(
+            leg, floats[8], bools[0], False, floats[6], window, lags, preview, history, increment,
+            reach, believed, last, doubts, stale, refused, values, counts, table, xi0, coefficients,
+            theta, room, bools, floats,
+        )  # fmt: skip
+        take(leg, floats[6], window, lags, history, increment)
+        judged(leg, theta, thetas)
+        leg.usable = 0
+        share = k / (missed + 1)
+        for j in range(joints):
+            floats[8, j] = origin[j] + share * (desired[j] - origin[j])
+        push_command(leg, floats[8], window, lags, preview)
+        leg.predicted = False
+        foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room)
+    leg.unsure = UNSURE_TICKS
+
+
+@compiled
+def finish_tick(
+    legs, accepted, desired, preview_in, preview_n, command, before, window, lags, preview,
+    increment, theta, kind, first, entry, weight, knee, law, xi0, coefficients, room,
+):  # fmt: skip
+    """The second half: commands are in force, and the next tick is predicted."""
+    joints = desired.shape[1]
+    for i in range(len(legs)):
+        if not accepted[i]:
+            continue
+        leg = legs[i]
+        for j in range(joints):
+            before[i, j] = command[i, j]
+            command[i, j] = desired[i, j]
+        if leg.has_lengths:
+            leg.descent = not leg.commanded_up
+        if not leg.known:
+            continue
+        full = push_command(leg, desired[i], window[i], lags, preview)
+        ready = full
+        if preview:
+            ready = full and preview_n[i] >= preview
+            if preview_n[i] >= preview:
+                for k in range(preview):
+                    for j in range(joints):
+                        window[i, len(window[i]) - preview * joints + k * joints + j] = preview_in[
+                            i, k, j
+                        ]
+            leg.lacking = RECENT_TICKS if full and not ready else max(leg.lacking - 1, 0)
+        leg.predicted = False
+        if ready and leg.ticks:
+            regressors(window[i], kind, first, entry, weight, knee, law, xi0[i], theta[i], room)
+            leg.predicted = predict(theta[i], coefficients[i], increment[i])

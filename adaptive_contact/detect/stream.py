@@ -1,0 +1,463 @@
+"""Is this sample the next one of its leg's stream?  Bad samples are counted, never raised.
+
+One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the
+next one, the next one after a gap, the first one of a restart, and the rejected.  A
+:class:`RateWatch` tells whether ticks are as far apart as the leg's model takes them to be.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.compiled import records
+from adaptive_contact.detect.clock import PAUSE, follow_one
+from adaptive_contact.detect.detector import unwrap
+from adaptive_contact.detect.layout import RING, new_legs
+from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.wire import MAX_ANGLE_RAD, MAX_PREVIEW_TICKS, Reject, ServoSample
+
+__all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
+
+MAX_TIME_NS: Final = 2**63 - 1
+MIN_RUN: Final = -(2**63)
+MAX_RUN: Final = 2**63 - 1
+# A gap is believed up to a day of samples at 100 Hz; a number further ahead is wild, or counts
+# anew from somewhere else.  It also keeps every count of losses far inside 64 bits.
+LONGEST_GAP: Final = 10_000_000
+# A longer gap could be one sample of somebody who may write the key.  It is believed from the third
+# sample of a stream of its own on; the source before it is used meanwhile.  Losses of up to a
+# second at 50 Hz, as of a busy network, cost nothing.
+SHORT_GAP: Final = 50
+CONFIRM_SAMPLES: Final = 3
+# A new `run` is believed at once, until one has taken over that did not last.  Then the next one
+# needs three samples of its own that follow each other, and twice as many after each further one,
+# up to 48.  So many samples of one source make up for one that did not last: a minute at 50 Hz.
+MOST_DOUBTS: Final = 5
+SETTLED_SAMPLES: Final = 3000
+# Such a run speaks at least once in so many samples of the one in force.
+PACE: Final = 5
+# New runs that may be on their way to be believed; a bound on memory.
+MAX_NEWCOMERS: Final = 8
+# New runs that did not last are in the note for so many accepted samples (10 s at 50 Hz).
+NOTED_SAMPLES: Final = 500
+# So many samples in a row that do not follow the last one accepted, but are in order among
+# themselves, mean that the source counts anew: its clock was set back, it was restarted without
+# telling so by `run`, or one wild time or number was taken for true.
+RESET_SAMPLES: Final = 10
+# So many samples in a row from a superseded publisher over so long, by its own clock, with none
+# from the newer one between them, mean that the newer one is gone.  One that floods sends as many
+# between two samples of the newer.
+TAKE_BACK_SAMPLES: Final = 25
+TAKE_BACK_NS: Final = 450_000_000
+# Publishers remembered as superseded; a bound on memory, not a tuning knob.
+MAX_OLD_RUNS: Final = 32
+# A source that starts anew so often has no start: its every sample says another `run`, or it is
+# restarted in a loop.  A window needs a tenth of that to fill.
+SHORT_RUN_SAMPLES: Final = 50
+SHORT_RUNS: Final = 3
+# Deviations above this, root mean square in periods, are worth a line to a person.
+NOTED_JITTER: Final = 0.15
+
+
+class Accepted(NamedTuple):
+    """A sample that is in order.
+
+    Attributes:
+        missed: samples lost between the last accepted one and this one.
+        restart: the source started anew; what came before does not connect.
+    """
+
+    missed: int
+    restart: bool
+
+
+_NEXT: Final = Accepted(missed=0, restart=False)  # what nearly every sample is
+
+
+class _Place(NamedTuple):
+    """Where a stream is: the time and number of its newest sample."""
+
+    t_ns: int
+    seq: int
+
+    def is_followed_by(self, now: _Place) -> bool:
+        """Whether ``now`` may be the next sample of the same stream, few being lost between."""
+        return now.t_ns > self.t_ns and 0 < now.seq - self.seq <= SHORT_GAP + 1
+
+
+class _Newcomer(NamedTuple):
+    """A run that is not believed yet.
+
+    Attributes:
+        place: of its newest sample.
+        in_a_row: samples of it that follow each other.
+        accepted: samples of others accepted by then.
+    """
+
+    place: _Place
+    in_a_row: int
+    accepted: int
+
+
+class _Jump(NamedTuple):
+    """A gap that was believed: where the stream was, what was missed by then, where it went on."""
+
+    before: _Place
+    missed: int
+    to: _Place
+
+    def goes_on_at(self, now: _Place) -> bool:
+        """Whether a sample belongs to the stream as it was before the gap."""
+        return now.t_ns > self.before.t_ns and self.before.seq < now.seq < self.to.seq
+
+
+class StreamGuard:
+    """Follows one leg's stream.
+
+    Attributes:
+        joints: J, what a sample must bring.
+        run: of the publisher in force.
+        missed: samples lost so far.
+        restarts: times the source began anew, what it lost at them being nobody's to count.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self.joints = joints
+        self.run: int | None = None
+        self.missed = self.restarts = 0
+        self._last: _Place | None = None
+        self._late: _Place | None = None  # newest sample that does not follow the last one
+        self._late_count = 0
+        self._jump: _Jump | None = None
+        self._since_jump = 0  # samples accepted
+        self._newcomers: dict[int | None, _Newcomer] = {}
+        self._accepted = 0
+        self._doubts = 0  # runs that took over and did not last
+        self._strays = 0  # new runs of late that are not believed
+        self._stray_at = 0  # samples accepted when the newest came
+        # Publishers in the order in which they were first heard, the one in force among them.
+        self._runs: list[int | None] = []
+        self._other_count = 0
+        self._other: tuple[int | None, int] | None = None  # who it is, and since when, t_ns
+        self._begun = False  # a publisher is in force, if only by a snapshot's word
+        self._since_start = SHORT_RUN_SAMPLES  # samples accepted
+        self._short_runs = 0  # in a row
+
+    @property
+    def older_runs(self) -> tuple[int | None, ...]:
+        """Of publishers that the one in force has superseded, the oldest first."""
+        return tuple(self._runs[: self._runs.index(self.run)]) if self._begun else ()
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person while the source starts anew again and again."""
+        if self._short_runs >= SHORT_RUNS:
+            return (
+                "the source starts anew every few samples: nothing can be judged; `run` is to be "
+                "one number from a start of the source to its end"
+            )
+        if self._strays < SHORT_RUNS or self._accepted - self._stray_at > NOTED_SAMPLES:
+            return None
+        return (
+            f"{self._strays} new runs came and did not last: another program publishes this leg, "
+            "or the source changes `run`, which is to be one number from its start to its end"
+        )
+
+    def snapshot(self) -> dict[str, Any]:
+        """Who publishes, and who did before, for :meth:`restore`."""
+        runs = {"run": self.run, "old_runs": list(self.older_runs)}
+        return {"begun": self._begun, "restarts": self.restarts, **runs}
+
+    def restore(self, saved: object) -> None:
+        """Take over who published, so that the newer still wins; what is none is left."""
+        if not isinstance(saved, dict) or saved.get("begun") is not True:
+            return
+        if _is_count(saved.get("restarts")):
+            self.restarts = saved["restarts"]
+        old_runs = saved.get("old_runs")
+        runs = [saved.get("run"), *(old_runs if isinstance(old_runs, list) else [])]
+        if all(run is None or _is_run(run) for run in runs):
+            self._begun, self.run = True, runs[0]
+            older = dict.fromkeys(run for run in runs[1:] if run != self.run)
+            self._runs = [*older, self.run][-MAX_OLD_RUNS - 1 :]
+
+    def admit(self, sample: ServoSample) -> Accepted | Reject:
+        """Check a sample against its form and against the stream so far.
+
+        Returns:
+            How it connects to the stream, or why it is refused; a refusal changes nothing that
+            later samples are judged by, but for the detection of a source that counts anew.
+        """
+        fault = self._form(sample)
+        if fault is not None:
+            return fault
+        now = _Place(sample.t_ns, sample.seq)
+        if sample.run != self.run and self._begun:
+            # The run that was seen first is the older publisher; the newer start wins, also when
+            # it comes back after a pause.
+            older = sample.run in self.older_runs
+            if not (self._speaks_alone(sample) if older else self._confirmed(sample.run, now)):
+                return Reject.OTHER_PUBLISHER
+            return self._restart(sample, now)
+        if self._last is None:
+            return self._restart(sample, now)
+        self._other_count = 0
+        missed = now.seq - self._last.seq - 1
+        if now.t_ns <= self._last.t_ns and missed != -1:
+            return self._refuse(sample, now, Reject.TIME_BACKWARDS)
+        if missed < 0:
+            return self._refuse(sample, now, Reject.DUPLICATE_SEQ)
+        if missed > LONGEST_GAP:
+            return self._refuse(sample, now, Reject.OUT_OF_RANGE)
+        if missed > SHORT_GAP:
+            return self._refuse(sample, now, Reject.SEQ_JUMP)
+        return self._accept(now, missed)
+
+    def _accept(self, now: _Place, missed: int) -> Accepted:
+        self.missed += missed
+        self._last, self._late, self._late_count = now, None, 0
+        self._accepted += 1
+        self._since_jump += 1
+        self._since_start += 1
+        if self._since_start == SHORT_RUN_SAMPLES:
+            self._short_runs = 0
+        if self._since_start % SETTLED_SAMPLES == 0:
+            self._doubts = max(0, self._doubts - 1)
+        return _NEXT if missed == 0 else Accepted(missed=missed, restart=False)
+
+    def _confirmed(self, run: int | None, now: _Place) -> bool:
+        """Whether a run that is not older shows to be a stream of its own."""
+        known = self._newcomers.pop(run, None)
+        in_a_row = 1
+        if known is None:
+            if self._accepted - self._stray_at > NOTED_SAMPLES:
+                self._strays = 0
+            self._strays += 1
+            self._stray_at = self._accepted
+        elif known.place.is_followed_by(now) and self._accepted - known.accepted <= PACE:
+            in_a_row = known.in_a_row + 1
+        if self._doubts == 0 or in_a_row >= CONFIRM_SAMPLES << (self._doubts - 1):
+            self._strays = max(0, self._strays - 1)
+            return True
+        self._newcomers[run] = _Newcomer(now, in_a_row, self._accepted)
+        if len(self._newcomers) > MAX_NEWCOMERS:
+            del self._newcomers[next(iter(self._newcomers))]
+        return False
+
+    def _speaks_alone(self, sample: ServoSample) -> bool:
+        """Whether a superseded publisher has been the only one for long enough."""
+        if self._other_count == 0 or self._other is None or self._other[0] != sample.run:
+            self._other, self._other_count = (sample.run, sample.t_ns), 0
+        self._other_count += 1
+        long_enough = sample.t_ns - self._other[1] >= TAKE_BACK_NS
+        return long_enough and self._other_count >= TAKE_BACK_SAMPLES
+
+    def _restart(self, sample: ServoSample, now: _Place) -> Accepted:
+        jump = self._jump if sample.run == self.run and self._since_jump < SETTLED_SAMPLES else None
+        if jump is not None and jump.goes_on_at(now):
+            # Somebody else's samples were taken for a gap; the source itself never began anew.
+            self.missed = jump.missed + now.seq - jump.before.seq - 1
+        else:
+            # The first sample after a start of our own is no restart of the source's.
+            self.restarts += self._last is not None or (self._begun and sample.run != self.run)
+        self._jump = None
+        self.run, self._last, self._begun = sample.run, now, True
+        self._late, self._late_count, self._other_count = None, 0, 0
+        if self.run not in self._runs:
+            self._runs = [*self._runs, self.run][-MAX_OLD_RUNS - 1 :]
+        short = self._since_start < SHORT_RUN_SAMPLES
+        self._short_runs = self._short_runs + 1 if short else 0
+        self._doubts = min(self._doubts + short, MOST_DOUBTS)
+        self._since_start = 1
+        self._accepted += 1
+        return Accepted(missed=0, restart=True)
+
+    def _refuse(self, sample: ServoSample, now: _Place, why: Reject) -> Accepted | Reject:
+        """Refuse what does not follow the last sample, until it shows to be a stream itself."""
+        last, late = self._last, self._late
+        # A stream of its own is as close-knit as any: what jumps about at random is none.
+        in_order = late is None or late.is_followed_by(now)
+        self._late_count = self._late_count + 1 if in_order else 1
+        self._late = now
+        if why is Reject.SEQ_JUMP and self._late_count >= CONFIRM_SAMPLES and last is not None:
+            if self._jump is None or self._since_jump >= SETTLED_SAMPLES:
+                self._jump = _Jump(last, self.missed, now)
+            self._since_jump = 0
+            return self._accept(now, now.seq - last.seq - 1)
+        if self._late_count >= RESET_SAMPLES:
+            return self._restart(sample, now)
+        return why
+
+    def _form(self, sample: ServoSample) -> Reject | None:
+        j = self.joints
+        if len(sample.measured) != j or len(sample.desired) != j:
+            return Reject.WRONG_JOINTS
+        if sample.valid is not None and len(sample.valid) != j:
+            return Reject.WRONG_JOINTS
+        preview = sample.preview or ()
+        if len(preview) > MAX_PREVIEW_TICKS:
+            return Reject.OUT_OF_RANGE
+        values = sample.measured + sample.desired
+        for row in preview:
+            if len(row) != j:
+                return Reject.WRONG_JOINTS
+            values += row
+        for value in values:
+            if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
+                return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
+        if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
+            return Reject.OUT_OF_RANGE
+        # JSON holds integers of any size; what is kept on disk holds 64 bits.
+        if sample.run is not None and not _is_run(sample.run):
+            return Reject.OUT_OF_RANGE
+        return None
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and 0 <= value <= MAX_TIME_NS
+
+
+def _is_run(value: object) -> bool:
+    return isinstance(value, int) and MIN_RUN <= value <= MAX_RUN
+
+
+class RateWatch:
+    """Reads what one leg's clock has shown: mean rate, jitter, whether ticks or stamps are late.
+
+    Args:
+        period_ns: what ticks should be apart.
+        place: arrays of the leg, which its tick follows; own ones where absent, to be followed
+            with :meth:`follow`.
+    """
+
+    def __init__(self, period_ns: int, place: LegPlace | None = None) -> None:
+        self._place = place
+        self._own = new_legs(1)
+        self._own["period_ns"] = period_ns
+        self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
+
+    @classmethod
+    def of(cls, place: LegPlace) -> RateWatch:
+        """Of a leg in a batch."""
+        return cls(int(place.leg["period_ns"]), place)
+
+    @property
+    def off(self) -> bool:
+        """Whether the mean rate is another than described."""
+        return bool(self._leg["rate_off"])
+
+    @property
+    def told_by(self) -> int:
+        """Ticks by which the rate is judged."""
+        return int(self._leg["told_by"])
+
+    @property
+    def found_ns(self) -> float | None:
+        """Mean distance of ticks, None while that is unknown."""
+        found = float(self._leg["found_ns"])
+        return None if math.isnan(found) else found
+
+    @property
+    def at_ns(self) -> int:
+        """Time of the newest tick, by the schedule that follows the stamps."""
+        return int(self._leg["at_ns"])
+
+    @property
+    def late(self) -> bool | None:
+        """Whether readings are as late as their stamps; None while that is not known."""
+        return (None, False, True)[int(self._leg["late"]) + 1]
+
+    @property
+    def since_ns(self) -> int:
+        """Scheduled time of the oldest tick by which the rate is judged."""
+        count = int(self._leg["ring_n"])
+        if not count:
+            return 0
+        return int(self._ring[(count - min(self.told_by, count, RING)) % RING, 2])
+
+    @property
+    def jitter(self) -> float:
+        """Root mean square of recent deviations from the schedule, periods."""
+        leg = self._leg
+        return math.sqrt(max(float(leg["jitter_square"]) - float(leg["jitter_mean"]) ** 2, 0.0))
+
+    @property
+    def jitter_ms(self) -> float:
+        """The same, ms."""
+        return self.jitter * int(self._leg["period_ns"]) / 1e6
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person while the rate is off, or stamps are far off their schedule."""
+        period_ms = int(self._leg["period_ns"]) / 1e6
+        found_ns = self.found_ns
+        if self.off and found_ns is not None:
+            return (
+                f"samples are {found_ns / 1e6:.1f} ms apart, robot.toml says "
+                f"{period_ms:.1f} ms: nothing is judged or learned until they agree"
+            )
+        jitter = self.jitter
+        if jitter <= NOTED_JITTER:
+            return None
+        return (
+            f"t_ns jitters: {jitter * period_ms:.1f} ms (rms) off an even grid of "
+            f"{period_ms:.1f} ms; {_CAUSES[self.late]}"
+        )
+
+    def follow(self, t_ns: int, seq: int, *, restart: bool) -> int | None:
+        """Take in the time and number of an accepted sample.
+
+        Returns:
+            Ticks that nobody read since the last one, by its number, and where readings are known
+            to be late by its time; None where the source has paused: what came before does not
+            connect.
+        """
+        own, ring = records(self._own), self._own_ring
+        missed = follow_one(own, ring, t_ns, seq, restart)
+        return None if missed == PAUSE else int(missed)
+
+    @property
+    def _leg(self) -> Any:
+        return self._own[0] if self._place is None else self._place.leg
+
+    @property
+    def _ring(self) -> NDArray[np.int64]:
+        ring: NDArray[np.int64] = self._own_ring[0]
+        return ring if self._place is None else np.asarray(self._place.batch.ring[self._place.row])
+
+
+class Seams:
+    """Takes the seam of an encoder out of one leg's angles, as a tick does.
+
+    Args:
+        joints: J.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self._legs = new_legs(1)
+        self._last = np.zeros(joints)
+
+    def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
+        """The sample with its angles in one turn; itself where they are, as nearly always."""
+        measured, desired = np.array(sample.measured), np.array(sample.desired)
+        preview = np.array(sample.preview or ()).reshape(-1, len(desired))
+        leg = records(self._legs)[0]
+        unwrap(leg, measured, desired, preview, self._last, restart)
+        angles = {"measured": measured.tolist(), "desired": desired.tolist()}
+        if sample.preview is not None:
+            angles["preview"] = preview.tolist()
+        if all(getattr(sample, name) == value for name, value in angles.items()):
+            return sample
+        return msgspec.structs.replace(sample, **angles)
+
+
+_CAUSES: Final[dict[bool | None, str]] = {
+    None: "whether the readings are late, too, is not known yet",
+    False: "the readings are on time, and ticks are counted by seq",
+    True: "the readings are late, too, and are moved to their ticks",
+}

@@ -1,0 +1,220 @@
+"""What one swing of a leg shows: whether its foot is obstructed, and how early it was stopped.
+
+The tick follows phase, heights and commands (:mod:`adaptive_contact.detect.swing`); the judgements
+here are made once a swing, from what it has kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.detect.layout import ASKED, HEIGHTS, SWINGS
+from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.detect.swing import LIFT_TICKS, LIFTED_M
+from adaptive_contact.robot import Leg, foot_point
+
+__all__ = ["Landings", "Rollout", "SwingJudge"]
+
+_Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
+Rollout = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
+
+# A command that takes the foot no further says nothing of whether it follows.
+LEAST_WAY_M: Final = 0.015
+# A foot that has come less than this share of its command's way by the top of the lift is held:
+# caught ones 95 times in 100; free ones, those of tired legs among them, 1 to 4 times.  It is taken
+# for free again above the second share, which free ones reach 9 times in 10.
+HELD_SHARE: Final = 0.75
+FREE_SHARE: Final = 0.9
+# Readings that fall by more than this share of their command's rise are turned around: what hangs
+# on a foot pulls it down by less.
+TURNED_SHARE: Final = 0.5
+# A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
+# model decides then, as it would have without.
+FORGET_SWINGS: Final = 5
+# Ground that gives is felt late: where it was, is told by the height so many ticks before an onset.
+SURFACE_TICKS: Final = 3
+# A touch told where the foot has come down by less than this share of its rise is told early.
+EARLY_SHARE: Final = 1 / 3
+# Touches come late where most of the last so many begin after the turn.
+LANDINGS: Final = 20
+
+
+class Landings:
+    """Counts how late the touches of one leg come."""
+
+    def __init__(self) -> None:
+        self._late: deque[int] = deque(maxlen=LANDINGS)  # ticks after the turn, 0 for before it
+
+    def touched(self, after: int) -> None:
+        """A touch was reported that began so many ticks after the turn, 0 or less for before it."""
+        self._late.append(max(after, 0))
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person when most touches come after the turn."""
+        late = sorted(ticks for ticks in self._late if ticks)
+        if 2 * len(late) <= LANDINGS:
+            return None
+        return (
+            f"{len(late)} of the last {len(self._late)} touches came after phase had turned to "
+            f"stance, by {late[len(late) // 2]} ticks: send swing until the foot can have arrived"
+        )
+
+
+class SwingJudge:
+    """Judges the swings of one leg.
+
+    Args:
+        leg: its description.
+        place: its arrays.
+
+    Attributes:
+        travel_ratio: share of its command's way that the foot went in the last lift that told; of
+            a leg that does not go all of it, of the way that its model predicts.
+    """
+
+    def __init__(self, leg: Leg, place: LegPlace) -> None:
+        self.travel_ratio = 1.0
+        self._leg = leg
+        self._place = place
+        self._unasked = 0  # lifts in a row that told nothing of a hold
+
+    @property
+    def ticks(self) -> int:
+        """Samples since the swing began, 1 at its first, 0 in stance."""
+        return int(self._place.leg["ticks"])
+
+    @property
+    def obstructed(self) -> bool:
+        """Whether the foot does not follow its command: held by something, or without strength."""
+        return bool(self._place.leg["obstructed"])
+
+    @property
+    def measures(self) -> bool:
+        """Whether the foot's height is known; without geometry, time stands for it."""
+        return self._leg.lengths_m is not None
+
+    @property
+    def lifted(self) -> bool:
+        """Whether the foot has come up at all; without geometry, its command's word is taken."""
+        return self._leg.lengths_m is None or float(self._place.leg["rise"]) > LIFTED_M
+
+    @property
+    def had_lifted(self) -> bool:
+        """The same of the swing that has ended last."""
+        return self._leg.lengths_m is None or float(self._place.leg["resolved_rise"]) > LIFTED_M
+
+    @property
+    def phase_unknown_note(self) -> str | None:
+        """One line for a person when swings cannot be told at all."""
+        if not self._place.leg["untold"] or self.measures:
+            return None
+        return (
+            "samples carry no phase and robot.toml no lengths_m: swings cannot be told, contacts "
+            "are not reported"
+        )
+
+    @property
+    def unobservable_note(self) -> str | None:
+        """One line for a person when changes of the leg cannot be seen."""
+        count = min(int(self._place.leg["lengths_n"]), SWINGS)
+        if self.measures or not count:
+            return None
+        if int(self._place.batch.lengths_ticks[self._place.row, :count].min()) // 2 >= LIFT_TICKS:
+            return None
+        return (
+            "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the leg "
+            "are not followed; give the lengths of its links"
+        )
+
+    def judge_travel(self, rollout: Rollout | None = None) -> bool | None:
+        """Whether the foot is held, told at the top of a lift; None where little was asked of it.
+
+        Counted from where the foot was: after a touch it starts higher than its command.
+
+        Args:
+            rollout: where the commands of a swing take a leg that nothing holds, (J,) rad each;
+                asked only of a foot that is behind.
+        """
+        batch, row, leg = self._place.batch, self._place.row, self._place.leg
+        count = int(leg["asked_n"])
+        asked = float(batch.asked[row, (count - min(count, ASKED)) % ASKED])
+        if asked <= LEAST_WAY_M:
+            # Of a gait of small steps nobody could ever tell that the foot is free again.
+            self._unasked += 1
+            if self._unasked >= FORGET_SWINGS:
+                leg["obstructed"] = False
+            return None
+        self._unasked = 0
+        moved = float(leg["moved"])
+        self.travel_ratio = moved / asked
+        enough = FREE_SHARE if leg["obstructed"] else HELD_SHARE
+        kept = int(leg["path_n"])
+        unbroken = int(leg["path_last"]) - int(leg["path_first"]) + 1 == kept
+        if self.travel_ratio < enough and rollout is not None and unbroken:
+            # Servos that are slow for this gait never bring the foot where the command was.
+            path = batch.path[row, :kept].tolist()
+            predicted = rollout(path)
+            places = [self._foot(angles.tolist()) for angles in predicted]
+            start = batch.start[row].tolist()
+            way = max((math.dist(place, start) for place in places), default=0.0)
+            whole = len(places) == len(path)  # else the model ran away
+            if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
+                self.travel_ratio = moved / way
+        if self._turned_around():
+            self.travel_ratio = 0.0
+        leg["obstructed"] = self.travel_ratio < enough
+        return bool(leg["obstructed"])
+
+    def _turned_around(self) -> bool:
+        """Whether readings went down instead of up, by most of what the command rose."""
+        batch, row, leg = self._place.batch, self._place.row, self._place.leg
+        start = float(batch.start[row, 2])
+        fell = start - float(leg["low_at_m"])
+        if self.lifted or fell < LEAST_WAY_M * TURNED_SHARE:
+            return False
+        path = batch.path[row, : int(leg["path_n"])].tolist()
+        heights = [self._foot(angles)[2] for angles in path]
+        asked = max(heights) - min(heights[0], start)
+        return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
+
+    def touched(self, ticks: int) -> None:
+        """A touch was told, with its onset so many ticks ago."""
+        leg = self._place.leg
+        count = int(leg["heights_n"])
+        if not count or not self.measures:
+            return
+        heights, kept = self._place.batch.heights[self._place.row], min(count, HEIGHTS)
+        at, before = (
+            float(heights[(count - 1 - min(back, kept - 1)) % HEIGHTS])
+            for back in (ticks, ticks + SURFACE_TICKS)
+        )
+        leg["touch_at"], leg["touch_before"] = at, before
+        if math.isnan(leg["fallen"]):
+            leg["fallen"] = leg["top"] - at
+
+    def touched_early(self) -> bool | None:
+        """Whether the swing that has ended told a touch where its foot had hardly come down.
+
+        Returns:
+            None where it cannot be told; False also where no touch was told.
+        """
+        leg = self._place.leg
+        if not (self.measures and leg["resolved_whole"] and self.had_lifted) or leg["obstructed"]:
+            return None
+        fallen = float(leg["resolved_fallen"])
+        return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["resolved_rise"])
+
+    def restart(self) -> None:
+        """The source started anew."""
+        self._unasked = 0
+
+    def _foot(self, angles: Sequence[float]) -> _Point:
+        assert self._leg.lengths_m is not None
+        return foot_point(angles, self._leg.lengths_m, self._leg.joint_axes)

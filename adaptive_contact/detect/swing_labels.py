@@ -1,0 +1,345 @@
+"""Labels a swing: what of it was free, and what was a contact, once that is known.
+
+A swing's rows wait until it is resolved.  Ticks in which the foot rises, well after lift-off,
+cannot press on the ground: they are free at once.  Ticks after the top are free once the next
+stance has begun without an alarm, but for the last ones, in which a touch too soft to see may sit;
+after an alarm, only those well before its onset.  Where every swing ends in a touch these never
+reach the end of a descent; of a leg that has changed, what the ground cannot have done to the last
+ticks before the onset is learned, too.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Final
+
+from adaptive_contact.detect.detector import (
+    BEGAN,
+    BROKE_OFF,
+    ENTERED,
+    RESTARTED,
+    TOPPED,
+    TOUCHING,
+)
+from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
+from adaptive_contact.model.labelled_swing import (
+    SEGMENTS,
+    Label,
+    LabelledSwing,
+    Push,
+    Row,
+    Touch,
+)
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.rollout import rollout
+
+__all__ = ["SwingLabels", "confirmed_before", "confirmed_of", "let_go_rows"]
+
+# Whole swings in a row without a lift that could be labelled, after which changes go unseen.
+UNOBSERVED_SWINGS: Final = 20
+# Ticks of a contact that are handed on, from the alarm on.
+TOUCH_TICKS: Final = 3
+# A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has
+# changed shows in all of them alike.  Rows this many times above the last ones are still pressed.
+LET_GO_RATIO: Final = 10.0
+# Fewer free ticks than this say nothing about a lift.
+MIN_LIFT_ROWS: Final = 3
+# Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
+GUARD_TICKS: Final = 3
+# Nearer than this nothing is.
+TOUCHING_TICKS: Final = 1
+# In between, ticks that the model misses (a NIS above this)...
+MISSED_NIS: Final = 1.0
+# ...up to the first in which the foot is pushed up by more deviations than this.
+PUSHED_SIGMA: Final = 1.0
+# A touch that began before a hole in the readings is told after it, with an onset up to so many
+# ticks behind its end: the statistic's windows begin anew.
+HOLE_TICKS: Final = 8
+# And at the end of a swing without an alarm.
+LAST_TICKS: Final = 6
+
+
+class SwingLabels:
+    """Labels the swings of one leg.
+
+    Args:
+        place: the leg's arrays.
+        swing: judges it.
+
+    Attributes:
+        landings: how late touches come.
+        lift_nis: mean of the lift of the swing in hand, as of its rows; infinite while there is
+            none.
+    """
+
+    def __init__(self, place: LegPlace, swing: SwingJudge) -> None:
+        self._place = place
+        self._swing = swing
+        self.landings = Landings()
+        self._first: LegModel | None = None
+        self._region = 0
+        self._regions = _Regions()
+        self._touch: list[Touch] = []  # the first ticks of a contact in hand
+        self._travel_judged = False
+        self.lift_nis = math.inf
+        self._rollout: Rollout | None = None  # from where the leg was before the swing
+        self._unobserved = 0  # whole swings since a lift was labelled
+
+    @property
+    def unobservable_note(self) -> str | None:
+        """One line for a person when changes of the leg cannot be seen."""
+        leg = self._place.leg
+        if not (leg["known"] and leg["gated"]):
+            return None
+        if self._unobserved < UNOBSERVED_SWINGS:
+            return self._swing.unobservable_note
+        return (
+            f"no lift could be heard in {self._unobserved} swings: they are too short, or the foot "
+            "hardly rises; changes of the leg are not followed"
+        )
+
+    def begin(self, first: LegModel | None) -> None:
+        """A model takes over, as the leg was first known by it; None where there is none."""
+        self._first = first
+
+    def restart(self) -> None:
+        """The source started anew: there is no swing."""
+        self._touch.clear()
+
+    def assess(self, flags: int) -> list[LabelledSwing]:
+        """Label what the next tick is judged by: a swing that begins, a lift past its top."""
+        leg = self._place.leg
+        if flags & (RESTARTED | BROKE_OFF):
+            self._touch.clear()
+        found: list[LabelledSwing] = []
+        if not leg["known"]:
+            return found
+        if flags & BEGAN:
+            self._touch.clear()
+            self._begin_swing()
+            found.append(LabelledSwing(Label.BEGIN))
+        if flags & TOUCHING and self._touch:
+            self._touch.append(self._touch_tick())
+            if len(self._touch) >= TOUCH_TICKS:
+                found += self._contact()
+        if not flags & ENTERED:
+            return found
+        if not leg["gated"]:
+            return [*found, LabelledSwing(Label.UNGATED, self._rows(0, 1))]
+        joints = self._place.batch.measured.shape[1]
+        nis = float(leg["distance"]) * float(leg["variance_scale"]) / joints
+        found.append(LabelledSwing(Label.TICK, nis=nis))
+        if flags & TOPPED:
+            found += self._lift()
+        return found
+
+    def resolve(self) -> list[LabelledSwing]:
+        """Label the rest of the swing that has ended."""
+        leg = self._place.leg
+        if not leg["known"]:
+            return []
+        self._unobserved += bool(leg["resolved_whole"])
+        first, last = int(leg["resolved_first"]), int(leg["resolved_last"])
+        descent = confirmed_of(self._rows(first, last))
+        return [
+            *self._contact(),
+            *self._confirmed(descent, lifted=self._swing.had_lifted),
+            LabelledSwing(Label.END, early=self._swing.touched_early()),
+        ]
+
+    def alarm(self) -> list[LabelledSwing]:
+        """Label what a touch that has just begun confirms, and keep its first tick."""
+        leg = self._place.leg
+        if not leg["known"]:
+            return []
+        onset_ns, now_ns, period_ns = (
+            int(leg[name]) for name in ("onset_ns", "at_ns", "period_ns")
+        )
+        self._swing.touched(round((now_ns - onset_ns) / period_ns))
+        self.landings.touched(int(leg["after"]) - (now_ns - onset_ns) // period_ns)
+        found = self._confirmed(self._close(onset_ns, period_ns), lifted=self._swing.lifted)
+        self._touch = [self._touch_tick()]
+        leg["touching"] = True
+        return found
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _begin_swing(self) -> None:
+        self._travel_judged = False
+        self.lift_nis = math.inf
+        self._rollout = None
+        # By the model as it was first known: what was learned since may be of what holds the foot.
+        batch, row = self._place.batch, self._place.row
+        if self._place.leg["began_full"] and self._first is not None:
+            window = batch.began_window[row].copy()
+            self._rollout = functools.partial(rollout, self._first, window)
+
+    def _lift(self) -> list[LabelledSwing]:
+        """At the top: whether the foot has followed, and the rows of the lift if they are free."""
+        found: list[LabelledSwing] = []
+        leg, swing = self._place.leg, self._swing
+        if not self._travel_judged:
+            # Whether or not a tick of the lift can be learned: a foot held fast leaves none.
+            self._travel_judged = True
+            obstructed = swing.judge_travel(self._rollout)
+            if obstructed is not None:
+                ratio = swing.travel_ratio
+                found.append(LabelledSwing(Label.TRAVEL, obstructed=obstructed, travel_ratio=ratio))
+        rows = let_go_rows(self._rows(0, int(leg["lift_n"])))
+        if rows is None:
+            return found
+        self.lift_nis = sum(row.nis for row in rows) / len(rows)
+        if swing.lifted and not (swing.obstructed or leg["suspected"]):
+            self._unobserved = 0
+            self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())
+            found.append(LabelledSwing(Label.LIFT, rows, self._region, int(leg["at_ns"])))
+        return found
+
+    def _confirmed(self, rows: list[Row], *, lifted: bool) -> list[LabelledSwing]:
+        if not rows or not lifted or self._swing.obstructed:
+            return []
+        return [LabelledSwing(Label.DESCENT, rows, self._region)]
+
+    def _contact(self) -> list[LabelledSwing]:
+        """The first ticks of a contact, for candidate models to be tried on."""
+        ticks, self._touch = self._touch, []
+        leg = self._place.leg
+        leg["touching"] = False
+        return [LabelledSwing(Label.CONTACT, touch=ticks)] if ticks and leg["learning"] else []
+
+    def _close(self, onset_ns: int, period_ns: int) -> list[Row]:
+        """Close the swing to its descent; the rows of it that are free all the same."""
+        batch, row, leg = self._place.batch, self._place.row, self._place.leg
+        lift, commanded, count = (int(leg[name]) for name in ("lift_n", "commanded_n", "row_n"))
+        hole_ns = int(leg["hole_ns"])
+        kept, rows = confirmed_before(
+            self._rows(0, lift), commanded, self._rows(lift, count), onset_ns, period_ns,
+            None if hole_ns < 0 else hole_ns,
+        )  # fmt: skip
+        for of in (batch.rows, batch.row_thetas, batch.row_targets, batch.row_asides):
+            of[row, : len(kept)] = of[row, kept]
+        leg["lift_n"] = leg["row_n"] = len(kept)
+        leg["closed"] = True
+        return rows
+
+    def _rows(self, first: int, last: int) -> list[Row]:
+        batch, at = self._place.batch, self._place.row
+        if first == last:
+            return []
+        rows = batch.rows[at, first:last]
+        thetas = batch.row_thetas[at, first:last].copy()
+        targets = batch.row_targets[at, first:last].copy()
+        asides = batch.row_asides[at, first:last].copy()
+        columns = (rows[name].tolist() for name in _COLUMNS)
+        return [
+            Row(theta, target, nis, value, context, t_ns, lift, calm, cleared,
+                Push(sigma, aside) if push else None)
+            for theta, target, aside, nis, value, context, t_ns, lift, calm, cleared, sigma, push
+            in zip(thetas, targets, asides, *columns, strict=True)
+        ]  # fmt: skip
+
+    def _touch_tick(self) -> Touch:
+        """The last ticks, as they were judged."""
+        place = self._place
+        batch, row, leg = place.batch, place.row, place.leg
+        whiten = batch.whiten[row, int(leg["context"])] / batch.unit[row] ** 0.5
+        thetas = batch.thetas[row, : int(leg["thetas_n"])]
+        target = place.residuals + place.increments
+        limits = batch.limits_awaited[row] if leg["after"] else batch.limits[row]
+        return Touch.of(thetas, target, whiten, limits.copy(), int(leg["usable"]))
+
+
+def confirmed_before(
+    lift: Sequence[Row], commanded: int, descent: list[Row], onset_ns: int, period_ns: int,
+    hole_ns: int | None,
+) -> tuple[list[int], list[Row]]:  # fmt: skip
+    """Of a swing in which a contact was reported: what came well before its onset is free.
+
+    Nearer to it, what the ground cannot have done is: the part of the movement that no push from
+    below accounts for.
+
+    Args:
+        lift: rows of the lift, if its top has not been passed.
+        commanded: of these, the first so many had a command that went up, too.
+        descent: rows of the descent.
+        onset_ns: of the contact.
+        period_ns: control tick.
+        hole_ns: the last tick of the descent before a hole in its readings, None for none.
+
+    Returns:
+        Which rows of the lift stay, and the rows of the descent that are confirmed.
+    """
+    near_ns = onset_ns - TOUCHING_TICKS * period_ns
+    if hole_ns is not None:
+        after_ns = next((row.t_ns for row in descent if row.t_ns > hole_ns), onset_ns)
+        if onset_ns - after_ns <= HOLE_TICKS * period_ns:
+            onset_ns, near_ns = hole_ns, 0
+    last = onset_ns - GUARD_TICKS * period_ns
+    # A foot on its way up while its command comes down lags behind, or has been kicked up.
+    limit = LET_GO_RATIO * max([1.0, *(row.nis for row in lift[:commanded])])
+    kept = [
+        k for k, row in enumerate(lift) if k < commanded or row.t_ns <= last or row.nis <= limit
+    ]
+    rows = [row for row in descent if row.t_ns <= last]
+    rows += _not_pushed(descent[len(rows) :], near_ns)
+    return kept, rows
+
+
+def confirmed_of(descent: list[Row]) -> list[Row]:
+    """Of a descent after which the next stance has begun: the rows that are confirmed."""
+    return descent[:-LAST_TICKS]
+
+
+def let_go_rows(rows: list[Row]) -> list[Row] | None:
+    """The part of a lift in which the foot is off the ground for sure, None if it is too short."""
+    if rows and not rows[0].calm:
+        limit = LET_GO_RATIO * max(1.0, min(row.nis for row in rows[-2:]))
+        first = len(rows)
+        while first > 0 and rows[first - 1].nis <= limit:
+            first -= 1
+        rows = rows[first:]
+    return rows if len(rows) >= MIN_LIFT_ROWS else None
+
+
+def _not_pushed(rows: list[Row], last_ns: int) -> list[Row]:
+    """Of a leg that has changed: what no push from below accounts for, in the ticks it missed."""
+    found: list[Row] = []
+    for row in rows:
+        if row.t_ns > last_ns or row.push is None or row.push.sigma > PUSHED_SIGMA:
+            break
+        if row.nis > MISSED_NIS:
+            found.append(row._replace(target=row.push.aside))
+    return found
+
+
+_COLUMNS: Final = (
+    "nis", "value", "context", "t_ns", "lift", "calm", "cleared", "sigma", "push",
+)  # fmt: skip
+
+
+class _Regions:
+    """Coarse places in a leg's workspace: where the first joint points, how far the last bends.
+
+    Thirds and halves of what the last swings have seen of them, as many as the buffer holds, so
+    that legs of any build have several and one wild command does not make them one for good.
+    """
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float]] = deque(maxlen=SEGMENTS)
+
+    def of(self, at: Sequence[float]) -> int:
+        """The region of a command, (J,) rad, 0 to 5."""
+        self._seen.append((at[0], at[-1]))
+        first, last = zip(*self._seen, strict=True)
+        return 2 * _part(at[0], first, 3) + _part(at[-1], last, 2)
+
+
+def _part(value: float, seen: Sequence[float], parts: int) -> int:
+    """Which of so many equal parts of a range a value lies in."""
+    least = min(seen)
+    width = max(seen) - least
+    return 0 if width <= 0.0 else min(int(parts * (value - least) / width), parts - 1)

@@ -1,0 +1,224 @@
+"""Watches whether a robot's samples are counted as its description says.
+
+Samples of all legs are kept for a minute, and judged now and then until the motion has confirmed
+every leg (:mod:`adaptive_contact.conventions.judge`).  A leg that is described wrong gets a
+finding; its learner then reports no contacts and learns nothing, as both would rest on a geometry
+that is not the leg's.  A finding counts when two judgements in a row agree.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.conventions.judge import (
+    ConventionFinding,
+    LegMotion,
+    Verdict,
+    judge_motion,
+)
+from adaptive_contact.fit.refit_job import Refitter
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.wire import Phase
+
+__all__ = ["ConventionJob", "ConventionWatch", "MotionTrack"]
+
+Array = NDArray[np.float64]
+
+# When the motion is judged, s of samples; a tripod's 20 swings take 28 s.  After the last, it is
+# every LATER_S, and with no leg left that could be told, or after ENOUGH_S, never.
+TIMES_S: Final = (4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 24.0, 28.0, 34.0, 40.0, 50.0, 60.0)
+LATER_S: Final = 60.0
+ENOUGH_S: Final = 600.0
+# Samples kept of a leg: a minute at 50 Hz, some forty swings.
+KEPT: Final = 3000
+NEVER: Final = 2**62
+# No leg has this name: the job is of all.
+_ALL: Final = "*"
+
+
+@dataclasses.dataclass(frozen=True)
+class ConventionJob:
+    """A judgement of a robot's motion, to be made anywhere."""
+
+    leg: str
+    number: int
+    robot: Robot
+    motions: Mapping[str, LegMotion]
+
+    def run(self) -> Verdict:
+        """Judge."""
+        return judge_motion(self.robot, self.motions)
+
+
+class MotionTrack:
+    """The newest samples of one leg.
+
+    Args:
+        leg: its description.
+
+    Attributes:
+        finding: what is wrong with its description; None as long as nothing is known to be.
+        total: samples taken in.
+        settled: the motion has confirmed the description.
+    """
+
+    def __init__(self, leg: Leg) -> None:
+        self.finding: ConventionFinding | None = None
+        self.total = 0
+        self.settled = False
+        self.suspected: ConventionFinding | None = None  # by the last judgement alone
+        self._leg = leg
+        self._count = self._untold = 0
+        joints = self._joints = len(leg.joints)
+        self._angles = np.zeros((0, 2 * joints))
+        self._times = np.zeros(0, dtype=np.int64)
+        self._seq = np.zeros(0, dtype=np.int64)
+        self._first_seq = 0
+        self._swing = np.zeros(0, dtype=np.bool_)
+
+    @property
+    def spoils(self) -> bool:
+        """Whether what is found makes heights of the foot wrong."""
+        return self.finding is not None and self.finding.grave
+
+    def take(
+        self, measured: Array, desired: Array, t_ns: int, seq: int, phase: Phase | None
+    ) -> None:
+        """Take in an accepted sample, (J,) rad in the frame of the description."""
+        if self.settled:
+            return
+        if self._count == len(self._times):
+            self._make_room()
+        angles = self._angles[self._count]
+        angles[: self._joints], angles[self._joints :] = measured, desired
+        self._times[self._count] = t_ns
+        if self._count == 0:
+            self._first_seq = seq
+        self._seq[self._count] = seq - self._first_seq
+        self._swing[self._count] = phase == "swing"
+        self._untold += phase is None
+        self._count += 1
+        self.total += 1
+
+    def restart(self) -> None:
+        """What comes does not connect to what was."""
+        self._count = self._untold = 0
+
+    def settle(self) -> None:
+        """Keep no more of it."""
+        self.settled = True
+        self._count = 0
+        self._angles, self._times = self._angles[:0].copy(), self._times[:0].copy()
+        self._seq, self._swing = self._seq[:0].copy(), self._swing[:0].copy()
+
+    @property
+    def motion(self) -> LegMotion:
+        """What is kept, as copies."""
+        n, joints = self._count, self._joints
+        return LegMotion(
+            self._times[:n].copy(),
+            self._angles[:n, :joints].copy(),
+            self._angles[:n, joints:].copy(),
+            None if self._untold else self._swing[:n].copy(),
+            self._seq[:n].copy(),
+        )
+
+    def _make_room(self) -> None:
+        if self._count < KEPT:
+            more = max(self._count, KEPT // 8)
+            self._angles = np.concatenate([self._angles, np.zeros((more, 2 * self._joints))])
+            self._times = np.concatenate([self._times, np.zeros(more, dtype=np.int64)])
+            self._seq = np.concatenate([self._seq, np.zeros(more, dtype=np.int64)])
+            self._swing = np.concatenate([self._swing, np.zeros(more, dtype=np.bool_)])
+            return
+        half = self._count // 2
+        for kept in (self._angles, self._times, self._seq, self._swing):
+            kept[: self._count - half] = kept[half : self._count].copy()
+        self._count -= half
+
+
+class ConventionWatch:
+    """Judges a robot's motion when it is time.
+
+    Args:
+        robot: its description.
+        refitter: makes the judgements; in line where absent.
+    """
+
+    def __init__(self, robot: Robot, refitter: Refitter | None = None) -> None:
+        self._robot = robot
+        self._refitter = refitter
+        self._tracks: dict[str, MotionTrack] = {}
+        self._pending: int | None = None
+        self._jobs = 0
+        self._next = round(TIMES_S[0] / robot.period_s)
+        self._ticks = 0
+
+    def track(self, leg: Leg) -> MotionTrack | None:
+        """The track of a leg, made here; None for one whose geometry is not known."""
+        if leg.lengths_m is None or leg.id not in self._robot.leg_ids:
+            return None
+        self._tracks[leg.id] = MotionTrack(leg)
+        return self._tracks[leg.id]
+
+    def look(self) -> None:
+        """A tick has passed: judge, if it is time, and take a judgement when it is there."""
+        self._ticks += 1
+        if self._ticks < self._next and self._pending is None:
+            return
+        if self._pending is not None:
+            assert self._refitter is not None
+            verdict = self._refitter.collect(_ALL, self._pending)
+            if verdict is None:
+                return
+            self._pending = None
+            assert isinstance(verdict, Verdict)
+            self._conclude(verdict)
+            return
+        self._schedule()
+        open_tracks = [track for track in self._tracks.values() if not track.settled]
+        if not open_tracks:
+            return
+        self._jobs += 1
+        motions = {leg: track.motion for leg, track in self._tracks.items() if track.total}
+        job = ConventionJob(_ALL, self._jobs, self._robot, motions)
+        if self._refitter is None:
+            self._conclude(job.run())
+        else:
+            self._pending = job.number
+            self._refitter.submit(job)
+
+    def _schedule(self) -> None:
+        now_s = self._ticks * self._robot.period_s
+        later = [time for time in TIMES_S if time > now_s + 0.5 * self._robot.period_s]
+        if later:
+            self._next = round(later[0] / self._robot.period_s)
+        elif now_s < ENOUGH_S:
+            self._next = self._ticks + round(LATER_S / self._robot.period_s)
+        else:
+            self._next = NEVER
+            for track in self._tracks.values():
+                track.settle()
+
+    def _conclude(self, verdict: Verdict) -> None:
+        found = {finding.leg: finding for finding in verdict.findings}
+        for leg, track in self._tracks.items():
+            if track.settled:
+                continue
+            if leg in verdict.fits:
+                track.finding = track.suspected = None
+                continue
+            finding = found.get(leg)
+            if finding is not None and finding.agrees(track.suspected):
+                track.finding = finding
+            track.suspected = finding
+        # Legs are judged by each other: none is let go before all are confirmed.
+        open_legs = [leg for leg, track in self._tracks.items() if track.total]
+        if open_legs and set(open_legs) <= set(verdict.fits):
+            for leg in open_legs:
+                self._tracks[leg].settle()

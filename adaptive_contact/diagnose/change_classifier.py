@@ -1,0 +1,162 @@
+"""What kind of change explains best what a leg has done since it was found changed.
+
+Every kind is a few shapes per joint, each with a free amplitude: what the change adds to the
+movements that the model of before foretells.  A kind with more shapes has to explain more
+(Schwarz's criterion).  Friction works against the movement that is *foretold*: a joint that stands
+and should break away is held back like one that moves.  Taken against the movement before, a leg
+that rubs and a drive that is weak look alike (decision 20).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.model.change_prior import speaks_of
+from adaptive_contact.model.labelled_swing import Row, residuals_of
+from adaptive_contact.model.leg_model import LegModel
+
+__all__ = ["ChangeClassifier"]
+
+Array = NDArray[np.float64]
+
+KINDS: Final = ("friction", "drive", "load")
+# A kind is told only if it explains this share of the squared residual...
+LEAST_SHARE: Final = 0.3
+# ...of so many ticks, two lifts or so...
+LEAST_ROWS: Final = 8
+# ...and so much better than the next, by the criterion: very strong evidence (Kass and Raftery).
+LEAST_LEAD: Final = 10.0
+# Ticks after which a kind is settled, fifteen lifts and descents or so: a leg may go on changing.
+ENOUGH_ROWS: Final = 60
+# Speed at which friction is three quarters of what it comes to.
+KNEE_RAD_S: Final = 1.0
+
+
+class _Shapes(NamedTuple):
+    """What changes add to one joint's movement.
+
+    Attributes:
+        linear: (p, s) shapes that are linear in the regressors; friction's, which is not, stands
+            before them.
+        of: kind -> its columns, friction's counted.
+    """
+
+    linear: Array
+    of: dict[str, list[int]]
+
+
+class ChangeClassifier:
+    """Ticks since a change, held against every kind; their number takes no memory.
+
+    Args:
+        model: in force when the change was found.
+        noise: (J,) rad.
+    """
+
+    def __init__(self, model: LegModel, noise: Array) -> None:
+        self._model, self._noise = model, noise
+        self._knee = KNEE_RAD_S * model.library.period_s
+        self._shapes = [_shapes(model, joint) for joint in range(len(noise))]
+        # Where one kind alone has shapes, it would be told of every change.
+        self._comparable = all(any(of[kind] for _, of in self._shapes) for kind in KINDS)
+        self._rows = 0
+        # Per joint, products of its shapes and, last, of its residual in noise units.
+        sizes = [2 + of.linear.shape[1] for of in self._shapes]
+        self._products = [np.zeros((size, size)) for size in sizes]
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Take in free ticks, of lifts and of descents."""
+        if not rows:
+            return
+        theta, residual = residuals_of(rows, self._model.coefficients)
+        friction = np.tanh(theta @ self._model.coefficients / self._knee)
+        self._rows += len(rows)
+        for joint, (linear, _) in enumerate(self._shapes):
+            y = residual[:, joint] / self._noise[joint]
+            columns = np.column_stack((friction[:, joint], theta @ linear, y))
+            self._products[joint] += columns.T @ columns
+
+    @property
+    def complete(self) -> bool:
+        """Whether more ticks would say more of later changes than of this one."""
+        return self._rows >= ENOUGH_ROWS
+
+    @property
+    def kind(self) -> str | None:
+        """The kind that explains best.
+
+        Returns:
+            ``friction``, ``drive`` (supply, winding, compliance: the control law is weaker or
+            softer), ``load`` (gravity and inertia), or None where none explains enough, and by a
+            library that knows no control law.
+        """
+        if self._rows < LEAST_ROWS or not self._comparable:
+            return None
+        n = self._rows * len(self._noise)
+        found = []
+        for kind in KINDS:
+            unexplained = self.unexplained(kind)
+            shapes = sum(len(of[kind]) for _, of in self._shapes)
+            criterion = n * float(np.log(unexplained)) + shapes * float(np.log(n))
+            found.append((criterion, unexplained, kind))
+        (least, unexplained, best), (second, *_), *_ = sorted(found)
+        told = unexplained < 1.0 - LEAST_SHARE and second - least > LEAST_LEAD
+        return best if told else None
+
+    def unexplained(self, kind: str) -> float:
+        """Share of the squared residual, in noise units, that a kind leaves; 1 without ticks."""
+        total = left = 0.0
+        for products, (_, of) in zip(self._products, self._shapes, strict=True):
+            y = float(products[-1, -1])
+            total += y
+            left += y - _explained(products, of[kind])
+        return max(left / total, 1e-12) if total > 0.0 else 1.0
+
+
+def _shapes(model: LegModel, joint: int) -> _Shapes:
+    """Those whose terms the library has: the paper's knows no control law and no gravity."""
+    library = model.library
+    names, name, own = library.names, library.joints[joint], model.coefficients[:, joint]
+    drive = np.array([t.startswith("sat(") and speaks_of(t, name) for t in names])
+    weaker = [np.where(drive, own, 0.0)] if drive.any() else []
+    softer = _difference(names, f"sat(e_{name}/2s)", f"sat(e_{name}/s)")
+    outwards = [
+        other
+        for other, axis in zip(library.joints[joint:], library.axes[joint:], strict=True)
+        if axis == library.axes[joint] == "pitch"
+    ]
+    gravity = [one for other in outwards for one in _term(names, f"cos φ_{other}")]
+    # Inertia: a movement takes longer to become another.
+    slower = [own - before for before in _term(names, f"v_{name}")]
+    columns = [*weaker, *softer, *gravity, *slower]
+    linear = np.array(columns).reshape(len(columns), library.size).T
+    pulls = len(weaker) + len(softer)
+    of = {
+        "friction": [0],
+        "drive": list(range(1, 1 + pulls)),
+        "load": list(range(1 + pulls, 1 + len(columns))),
+    }
+    return _Shapes(linear, of)
+
+
+def _term(names: Sequence[str], term: str) -> list[Array]:
+    """The column of a term, (p,), where there is one."""
+    return [np.array([float(name == term) for name in names])] if term in names else []
+
+
+def _difference(names: Sequence[str], one: str, other: str) -> list[Array]:
+    return [a - b for a in _term(names, one) for b in _term(names, other)]
+
+
+def _explained(products: Array, columns: Sequence[int]) -> float:
+    """What some columns explain of the squared residual."""
+    if not columns:
+        return 0.0
+    among, with_y = products[np.ix_(columns, columns)], products[columns, -1]
+    size = np.sqrt(np.maximum(np.diag(among), 1e-300))
+    solution = np.linalg.lstsq(among / np.outer(size, size), with_y / size, rcond=1e-9)[0]
+    return float(with_y / size @ solution)

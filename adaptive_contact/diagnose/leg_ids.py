@@ -1,0 +1,523 @@
+r"""Finds legs whose samples come under another leg's name.
+
+Two facts tell it, each where it can:
+
+1. *A leg's servos are its own.*  With a baseline of every leg, the residuals of one leg's free
+   motion are least under its own model.  Legs i and k are named where each fits the other's better
+   by a margin, and as well as free motion fits the right one.
+2. *Feet that stand do not move against each other.*  With mounts and lengths, the legs' places on
+   the body are permuted until the distances of standing feet stay constant.
+
+Neither tells everything.  Legs of equal servos have equal models, and a body that looks the same
+turned by half a turn keeps all distances when its legs are named so.  In straight walking, a swap
+of a left leg with its mirror image looks like a yaw of the wrong sign: both are said.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.fit.refit_job import Refitter
+from adaptive_contact.fit.train import cautious
+from adaptive_contact.model.model_file import Baseline
+from adaptive_contact.model.window import stack
+from adaptive_contact.robot import Leg, Robot, foot
+from adaptive_contact.robot.gait_phase import infer_phase
+from adaptive_contact.wire import ServoSample
+
+__all__ = [
+    "SWAPPED",
+    "IdJob",
+    "IdTrack",
+    "IdWatch",
+    "LegRows",
+    "Owner",
+    "judge_ids",
+    "judge_recorded_ids",
+]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Words of every note of this kind.
+SWAPPED: Final = "the samples are those of leg"
+
+# When the samples are judged, s: a tripod's tenth swing ends after 14 s.  Two verdicts must agree.
+TIMES_S: Final = (12.0, 20.0, 28.0, 40.0, 60.0)
+# Samples kept of a leg: a minute at 50 Hz.
+KEPT: Final = 3000
+# Free ticks of a leg from which its residuals tell.
+LEAST_TICKS: Final = 150
+# Another leg's model is the right one where it errs by so much less than the leg's own.  Of the
+# shipped hexapod's legs the two most alike err by 1.08 times as much under each other's models.
+BETTER: Final = 1.04
+# And where all legs err by no more than this many times the noise that their models were learned
+# with: in ten kinds of walks it is 0.83 to 1.08 times; of other robots of the kind 0.91 to 1.6, and
+# two legs of them are like two others' by chance.
+AT_HOME: Final = 1.1
+# Standing feet: over this time, s, after settling, s; at least so many ticks of a pair; rho of a
+# body that is rigid, and of one that is not (see robot.conventions).
+LAG_S: Final = 0.08
+SETTLE_S: Final = 0.12
+LEAST_ROWS: Final = 40
+LEAST_WAY_M: Final = 0.002
+TRIMMED: Final = 0.3
+RIGID: Final = 0.1
+LOOSE: Final = 0.12
+MOST_LEGS: Final = 6
+_ALL: Final = "*ids"
+
+
+@dataclasses.dataclass(frozen=True)
+class LegRows:
+    """One leg's samples in order, in the frame of its description.
+
+    Attributes:
+        seq: (n,) numbers of the control ticks, counted alike in all legs.
+        measured, desired: (n, J) rad.
+        swing: (n,) the source's word; None where it does not tell.
+    """
+
+    seq: NDArray[np.int64]
+    measured: Array
+    desired: Array
+    swing: Mask | None
+
+
+class Owner(NamedTuple):
+    """The leg that samples are of, and how that shows."""
+
+    leg: str
+    why: str
+
+
+def judge_fit(robot: Robot, baseline: Baseline, rows: Mapping[str, LegRows]) -> dict[str, Owner]:
+    """Compare every leg's residuals under its own and the others' baselines.
+
+    Args:
+        robot: its description.
+        baseline: what is known of its legs.
+        rows: by leg.
+
+    Returns:
+        By the name that samples come under the leg that they are of, where models tell; a leg's own
+        name where they say that all is right.
+    """
+    errors: dict[str, dict[str, float]] = {}
+    for leg, of_leg in rows.items():
+        if leg in baseline.legs:
+            errors[leg] = _errors(robot, baseline, leg, of_leg)
+    noise = {name: float(np.sqrt(np.mean(k.noise.rms**2))) for name, k in baseline.legs.items()}
+    owners = {}
+    for leg, under in errors.items():
+        best = min(under, key=lambda name: under[name], default=leg)
+        if under.get(leg, 0.0) > BETTER * under.get(best, 0.0):
+            owners[leg] = Owner(
+                best,
+                f"its model errs by {1e3 * under[best]:.1f} mrad on them, that of '{leg}' by "
+                f"{1e3 * under[leg]:.1f}",
+            )
+    # A leg that has changed may fit another's model by chance; legs that changed places do all.
+    owners = _circles(owners)
+    at_home = all(
+        under.get(owner, 0.0) <= AT_HOME * noise[owner]
+        for leg, under in errors.items()
+        for owner in [owners[leg].leg if leg in owners else leg]
+    )
+    if not at_home:
+        return {}
+    right = {leg: Owner(leg, "") for leg, under in errors.items() if under and leg not in owners}
+    return {**right, **owners}
+
+
+def _circles(owners: Mapping[str, Owner]) -> dict[str, Owner]:
+    """Those owners that form closed circles: every leg's samples are somewhere."""
+    left = dict(owners)
+    while True:
+        named = {owner.leg for owner in left.values()}
+        open_ones = [leg for leg in left if left[leg].leg not in left or leg not in named]
+        if not open_ones:
+            return left
+        for leg in open_ones:
+            del left[leg]
+
+
+def _errors(robot: Robot, baseline: Baseline, leg: str, rows: LegRows) -> dict[str, float]:
+    """Root mean square of a leg's free residuals, rad, under every model of its library."""
+    own = baseline.legs[leg].model
+    free = _free(robot.leg(leg), rows)
+    theta, target = [], []
+    for part in np.split(np.arange(len(rows.seq)), np.flatnonzero(np.diff(rows.seq) != 1) + 1):
+        if len(part) <= own.library.window.length + 1:
+            continue
+        cut = stack(rows.measured[part], rows.desired[part], own.library.window)
+        ticks = part[cut.tick]
+        use = np.flatnonzero(free[ticks] & free[np.minimum(ticks + 1, part[-1])])
+        theta.append(own.library.evaluate(cut.measured[use], cut.desired[use], cut.preview[use]))
+        target.append(cut.increment[use])
+    if sum(map(len, target)) < LEAST_TICKS:
+        return {}
+    regressors, increments = np.concatenate(theta), np.concatenate(target)
+    return {
+        name: _root(increments - regressors @ known.model.coefficients)
+        for name, known in baseline.legs.items()
+        if known.model.library == own.library
+    }
+
+
+def _root(residuals: Array) -> float:
+    """Root mean square but for the largest, which are touches and bad readings."""
+    squares = np.sort(np.square(residuals).mean(axis=1))
+    return float(np.sqrt(squares[: math.ceil(0.95 * len(squares))].mean()))
+
+
+def _free(leg: Leg, rows: LegRows) -> Mask:
+    swing = rows.swing if rows.swing is not None else infer_phase(rows.desired, leg)
+    return np.zeros(len(rows.seq), dtype=bool) if swing is None else cautious(swing)
+
+
+def judge_ids(
+    robot: Robot, baseline: Baseline | None, rows: Mapping[str, LegRows]
+) -> dict[str, Owner]:
+    """Find legs whose samples are another leg's.
+
+    Args:
+        robot: its description.
+        baseline: what is known of its legs, if anything is.
+        rows: by leg.
+
+    Returns:
+        By the name that samples come under: the leg that they are of.
+    """
+    known = {} if baseline is None else judge_fit(robot, baseline, rows)
+    fitted = {leg: owner for leg, owner in known.items() if owner.leg != leg}
+    legs = [leg for leg in robot.legs if leg.id in rows and len(rows[leg.id].seq)]
+    places = _places(legs, [rows[leg.id] for leg in legs], robot.period_s)
+    if places is None:
+        return fitted
+    if not fitted and places.rigid(range(len(legs))):  # as nearly always
+        return {}
+    orders = places.rigid_orders()
+    if not orders:
+        return fitted
+    ids = [leg.id for leg in legs]
+    named = tuple(ids.index(fitted[leg].leg if leg in fitted else leg) for leg in ids)
+    if fitted and named in orders:
+        # Two legs may be like two others by chance; their feet then move against the rest.
+        return fitted
+    order = orders[0]
+    moved = [i for i in range(len(ids)) if order[i] != i]
+    if any(known.get(ids[i], Owner("", "")).leg == ids[i] for i in moved):
+        return {}
+    mirrored = places.rigid_with_yaw_turned(moved)
+    placed = {}
+    for i in moved:
+        why = "feet that stand keep their distances then, and not as the legs are named"
+        others = list(dict.fromkeys(ids[one[i]] for one in orders))[1:]
+        if others:
+            why += f"; as likely is {_either(others)}, with all others turned round as well"
+        if mirrored:
+            why += "; as likely, the yaw angles grow the wrong way"
+        placed[ids[i]] = Owner(ids[order[i]], why)
+    return placed
+
+
+def _places(legs: Sequence[Leg], rows: Sequence[LegRows], period_s: float) -> _Places | None:
+    """The places of legs on the body, where the description tells enough of them."""
+    alike = len({leg.joint_axes for leg in legs}) == 1
+    if not alike or not 3 <= len(legs) <= MOST_LEGS or any(leg.lengths_m is None for leg in legs):
+        return None
+    if len({leg.mount for leg in legs}) < len(legs):
+        return None
+    return _Places(legs, rows, period_s)
+
+
+def _either(names: Sequence[str]) -> str:
+    return " or ".join(f"'{name}'" for name in names)
+
+
+_Seat = tuple[int, int, bool]  # whose samples, at which place, with the yaw turned
+
+
+class _Places:
+    """rho² of pairs of legs at every two places of the body.
+
+    Args:
+        legs: described; where they sit.
+        rows: the samples that come under their names.
+        period_s: control tick.
+    """
+
+    def __init__(self, legs: Sequence[Leg], rows: Sequence[LegRows], period_s: float) -> None:
+        self._legs, self._rows = legs, rows
+        self._lag, settle = (max(round(time / period_s), 1) for time in (LAG_S, SETTLE_S))
+        self._at = [
+            _standing(leg, of_leg, self._lag, settle)
+            for leg, of_leg in zip(legs, rows, strict=True)
+        ]
+        self._feet: dict[tuple[int, int, bool], Array] = {}
+        self._pairs: dict[tuple[_Seat, _Seat], tuple[float, float]] = {}
+
+    def rigid_orders(self) -> list[tuple[int, ...]]:
+        """Find the places at which standing feet keep their distances.
+
+        Returns:
+            For each answer the place of every leg's samples; those that move fewest legs first.
+            Empty where nothing is known.
+        """
+        own = tuple(range(len(self._legs)))
+        told = [cost for cost in self.costs(own) if math.isfinite(cost)]
+        if not told or (not self.rigid(own) and max(told) < LOOSE**2):
+            return []
+        orders = [order for order in itertools.permutations(own) if self.rigid(order)]
+        return sorted(orders, key=lambda order: sum(i != k for i, k in enumerate(order)))
+
+    def rigid_with_yaw_turned(self, legs: Sequence[int]) -> bool:
+        """Whether feet keep their distances if these legs' yaw has the other sign."""
+        own = range(len(self._legs))
+        return self.rigid(own, [i in legs for i in own])
+
+    def costs(self, order: Sequence[int], turned: Sequence[bool] | None = None) -> list[float]:
+        """rho² of every leg with the others; infinite where it stands with less than two."""
+        n = len(order)
+        turned = [False] * n if turned is None else turned
+        seats = [(i, order[i], turned[i]) for i in range(n)]
+        found = []
+        for i in range(n):
+            pairs = [self._pair(seats[i], seats[j]) for j in range(n) if j != i]
+            told = [(weight, ratio) for weight, ratio in pairs if weight > 0]
+            if len(told) < 2:
+                found.append(math.inf)
+            else:
+                found.append(sum(w * r for w, r in told) / sum(w for w, _ in told))
+        return found
+
+    def rigid(self, order: Sequence[int], turned: Sequence[bool] | None = None) -> bool:
+        """Whether every leg keeps its distances from the others."""
+        return all(cost < RIGID**2 for cost in self.costs(order, turned))
+
+    def _pair(self, one: _Seat, other: _Seat) -> tuple[float, float]:
+        key = (min(one, other), max(one, other))
+        if key not in self._pairs:
+            self._pairs[key] = self._compare(*key)
+        return self._pairs[key]
+
+    def _foot(self, seat: _Seat) -> Array:
+        """(m, 2, 3) m, where a foot that stands is and was."""
+        if seat not in self._feet:
+            leg, place, turned = seat
+            at, desired = self._at[leg], self._rows[leg].desired
+            if turned:
+                desired = desired * [
+                    -1.0 if a == "yaw" else 1.0 for a in self._legs[leg].joint_axes
+                ]
+            on_body = _on_body(self._legs[place], desired)
+            self._feet[seat] = np.stack([on_body[at], on_body[at - self._lag]], axis=1)
+        return self._feet[seat]
+
+    def _compare(self, one: _Seat, other: _Seat) -> tuple[float, float]:
+        mine, theirs = (self._rows[leg].seq[self._at[leg]] for leg, *_ in (one, other))
+        _, rows, columns = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
+        if len(rows) < LEAST_ROWS:
+            return 0.0, math.inf
+        p, q = self._foot(one)[rows], self._foot(other)[columns]
+        between = np.linalg.norm(p - q, axis=2)
+        apart = np.abs(between[:, 0] - between[:, 1])
+        ways = np.stack([p, q])
+        way2 = np.square(ways[:, :, 0] - ways[:, :, 1]).sum(axis=2).mean(axis=0)
+        kept = np.argsort(apart)[: math.ceil((1.0 - TRIMMED) * len(apart))]
+        way = float(way2[kept].mean())
+        if way < LEAST_WAY_M**2:
+            return 0.0, math.inf
+        return float(len(rows)) ** 2, float(np.square(apart[kept]).mean() / way)
+
+
+def _on_body(place: Leg, desired: Array) -> Array:
+    """(n, 3) m, the foot of a leg that sits there, in the body's frame."""
+    assert place.lengths_m is not None
+    yaw = place.mount.yaw_rad
+    turn = np.array(
+        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
+    )
+    in_leg = foot(desired, place.lengths_m, place.joint_axes)
+    return np.asarray(in_leg @ turn.T + np.array(place.mount.xyz_m))
+
+
+def _standing(leg: Leg, rows: LegRows, lag: int, settle: int) -> NDArray[np.int64]:
+    """Rows at which a foot stands, and has for ``lag`` ticks after settling."""
+    swing = rows.swing if rows.swing is not None else infer_phase(rows.desired, leg)
+    assert swing is not None
+    # After a gap the foot counts as just put down.
+    down = np.cumsum(~swing)
+    n = settle + lag
+    if len(down) <= n:
+        return np.zeros(0, dtype=np.int64)
+    at = np.arange(n, len(down))
+    steady = (down[n:] - down[:-n] == n) & (rows.seq[n:] - rows.seq[:-n] == n)
+    return np.asarray(at[steady])
+
+
+@dataclasses.dataclass(frozen=True)
+class IdJob:
+    """A judgement of whose samples come under each leg's name, to be made anywhere."""
+
+    leg: str
+    number: int
+    robot: Robot
+    baseline: Baseline | None
+    rows: Mapping[str, LegRows]
+
+    def run(self) -> dict[str, Owner]:
+        """Judge."""
+        return judge_ids(self.robot, self.baseline, self.rows)
+
+
+class IdTrack:
+    """The first minute of one leg's samples.
+
+    Args:
+        joints: of the leg.
+        period_ns: control tick.
+
+    Attributes:
+        owner: the leg whose samples these are; None as long as they seem to be the leg's own.
+    """
+
+    def __init__(self, joints: int, period_ns: int) -> None:
+        self.owner: Owner | None = None
+        self.suspected: Owner | None = None  # by the last judgement alone
+        self.count = 0
+        self._open = True
+        self._seq = np.zeros(0, dtype=np.int64)
+        self._angles = np.zeros((0, 2 * joints))
+        self._joints, self._period_ns = joints, period_ns
+        self._ahead = 0
+        self._phases = np.zeros(0, dtype=np.int8)  # 1 swing, 0 stance, -1 untold
+
+    def take(self, sample: ServoSample) -> None:
+        """Take in an accepted sample, in the frame of the description."""
+        if not self._open or self.count == KEPT:
+            return
+        if self.count == len(self._seq):
+            more = min(max(self.count, KEPT // 8), KEPT - self.count)
+            self._seq = np.concatenate([self._seq, np.zeros(more, dtype=np.int64)])
+            self._angles = np.concatenate([self._angles, np.zeros((more, 2 * self._joints))])
+            self._phases = np.concatenate([self._phases, np.zeros(more, dtype=np.int8)])
+        if self.count == 0:  # legs need not count alike
+            self._ahead = round(sample.t_ns / self._period_ns) - sample.seq
+        self._seq[self.count] = sample.seq + self._ahead
+        self._angles[self.count] = sample.measured + sample.desired
+        self._phases[self.count] = -1 if sample.phase is None else sample.phase == "swing"
+        self.count += 1
+
+    @property
+    def wants(self) -> bool:
+        """Whether a sample more is kept."""
+        return self._open and self.count < KEPT
+
+    def restart(self) -> None:
+        """What comes does not connect to what was."""
+        self.count = 0
+
+    def close(self) -> None:
+        """Keep no samples any more."""
+        self._open, self.count = False, 0
+        self._seq, self._phases = self._seq[:0].copy(), self._phases[:0].copy()
+        self._angles = self._angles[:0].copy()
+
+    @property
+    def rows(self) -> LegRows:
+        """What is kept, as copies."""
+        angles, phases = self._angles[: self.count].copy(), self._phases[: self.count]
+        return LegRows(
+            self._seq[: self.count].copy(),
+            angles[:, : self._joints],
+            angles[:, self._joints :],
+            None if (phases < 0).any() else phases == 1,
+        )
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person while the samples seem to be another leg's."""
+        if self.owner is None:
+            return None
+        return (
+            f"{SWAPPED} '{self.owner.leg}': {self.owner.why}; give legs the ids of robot.toml "
+            "in the source, or change them there"
+        )
+
+
+def judge_recorded_ids(
+    robot: Robot, samples: Mapping[str, Sequence[ServoSample]]
+) -> dict[str, str]:
+    """One line for each leg whose recorded samples seem to be another leg's."""
+    tracks = {}
+    for leg, of_leg in samples.items():
+        track = tracks[leg] = IdTrack(len(robot.leg(leg).joints), round(robot.period_s * 1e9))
+        for sample in of_leg[:KEPT]:
+            track.take(sample)
+    rows = {leg: track.rows for leg, track in tracks.items() if track.count}
+    for leg, owner in judge_ids(robot, None, rows).items():
+        tracks[leg].owner = owner
+    return {leg: track.note for leg, track in tracks.items() if track.note is not None}
+
+
+class IdWatch:
+    """Judges when it is time whose samples come under each leg's name.
+
+    Args:
+        robot: its description.
+        baseline: what is known of its legs, if anything is.
+        refitter: makes the judgements.
+    """
+
+    def __init__(self, robot: Robot, baseline: Baseline | None, refitter: Refitter) -> None:
+        self._robot, self._baseline, self._refitter = robot, baseline, refitter
+        self._tracks: dict[str, IdTrack] = {}
+        self._times = [round(time / robot.period_s) for time in TIMES_S]
+        self._ticks = self._jobs = 0
+        self._pending: int | None = None
+
+    def track(self, leg: Leg) -> IdTrack | None:
+        """The track of a described leg, made here."""
+        if leg.id not in self._robot.leg_ids:
+            return None
+        self._tracks[leg.id] = IdTrack(len(leg.joints), round(self._robot.period_s * 1e9))
+        return self._tracks[leg.id]
+
+    def look(self) -> None:
+        """A tick has passed: judge, if it is time, and take a judgement when it is there."""
+        self._ticks += 1
+        if self._pending is not None:
+            owners = self._refitter.collect(_ALL, self._pending)
+            if owners is None:
+                return
+            assert isinstance(owners, dict)
+            self._pending = None
+            self._conclude(owners)
+            if not self._times:
+                for track in self._tracks.values():
+                    track.close()
+        if not self._times or self._ticks < self._times[0]:
+            return
+        del self._times[0]
+        self._jobs += 1
+        self._pending = self._jobs
+        rows = {leg: track.rows for leg, track in self._tracks.items() if track.count}
+        self._refitter.submit(IdJob(_ALL, self._jobs, self._robot, self._baseline, rows))
+
+    def _conclude(self, owners: Mapping[str, Owner]) -> None:
+        for leg, track in self._tracks.items():
+            found = owners.get(leg)
+            if found is None:
+                track.owner = None
+            elif track.suspected is not None and found.leg == track.suspected.leg:
+                track.owner = found
+            track.suspected = found

@@ -1,0 +1,405 @@
+"""From messages to stretches of samples to learn from.
+
+Samples go through the same stream guard as in the learner; a gap, a restart or a rejected sample
+ends a stretch.  What may be learned as free comes from the truth where a recording has it, and
+from the cautious part of each swing where it has not.
+
+A change of the truth tells its time by its source's clock, not which start of the source it is of;
+the next may count the same times anew.  So every run has a truth of its own, and where a change may
+be of either of two runs, it makes no tick of either free.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.conventions.judge import (
+    ConventionFinding,
+    LegMotion,
+    Verdict,
+    judge_hanging,
+    judge_motion,
+)
+from adaptive_contact.detect.clock import LATE_PERIODS
+from adaptive_contact.detect.stream import (
+    RESET_SAMPLES,
+    RateWatch,
+    Seams,
+    StreamGuard,
+)
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit.train import Stretch, cautious
+from adaptive_contact.robot import AngleFrame, Leg, Robot
+from adaptive_contact.robot.gait_phase import infer_phase
+from adaptive_contact.wire import ContactTruth, Reject, ServoSample
+
+__all__ = ["LegGatherer", "judge_conventions", "stray_readings", "untouched"]
+
+Mask = NDArray[np.bool_]
+
+# Around a touch of the truth: it counts from 0.5 N on, so a tick before it may be pressed on
+# already, and a leg let go of rings for some ticks.
+BEFORE_TICKS: Final = 1
+AFTER_TICKS: Final = 3
+# Stamps on each side of a late one, by which it is judged whether the loop slipped.
+SLIP_TICKS: Final = 25
+# And on each side of a tick, over which stamps off the grid are averaged.
+GRID_TICKS: Final = 50
+# Truth comes 20 ms after its samples, for it tells a mean force, and on a key of its own, which
+# may be ahead or behind.  Around a restart it is taken for the other run's up to this far.
+ASTRAY_NS: Final = 1_000_000_000
+# How much of a recording is judged at a time for signs and zeros, and how often.
+JUDGED_NS: Final = 60_000_000_000
+MOST_PARTS: Final = 10
+# A reading that is off the median of five: by so many times what one tick in twenty moves, and by
+# so much, rad, at least.  At a turn a joint is off it by two ticks' movements at most.
+STRAY_TICKS: Final = 5
+STRAY_TIMES: Final = 4.0
+STRAY_RAD: Final = 0.15
+
+
+class LegGatherer:
+    """Collects one leg's samples and truth, in the order of the recording.
+
+    Attributes:
+        rejects: samples that were not used, by reason.
+        missed: samples lost.
+        off_rate: samples that came at another rate than the robot's, not used.
+    """
+
+    def __init__(self, leg: Leg, period_s: float) -> None:
+        self.leg = leg
+        self.rejects: Counter[Reject] = Counter()
+        self._period_ns = round(period_s * 1e9)
+        self.off_rate = 0
+        self._frame = AngleFrame(leg)
+        self._guard = StreamGuard(len(leg.joints))
+        self._seams = Seams(len(leg.joints))
+        self._rate = RateWatch(self._period_ns)
+        self._runs: list[_Run] = []
+        self._heard: list[_Heard] = []
+
+    @property
+    def missed(self) -> int:
+        """Samples lost, from gaps in ``seq``."""
+        return self._guard.missed
+
+    @property
+    def samples(self) -> int:
+        """Samples accepted."""
+        return sum(len(rows) for run in self._runs for rows in run.stretches)
+
+    def take_sample(self, sample: ServoSample) -> None:
+        """Take in the next sample of the wire; a bad one is counted."""
+        sample = self._frame.sample(sample)
+        result = self._guard.admit(sample)
+        if isinstance(result, Reject):
+            self.rejects[result] += 1
+            return
+        sample = self._seams.unwrap(sample, restart=result.restart)
+        missed = self._rate.follow(sample.t_ns, sample.seq, restart=result.restart)
+        if result.restart:  # as the first sample is
+            self._runs.append(_Run([], [[]]))
+        run = self._runs[-1]
+        run.t_ns.append(sample.t_ns)
+        if self._rate.off:
+            self.off_rate += 1
+            # Those that told are as far off as those that came after.
+            if run.stretches[-1]:
+                del run.stretches[-1][1 - self._rate.told_by :]
+                run.stretches.append([])
+            return
+        if missed != 0:  # None after a pause
+            run.stretches.append([])
+        run.stretches[-1].append(sample)
+
+    def take_truth(self, truth: ContactTruth) -> None:
+        """Take in a change of the true contact."""
+        came = len(self._runs[-1].t_ns) if self._runs else 0
+        self._heard.append(_Heard(truth, len(self._runs) - 1, came))
+
+    def stretches(self, *, free: bool = False) -> list[Stretch]:
+        """What was collected.
+
+        Args:
+            free: take every swing for contact-free in a run that has no truth.
+
+        Raises:
+            IdentificationError: swings cannot be told: no phase, and no lengths to infer it.
+        """
+        return [
+            self._stretch(rows, truth, free)
+            for run, truth in zip(self._runs, self._truths(), strict=True)
+            for whole in run.stretches
+            for rows in _between_slips(whole, self._period_ns)
+            if len(rows) > 1
+        ]
+
+    def motion(self) -> LegMotion:
+        """All samples that were collected, in order of time."""
+        rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
+        return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
+
+    def last_run(self) -> list[ServoSample]:
+        """Samples of the last start of the source, in order."""
+        return (
+            [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
+        )
+
+    def _truths(self) -> list[_Truth]:
+        """Every run's truth."""
+        truths = [_Truth([], []) for _ in self._runs]
+        if not truths:
+            return truths
+        for heard in self._heard:
+            owners = self._owners(heard)
+            for n in owners:
+                kept = truths[n].sure if len(owners) == 1 else truths[n].doubtful
+                kept.append(heard.change)
+        return truths
+
+    def _owners(self, heard: _Heard) -> list[int]:
+        """Numbers of the runs that a change may be of; more than one is doubt."""
+        t_ns = heard.change.t_ns
+        # Where `run` does not tell of a restart, that many samples of the new run are refused.
+        slack_ns = RESET_SAMPLES * self._period_ns
+        around = self._around(heard)
+        near = [n for n, came in around.items() if self._runs[n].near(t_ns, came)]
+        holding = [n for n in near or range(len(self._runs)) if self._runs[n].holds(t_ns, slack_ns)]
+        if near:
+            return holding or near
+        return list({*around, *holding})
+
+    def _around(self, heard: _Heard) -> dict[int, int]:
+        """Runs that were being heard, a little before and after too; samples of each by then."""
+        if heard.run < 0:
+            return {0: 0}
+        t_ns, n = self._runs[heard.run].t_ns, heard.run
+        now_ns = t_ns[heard.came - 1]
+        around = {n: heard.came}
+        if n > 0 and now_ns - t_ns[0] <= ASTRAY_NS:
+            around[n - 1] = len(self._runs[n - 1].t_ns)
+        if n + 1 < len(self._runs) and t_ns[-1] - now_ns <= ASTRAY_NS:
+            around[n + 1] = 0
+        return around
+
+    def _stretch(self, rows: list[ServoSample], truth: _Truth, free: bool) -> Stretch:
+        joints = len(self.leg.joints)
+        desired = np.array([s.desired for s in rows])
+        swing = self._swing(rows, desired)
+        # A run that told of nothing may have touched nothing, or not know.
+        certain = bool(truth.sure) or free
+        mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
+        t_ns = _tick_times(rows, self._period_ns)
+        for changes in truth.readings():
+            mask &= untouched(t_ns, changes, self._period_ns)
+        measured = np.array([s.measured for s in rows]).reshape(-1, joints)
+        answered = np.array([s.valid is None or all(s.valid) for s in rows])
+        return Stretch(
+            measured=measured,
+            desired=desired,
+            swing=swing,
+            free=mask,
+            sound=answered & ~stray_readings(measured).any(axis=1),
+            certain=certain,
+        )
+
+    def _swing(self, rows: list[ServoSample], desired: NDArray[np.float64]) -> Mask:
+        inferred = infer_phase(desired, self.leg)
+        told = np.array([s.phase is not None for s in rows])
+        if inferred is None and not told.all():
+            raise IdentificationError(
+                f"leg '{self.leg.id}': {np.count_nonzero(~told)} samples carry no phase and "
+                "robot.toml has no lengths_m for it; give one or the other"
+            )
+        swing = np.array([s.phase == "swing" for s in rows])
+        return swing if inferred is None else np.where(told, swing, inferred)
+
+
+def stray_readings(measured: NDArray[np.float64]) -> Mask:
+    """Find readings that leave a joint's path for a tick or two: what failed reads leave behind.
+
+    Args:
+        measured: (n, J) rad, of ticks in a row.
+
+    Returns:
+        (n, J) True where a reading is none.
+    """
+    if len(measured) < STRAY_TICKS:
+        return np.zeros(measured.shape, dtype=bool)
+    usual = np.quantile(np.abs(np.diff(measured, axis=0)), 0.95, axis=0)
+    ends = STRAY_TICKS // 2
+    padded = np.pad(measured, ((ends, ends), (0, 0)), mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, STRAY_TICKS, axis=0)
+    off = np.abs(measured - np.median(around, axis=-1))
+    return np.asarray(off > np.maximum(STRAY_TIMES * usual, STRAY_RAD))
+
+
+def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int) -> Mask:
+    """Ticks that no contact of the truth is near.
+
+    A touch that begins and ends between two readings leaves no tick in contact, but its mark on
+    the reading after: ticks are excluded by time, not by state.
+
+    Args:
+        t_ns: (n,) times of the readings.
+        truth: changes of contact, in order.
+        period_ns: control tick.
+
+    Returns:
+        (n,) True where nothing touches.
+    """
+    mask = np.ones(len(t_ns), dtype=bool)
+    onset: int | None = None
+    for change in truth:
+        if change.contact:
+            onset = change.t_ns if onset is None else onset
+        elif onset is not None:
+            _exclude(mask, t_ns, onset, change.t_ns, period_ns)
+            onset = None
+        else:  # the recording began in contact
+            _exclude(mask, t_ns, int(t_ns[0]), change.t_ns, period_ns)
+    if onset is not None and len(t_ns):
+        _exclude(mask, t_ns, onset, int(t_ns[-1]), period_ns)
+    return mask
+
+
+def _exclude(mask: Mask, t_ns: NDArray[np.int64], onset: int, release: int, period_ns: int) -> None:
+    first = np.searchsorted(t_ns, onset - BEFORE_TICKS * period_ns)
+    last = np.searchsorted(t_ns, release + AFTER_TICKS * period_ns, side="right")
+    mask[first:last] = False
+
+
+@dataclasses.dataclass
+class _Run:
+    """From one start of the source to the next.
+
+    Attributes:
+        t_ns: of all samples accepted, used or not.
+        stretches: those used, cut where one is missing.
+    """
+
+    t_ns: list[int]
+    stretches: list[list[ServoSample]]
+
+    def near(self, t_ns: int, came: int) -> bool:
+        """Whether a time is near this run's when ``came`` of its samples had come."""
+        before, after = self.t_ns[max(came - 1, 0)], self.t_ns[min(came, len(self.t_ns) - 1)]
+        return before - ASTRAY_NS <= t_ns <= after + ASTRAY_NS
+
+    def holds(self, t_ns: int, slack_ns: int) -> bool:
+        """Whether a time is between those of the first sample and the last."""
+        return self.t_ns[0] - slack_ns <= t_ns <= self.t_ns[-1] + slack_ns
+
+
+def _tick_times(rows: list[ServoSample], period_ns: int) -> NDArray[np.int64]:
+    """(n,) times of ticks: those of an even grid, moved by the mean of what stamps are off it."""
+    grid = np.array([sample.seq for sample in rows], dtype=np.int64) * period_ns
+    off = np.array([sample.t_ns for sample in rows], dtype=np.int64) - grid
+    total = np.concatenate(([0], np.cumsum(off - off[0])))
+    k = np.arange(len(rows))
+    reach = np.minimum(np.minimum(k, k[::-1]), GRID_TICKS)  # even on both sides
+    mean = (total[k + reach + 1] - total[k - reach]) / (2 * reach + 1)
+    return np.asarray(grid + off[0] + np.round(mean).astype(np.int64))
+
+
+def _between_slips(reads: list[ServoSample], period_ns: int) -> Iterator[list[ServoSample]]:
+    """A stretch cut where a tick came late by a whole period, or nearly, and the loop with it.
+
+    Readings before and after are further apart than any others, however they are numbered.  A
+    stamp that is wrong says nothing of its reading: the next ones return to the schedule.
+    """
+    stamps = [sample.t_ns - sample.seq * period_ns for sample in reads]
+    slip_ns = (LATE_PERIODS - 1.0) * period_ns
+    first = 0
+    for k in range(1, len(reads)):
+        if stamps[k] - stamps[k - 1] < slip_ns:
+            continue
+        before, after = (statistics.median(part) for part in _around(stamps, k))
+        if after - before >= slip_ns:
+            yield reads[first:k]
+            first = k
+    yield reads[first:]
+
+
+def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
+    """Some values before the k-th, and as many from it on."""
+    return values[max(k - SLIP_TICKS, 0) : k], values[k : k + SLIP_TICKS]
+
+
+class _Heard(NamedTuple):
+    """A change of contact, and when it was heard.
+
+    Attributes:
+        change: it.
+        run: number of the run in force, -1 before any sample.
+        came: samples of that run by then.
+    """
+
+    change: ContactTruth
+    run: int
+    came: int
+
+
+class _Truth(NamedTuple):
+    """Changes of contact in order of time: one run's own, and those that may be another's."""
+
+    sure: list[ContactTruth]
+    doubtful: list[ContactTruth]
+
+    def readings(self) -> Iterator[list[ContactTruth]]:
+        """What may have happened; free is what is free in each."""
+        onsets = [change for change in self.doubtful if change.contact]
+        yield sorted(self.sure + onsets, key=_time)
+        if self.doubtful:  # a release that may be another's must not end a contact
+            yield sorted(self.sure + self.doubtful, key=_time)
+
+
+def _time(change: ContactTruth) -> int:
+    return change.t_ns
+
+
+def judge_conventions(
+    robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
+) -> Verdict:
+    """Whether the angles of what was gathered are counted as the robot's description says.
+
+    A recording is judged a minute at a time, as legs may move by turns.
+
+    Args:
+        robot: its description.
+        gathered: by leg.
+        hangs: the legs hung free, so that gravity tells of them, too.
+
+    Returns:
+        Findings of any minute in legs that no minute confirms; the first of each leg.
+    """
+    motions = {leg: one.motion() for leg, one in gathered.items() if one.samples > 1}
+    if not motions:
+        return Verdict()
+    begin = min(int(motion.t_ns[0]) for motion in motions.values())
+    end = max(int(motion.t_ns[-1]) for motion in motions.values())
+    parts = min(max(round((end - begin) / JUDGED_NS), 1), MOST_PARTS)
+    found: dict[str, ConventionFinding] = {}
+    fits: set[str] = set()
+    for part in range(parts):
+        first = begin + (end + 1 - begin) * part // parts
+        verdict = judge_motion(
+            robot,
+            {leg: motion.between(first, first + JUDGED_NS) for leg, motion in motions.items()},
+        )
+        fits.update(verdict.fits)
+        for finding in verdict.findings:
+            found.setdefault(finding.leg, finding)
+    if hangs:
+        for finding in judge_hanging(robot, motions).findings:
+            found.setdefault(finding.leg, finding)
+    left = tuple(finding for leg, finding in found.items() if leg not in fits)
+    return Verdict(left, tuple(leg for leg in motions if leg in fits))

@@ -1,0 +1,148 @@
+"""The periodic sparse refit: a job that can be done anywhere, and its result.
+
+The work is a pure function of compressed factors, so that it can run in another process and be
+repeated exactly in a replay.  Who runs it is a :class:`Refitter`; without one, the learner does
+it in line at the tick where the result falls due.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.fit.sparse_regression import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model.factor import Factor
+from adaptive_contact.model.training_domain import Domain
+
+__all__ = ["InlineRefitter", "Job", "RefitJob", "RefitResult", "Refitter", "refit"]
+
+Array = NDArray[np.float64]
+
+# λ, in units of the noise; the grid of a baseline's fit without its extremes.
+SWEEP = (0.05, 0.15, 0.3)
+TOLERANCE = 1.005
+
+
+@dataclasses.dataclass(frozen=True)
+class RefitJob:
+    """What a refit needs.
+
+    Attributes:
+        leg, number: name it.
+        fit, held_out: compressed factors of the buffer.
+        noise: (J,) rad, the unit of λ.
+        prior: rows that stand for what was known before, fitted to with the others.
+        domain: where the model has been by its baseline; None if that is not known.
+    """
+
+    leg: str
+    number: int
+    fit: Factor
+    held_out: Factor
+    noise: Array
+    prior: Factor | None = None
+    domain: Domain | None = None
+
+    def run(self) -> RefitResult:
+        """Fit a sparse model, λ and support chosen on the held-out segments."""
+        return refit(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class RefitResult:
+    """What came of it.
+
+    Attributes:
+        status: how the fit ended.
+        coefficients: (p, J).
+        threshold: λ that was chosen.
+        held_out: root mean square over the noise, mean over joints, on the held-out segments.
+        domain: where the leg's model has been by now; None if that is not known.
+    """
+
+    number: int
+    status: FitStatus
+    coefficients: Array
+    threshold: float
+    held_out: float
+    domain: Domain | None = None
+
+
+class Job(Protocol):
+    """Work on numbers alone, that can be done anywhere: a refit, or a cold start."""
+
+    @property
+    def leg(self) -> str:
+        """Whose."""
+
+    @property
+    def number(self) -> int:
+        """Which of that leg's."""
+
+    def run(self) -> object:
+        """Do it."""
+
+
+class Refitter(Protocol):
+    """Who does jobs."""
+
+    def submit(self, job: Job) -> None:
+        """Take a job; never blocks."""
+
+    def collect(self, leg: str, number: int) -> object | None:
+        """The result, or None while there is none; never blocks."""
+
+
+class InlineRefitter:
+    """Does a job when its result is asked for; one of each leg waits, the newest."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, Job] = {}
+
+    def submit(self, job: Job) -> None:
+        """Keep the job."""
+        self._jobs[job.leg] = job
+
+    def collect(self, leg: str, number: int) -> object | None:
+        """Do it."""
+        job = self._jobs.get(leg)
+        if job is None or job.number != number:
+            return None
+        del self._jobs[leg]
+        return job.run()
+
+
+def refit(job: RefitJob) -> RefitResult:
+    """Fit a sparse model, λ and support chosen on the held-out segments."""
+    unit = tuple(job.noise.tolist())
+    tried: list[tuple[float, Array, Array]] = []
+    whole = job.fit
+    if job.prior is not None:
+        whole = Factor.merged([job.fit, job.prior], whole.terms, whole.outputs)
+    status = FitStatus.OK
+    for threshold in SWEEP:
+        fit = fit_sparse(whole, FitSettings(threshold=threshold, ridge=1e-6, unit=unit))
+        if fit.status is not FitStatus.OK:
+            status = fit.status
+            break
+        errors = job.held_out.rms(fit.coefficients) / job.noise
+        if np.isfinite(errors).all():
+            tried.append((threshold, errors, fit.coefficients))
+    if not tried:
+        empty = np.zeros((job.fit.terms, job.fit.outputs))
+        worst = FitStatus.TOO_FEW_ROWS if status is FitStatus.OK else status
+        return RefitResult(job.number, worst, empty, 0.0, float("nan"))
+    # In every joint: a mean would let one pay for the others' sparsity.
+    best = np.min([errors for _, errors, _ in tried], axis=0)
+    worst_of = [float((errors / best).max()) for _, errors, _ in tried]
+    limit = max(TOLERANCE, min(worst_of))
+    threshold, errors, coefficients = max(
+        (entry for entry, worst in zip(tried, worst_of, strict=True) if worst <= limit),
+        key=lambda entry: entry[0],
+    )
+    domain = None if job.domain is None else job.domain.widened(job.fit)
+    held_out = float(errors.mean())
+    return RefitResult(job.number, FitStatus.OK, coefficients, threshold, held_out, domain)

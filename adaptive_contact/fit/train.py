@@ -1,0 +1,441 @@
+"""Learn a baseline from recorded free motion.
+
+Every figure that a threshold rests on comes from residuals of swings the model was not fitted to:
+swings are dealt into folds, each fold is predicted by a model of the others, and λ, covariances and
+tails are taken from those predictions.  The model that is kept is then fitted to all of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit.outliers import inliers, untouched
+from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
+from adaptive_contact.model.factor import Factor
+from adaptive_contact.model.glr import stream_statistic
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.library import Library, LibraryName, leg_library
+from adaptive_contact.model.model_file import Baseline, LegBaseline
+from adaptive_contact.model.noise import MIN_TICKS, WINDOWS, context, fit_noise, lagged
+from adaptive_contact.model.tail import fit_tail
+from adaptive_contact.model.training_domain import Domain
+from adaptive_contact.model.window import Window, stack
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
+
+__all__ = ["LegFigures", "Stretch", "Training", "cautious", "learn", "learn_leg", "swing_ticks"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+FOLDS: Final = 5
+# Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
+FOLD_SWINGS: Final = 10
+# λ in units of the residual's own root mean square: a term that moves the prediction by less
+# than a fiftieth of the noise cannot be told from nothing; one that moves it by its whole is law.
+SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+# Ticks for the noise of a first model: its level is followed from there, downwards as well.
+FEW_TICKS: Final = 200
+# Ticks in a row over which a slow leg is judged.
+SPANS: Final = (2, 4, 8, 16)
+# The sparsest model whose held-out error is within this of the best is taken.
+TOLERANCE: Final = 1.005
+# Without truth: the last ticks of a swing may hold the touch that ended it.
+LAST_TICKS: Final = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Stretch:
+    """One leg's samples without a gap.
+
+    Attributes:
+        measured: (n, J) rad.
+        desired: (n, J) rad.
+        swing: (n,) in swing.
+        free: (n,) known, or believed, to touch nothing.
+        sound: (n,) all readings of the tick are good.
+        certain: free is known; else it is believed, and some of it may have touched.
+    """
+
+    measured: Array
+    desired: Array
+    swing: Mask
+    free: Mask
+    sound: Mask
+    certain: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class LegFigures:
+    """How well one leg was learned.
+
+    Attributes:
+        rows: free ticks used, and ``outliers`` left out of them.
+        swings: they come from.
+        touched: of these, in which the foot touched, by what stands out; 0 where free is known.
+        threshold: λ that was chosen, in units of the residual.
+        sweep: λ to held-out root mean square, (J,) rad.
+        held_out_rms: (J,) rad at that λ.
+        naive_rms: (J,) rad of predicting no motion.
+        terms: (J,) kept, of ``library_size``.
+        condition: of the scaled regressors.
+        spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
+            summed over so many.
+    """
+
+    rows: int
+    outliers: int
+    swings: int
+    touched: int
+    threshold: float
+    sweep: dict[float, tuple[float, ...]]
+    held_out_rms: tuple[float, ...]
+    naive_rms: tuple[float, ...]
+    terms: tuple[int, ...]
+    library_size: int
+    condition: float
+    spans: dict[int, tuple[Array, Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Training:
+    """A learned baseline and how good it is.
+
+    Attributes:
+        baseline: of the legs that could be learned.
+        figures: by leg.
+        skipped: legs that were recorded but could not be learned, and why.
+    """
+
+    baseline: Baseline
+    figures: dict[str, LegFigures]
+    skipped: dict[str, str] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Rows:
+    """Everything of one leg, stretches end to end; ``position`` tells where a row sits."""
+
+    theta: Array  # (n, p)
+    target: Array  # (n, J)
+    where: Ints  # (n,) context
+    fold: Ints  # (n,)
+    position: Ints  # (n,) tick, with gaps of at least 3 between swings
+    judged: Mask  # (n,) what a detector would judge: not the first ticks of a swing
+    swings: int
+
+
+def learn(
+    robot: Robot,
+    streams: Mapping[str, Sequence[Stretch]],
+    *,
+    origin: str,
+    library: LibraryName = "servo",
+    window: Window | None = None,
+    threshold: float | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Training:
+    """Learn every leg that has samples.
+
+    Args:
+        robot: its description.
+        streams: by leg.
+        origin: one line on where the samples come from.
+        library: the terms to choose from.
+        window: past and future to look at.
+        threshold: λ, in units of the residual; chosen on held-out swings where absent.
+        progress: told of each leg as it begins.
+
+    Returns:
+        The baseline with its figures.
+
+    Raises:
+        IdentificationError: no leg has enough to learn from.
+    """
+    legs: dict[str, LegBaseline] = {}
+    figures: dict[str, LegFigures] = {}
+    skipped: dict[str, str] = {}
+    statistics: list[Array] = []
+    for leg in robot.legs:
+        stretches = streams.get(leg.id)
+        if not stretches:
+            continue
+        progress(leg.id)
+        terms = leg_library(robot, leg, library, window)
+        try:
+            legs[leg.id], figures[leg.id], values = learn_leg(
+                leg, terms, stretches, robot.quantum(leg.id), threshold
+            )
+        except IdentificationError as error:  # a leg that only stood, perhaps
+            skipped[leg.id] = str(error)
+            continue
+        statistics.append(values)
+    if not legs:
+        raise IdentificationError(
+            _of_all(skipped)
+            or "no leg has two samples in a row; expected robot/leg/*/servo of "
+            + ", ".join(robot.leg_ids)
+        )
+    pooled = np.concatenate(statistics)
+    tails = tuple(fit_tail(pooled[:, w]) for w in range(len(WINDOWS)))
+    baseline = Baseline(robot.name, origin, robot.quantum_rad, legs, tails)
+    return Training(baseline, figures, skipped)
+
+
+def _of_all(skipped: Mapping[str, str]) -> str:
+    """Why no leg could be learned, in one line; legs of one reason together."""
+    told: dict[str, list[str]] = {}
+    for leg, why in skipped.items():
+        told.setdefault(why.replace(f"leg '{leg}': ", ""), []).append(leg)
+    return "; ".join(f"leg {', '.join(legs)}: {why}" for why, legs in told.items())
+
+
+def learn_leg(
+    leg: Leg,
+    library: Library,
+    stretches: Sequence[Stretch],
+    quantum_rad: float,
+    threshold: float | None,
+    *,
+    first: bool = False,
+) -> tuple[LegBaseline, LegFigures, Array]:
+    """Learn one leg.
+
+    Args:
+        leg: its description.
+        library: the terms to choose from.
+        stretches: its samples.
+        quantum_rad: position step of its servos.
+        threshold: λ in units of the residual; chosen on held-out swings where None.
+        first: a first model, of so few ticks that touches are not easily told from the others:
+            whatever stands out is left out, and the tail of the statistic with it, which must
+            come from elsewhere.
+
+    Returns:
+        What is known then, how good it is, and (n, windows) of the statistic on free ticks.
+
+    Raises:
+        IdentificationError: there is too little to learn from.
+    """
+    rows = _rows(leg, library, stretches, quantum_rad)
+    _check_enough(leg, library, len(rows.target))
+    keep = inliers(rows.theta, rows.target, quantum_rad)
+    touched = 0
+    if not all(stretch.certain for stretch in stretches):
+        keep[keep], touched = untouched(
+            rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad, tail=not first
+        )
+        _check_enough(leg, library, int(keep.sum()))
+    outliers = int(np.count_nonzero(~keep))
+    rows = dataclasses.replace(
+        rows,
+        theta=rows.theta[keep],
+        target=rows.target[keep],
+        where=rows.where[keep],
+        fold=rows.fold[keep],
+        position=rows.position[keep],
+        judged=rows.judged[keep],
+    )
+    folds = [_factor(rows, rows.fold == f) for f in range(FOLDS)]
+    whole = Factor.merged(folds, library.size, len(leg.joints))
+    naive = _rms(rows.target)
+    still: Mask = naive < quantum_rad  # the readings of such joints may be constant
+    rounding = quantum_rad / 12**0.5
+    plain = _checked(leg, fit_sparse(whole, FitSettings()), still)
+    unit = tuple(np.maximum(plain.rms, rounding).tolist())
+    sweep = SWEEP if threshold is None else (threshold,)
+    errors: dict[float, Array] = {}
+    residuals: dict[float, Array] = {}
+    for value in sweep:
+        held_out = _held_out(rows, folds, FitSettings(threshold=value, unit=unit), still)
+        if held_out is not None:
+            residuals[value] = held_out
+            errors[value] = _rms(held_out)
+    if not errors:
+        raise IdentificationError(
+            f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
+        )
+    best = np.maximum(np.min(list(errors.values()), axis=0), rounding)
+    # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
+    # there for joints whose best lie apart.
+    near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
+    chosen = max(near, default=min(errors))
+    fit = _checked(leg, fit_sparse(whole, FitSettings(threshold=chosen, unit=unit)), still)
+    model = LegModel(library, fit.coefficients)
+
+    # Noise and statistic from the ticks, and the windows, that a detector would judge.
+    residual = residuals[chosen][rows.judged]
+    position, where = rows.position[rows.judged], rows.where[rows.judged]
+    histories = _histories(residual, position)
+    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if first else MIN_TICKS)
+    motion = _histories(rows.target[rows.judged] - residual, position)
+    usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
+    values = stream_statistic(histories, motion, where, usable, noise)
+    figures = LegFigures(
+        rows=len(rows.target),
+        outliers=outliers,
+        swings=rows.swings,
+        touched=touched,
+        threshold=chosen,
+        sweep={v: tuple(e.tolist()) for v, e in errors.items()},
+        held_out_rms=tuple(errors[chosen].tolist()),
+        naive_rms=tuple(naive.tolist()),
+        terms=tuple(int(n) for n in model.support.sum(axis=0)),
+        library_size=library.size,
+        condition=fit.condition,
+        spans=_spans(residuals[chosen], rows),
+    )
+    scale = whole.scale()
+    known = LegBaseline(model, noise, scale, len(rows.target), Domain.of(whole, scale))
+    return known, figures, values
+
+
+def _check_enough(leg: Leg, library: Library, ticks: int) -> None:
+    if ticks < 4 * library.size:
+        raise IdentificationError(
+            f"leg '{leg.id}': {ticks} free swing ticks for {library.size} terms; "
+            f"expected at least {4 * library.size}: record more swings"
+        )
+
+
+def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> _Rows:
+    theta, target, where, fold, position, judged = [], [], [], [], [], []
+    swings = 0
+    offset = 0
+    for stretch in stretches:
+        cut = stack(stretch.measured, stretch.desired, library.window)
+        use = stretch.swing & stretch.free & stretch.sound
+        sound = np.ones(len(cut.tick), dtype=bool)
+        for lag in range(library.window.length):
+            sound &= stretch.sound[cut.tick - lag]
+        rows = np.flatnonzero(sound & use[cut.tick] & use[cut.tick + 1])
+        # Swings are numbered through, so that folds stay even over stretches.
+        number = swings + np.cumsum(np.diff(stretch.swing.astype(int), prepend=0) == 1)
+        swings = int(number[-1]) if len(number) else swings
+        heading = directions(stretch.desired, leg)
+        tick = cut.tick[rows]
+        before = stretch.desired[np.maximum(tick - 1, 0)]
+        theta.append(library.evaluate(cut.measured[rows], cut.desired[rows], cut.preview[rows]))
+        target.append(cut.increment[rows])
+        where.append(context(stretch.desired[tick], before, heading[tick], quantum_rad))
+        fold.append(number[tick] // FOLD_SWINGS % FOLDS)
+        position.append(offset + tick)
+        # The row of tick k predicts tick k + 1, which is what would be judged.
+        judged.append(swing_ticks(stretch.swing)[tick + 1] > LIFT_OFF_TICKS)
+        offset += len(stretch.measured) + len(WINDOWS)
+    joints = len(leg.joints)
+    if not theta:
+        theta, target = [np.empty((0, library.size))], [np.empty((0, joints))]
+        where = fold = position = [np.empty(0, dtype=np.int64)]
+        judged = [np.empty(0, dtype=bool)]
+    return _Rows(
+        np.concatenate(theta),
+        np.concatenate(target),
+        np.concatenate(where),
+        np.concatenate(fold),
+        np.concatenate(position),
+        np.concatenate(judged),
+        swings,
+    )
+
+
+def swing_ticks(swing: Mask) -> Ints:
+    """(n,) how many ticks of its swing have passed at every tick, 1 at the first, 0 in stance."""
+    ticks = np.arange(len(swing))
+    last_stance = np.maximum.accumulate(np.where(swing, -1, ticks))
+    return np.asarray(np.where(swing, ticks - last_stance, 0))
+
+
+def cautious(swing: Mask) -> Mask:
+    """The part of every swing that is free with some certainty, without truth.
+
+    Args:
+        swing: (n,).
+
+    Returns:
+        (n,) True but for the first ticks of each swing (foot still loaded) and its last ones (a
+        touch may have ended it).
+    """
+    from_start = swing_ticks(swing)
+    to_end = swing_ticks(swing[::-1])[::-1]
+    return np.asarray(swing & (from_start > LIFT_OFF_TICKS) & (to_end > LAST_TICKS))
+
+
+def _factor(rows: _Rows, mask: Mask) -> Factor:
+    factor = Factor(rows.theta.shape[1], rows.target.shape[1])
+    factor.add(rows.theta[mask], rows.target[mask])
+    return factor
+
+
+def _held_out(
+    rows: _Rows, folds: Sequence[Factor], settings: FitSettings, still: Mask
+) -> Array | None:
+    """Residuals of every row by a model of the other folds; None if λ empties a joint that moves.
+
+    Each is divided by what that model can know there (:class:`Domain`).
+    """
+    residual = np.empty_like(rows.target)
+    p, joints = rows.theta.shape[1], rows.target.shape[1]
+    for f in range(len(folds)):
+        inside = rows.fold == f
+        if not inside.any():
+            continue
+        others = Factor.merged((o for i, o in enumerate(folds) if i != f), p, joints)
+        fit = fit_sparse(others, settings)
+        if not fit.usable(still):
+            # A short recording may lie in one fold; then there is nothing to hold out.
+            fit = fit_sparse(Factor.merged(folds, p, joints), settings)
+            if not fit.usable(still):
+                return None
+        theta = rows.theta[inside]
+        # In a short recording the swings held out hold motions that no other swing has: there the
+        # model of the others fails and the model of all does not, and neither noise nor tail may
+        # be read off it.
+        spread = np.sqrt(1.0 + Domain.of(others, others.scale()).leverage(theta))
+        residual[inside] = (rows.target[inside] - theta @ fit.coefficients) / spread[:, None]
+    return residual
+
+
+def _spans(residual: Array, rows: _Rows) -> dict[int, tuple[Array, Array]]:
+    """See :class:`LegFigures`; of spans that there are enough of."""
+    joints = rows.target.shape[1]
+    total = np.cumsum(np.concatenate([residual, rows.target], axis=1), axis=0)
+    total = np.concatenate([np.zeros_like(total[:1]), total])
+    found = {}
+    for span in SPANS:
+        # Places only grow, so that so many in a row have no gap.
+        apart = rows.position[span - 1 :] - rows.position[: len(total) - span]
+        sums = (total[span:] - total[:-span])[apart == span - 1]
+        if len(sums) >= FEW_TICKS:
+            found[span] = (_rms(sums[:, :joints]), _rms(sums[:, joints:]))
+    return found
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.square(values).mean(axis=0)))
+
+
+def _histories(values: Array, position: Ints) -> Array:
+    """(n, J) to (n, windows, J), lag 0 first, NaN where the tick before is not there."""
+    out = lagged(values, len(WINDOWS))
+    for lag in range(1, len(WINDOWS)):
+        apart = np.ones(len(values), dtype=bool)
+        apart[lag:] = position[lag:] - position[:-lag] != lag
+        out[apart, lag:] = np.nan
+    return out
+
+
+def _checked(leg: Leg, fit: Fit, still: Mask) -> Fit:
+    if not fit.usable(still):
+        raise IdentificationError(
+            f"leg '{leg.id}': the fit ended with '{fit.status}' on {fit.rows:.0f} rows; "
+            "record more, and more varied, free swings"
+        )
+    return fit

@@ -1,0 +1,121 @@
+"""Judges what was learned: how good every leg's fit is, and which results are no models of a leg.
+
+Behind ``fit`` and ``robot learn``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from scipy.special import chdtri  # scipy.stats takes half a second to import
+
+from adaptive_contact.fit.train import Training
+from adaptive_contact.robot import Robot
+
+__all__ = ["refusals", "verdict"]
+
+# A model is good where it errs little more than readings do; half a step of noise and the step's
+# own rounding are 0.58 steps, of two readings (the change from one to the next) 0.82.
+_NOISE_STEPS: Final = 0.82
+_GOOD, _FAIR = 2.5, 4.0
+# Free ticks per term of the library at which held-out error has settled.
+_ENOUGH_ROWS: Final = 12
+# One score in a thousand of free ticks is above the chi-square quantile of so many joints, 16.3 of
+# three.  Thresholds are for far rarer ones: 35 and more of good recordings, below 0.2 where
+# readings are copies of commands or a swing never ends.
+_LEAST_EXCEEDANCE: Final = 1e-3
+# Rounding alone errs by 0.29 steps; a joint that moves and errs by less is not read in such steps.
+_LEAST_STEPS: Final = 0.25
+# Four steps of an AX-12A, the coarsest servo known here: with coarser ones a touch hides in a step.
+_COARSEST_RAD: Final = 0.02
+# No leg swings for so long: swings of the shipped gaits and trials take 20 to 60 ticks.
+_LONG_SWING_TICKS: Final = 200
+_LONG_SWING_S: Final = 2.0
+# Joints of one line that are shown; the others are counted.
+_SHOWN: Final = 3
+
+
+def verdict(robot: Robot, training: Training) -> list[str]:
+    """How good every leg was learned, in words, and what to do about it."""
+    lines = []
+    for leg, figures in training.figures.items():
+        noise = _NOISE_STEPS * robot.quantum(leg)
+        worst = float(np.max(figures.held_out_rms)) / noise
+        wanted = _ENOUGH_ROWS * figures.library_size
+        if figures.rows < wanted:
+            more = wanted / max(figures.rows, 1)
+            word = f"too little: {figures.rows} of {wanted} free ticks; swing {more:.1f} x as long"
+        elif worst <= _GOOD:
+            word = "good"
+        elif worst <= _FAIR:
+            word = "usable; longer and more varied swings may help"
+        else:
+            word = "poor; check lengths, signs, servo.slope_rad, and that nothing was touched"
+        lines.append(f"leg {leg}: {word} (errs by {worst:.1f} x the noise of its readings)")
+    for leg in robot.leg_ids:
+        if leg not in training.figures:
+            why = training.skipped.get(leg, "it was not swung")
+            lines.append(f"leg {leg}: not learned: {why}")
+    return lines
+
+
+def refusals(robot: Robot, training: Training) -> list[str]:
+    """Why what was learned is of no use, one line a cause; empty where it is."""
+    coarse = [leg for leg in training.figures if robot.quantum(leg) > _COARSEST_RAD]
+    if coarse:
+        return [
+            f"quantum_rad of {', '.join(coarse)} is over {_COARSEST_RAD} rad, four steps of an "
+            "AX-12A: write the step of the servo's readings in rad (4096 steps a turn: 0.00153)"
+        ]
+    endless = _endless_swings(robot, training)
+    if endless:
+        return [
+            f"swings of {', '.join(endless)} ticks: no leg swings for seconds; publish phase = "
+            "stance from the planned touch-down on, or leave phase out"
+        ]
+    return [*_residuals(robot, training), *_thresholds(robot, training)]
+
+
+def _endless_swings(robot: Robot, training: Training) -> list[str]:
+    """Legs and mean lengths of swings that are too long to be any."""
+    most = max(_LONG_SWING_TICKS, _LONG_SWING_S / robot.period_s)
+    lengths = {
+        leg: (figures.rows + figures.outliers) / max(figures.swings, 1)
+        for leg, figures in training.figures.items()
+    }
+    return [f"leg {leg} {length:.0f}" for leg, length in lengths.items() if length > most]
+
+
+def _residuals(robot: Robot, training: Training) -> Iterator[str]:
+    small = [
+        f"{leg} {joint} {error:.1g}"
+        for leg, figures in training.figures.items()
+        for joint, error, moved in zip(
+            robot.leg(leg).joints, figures.held_out_rms, figures.naive_rms, strict=True
+        )
+        if moved > robot.quantum(leg) and error < _LEAST_STEPS * robot.quantum(leg)
+    ]
+    if small:
+        more = f" and {len(small) - _SHOWN} more" if len(small) > _SHOWN else ""
+        yield (
+            f"models err by less than position steps allow ({', '.join(small[:_SHOWN])} rad"
+            f"{more}): measured is made of commands, or quantum_rad is wrong; publish positions "
+            "that were read, in the steps of robot.toml"
+        )
+
+
+def _thresholds(robot: Robot, training: Training) -> Iterator[str]:
+    if not training.figures:
+        return
+    least = min(
+        float(chdtri(len(robot.leg(leg).joints), _LEAST_EXCEEDANCE)) for leg in training.figures
+    )
+    lowest = float(training.baseline.thresholds(robot.detector.false_alarms_per_hour).min())
+    if not lowest >= least:
+        yield (
+            f"thresholds are as low as {lowest:.2g}, expected {least:.1f} and more: residuals do "
+            "not vary as those of free swings do; publish positions that were read, and phase = "
+            "swing only while the foot is off the ground"
+        )

@@ -1,0 +1,1 @@
+"""The swing: from labelled swings to what is known of free motion."""

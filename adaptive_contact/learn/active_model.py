@@ -1,0 +1,203 @@
+"""The model in force, and the recursion that moves it.
+
+The model of the last good swing is kept with its recursion: one that turns out implausible is
+replaced by it, or by the baseline where there was none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
+from adaptive_contact.model.change_prior import change_directions, core_support
+from adaptive_contact.model.free_motion import Covariance
+from adaptive_contact.model.labelled_swing import Row, residuals_of
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.model_file import LegBaseline
+
+__all__ = ["ActiveModel"]
+
+Array = NDArray[np.float64]
+
+# A term never moves a tick by more than this: the fastest servos make it in one, and no term of the
+# shipped models moves a typical tick by more than an eighth of it.
+MAX_TERM_RAD: Final = 0.5
+# Terms of a library that are nearly alike hold each other in balance; no model's go beyond so many
+# times what the baseline's do.
+BALANCE: Final = 5.0
+# The baseline is taken up again when it has been this much better for so many lifts.
+RETURN_RATIO: Final = 0.6
+RETURN_SWINGS: Final = 3
+
+
+class _Good(NamedTuple):
+    """A model that fitted, with the recursion that went on from it."""
+
+    model: LegModel
+    rls: RecursiveLeastSquares
+    inflated: bool
+
+
+class ActiveModel:
+    """One leg's.
+
+    Args:
+        known: the baseline.
+        recent: knows where the model has been.
+        provisional: the baseline is a first model, from a few swings: it may move by what these
+            left open.
+        on_fall: told which model is in force again when one was implausible.
+
+    Attributes:
+        baseline: the model at the start.
+        loosened: whether the recursion was, since it was begun.
+    """
+
+    def __init__(
+        self,
+        known: LegBaseline,
+        recent: NoiseTracker,
+        *,
+        provisional: bool,
+        on_fall: Callable[[str], None],
+    ) -> None:
+        self.baseline = known.model
+        self.inflated = False
+        self._recent = recent
+        self._provisional = provisional
+        self._on_fall = on_fall
+        self._noise = known.noise.rms
+        self._scale = known.scale
+        self._scale_column = known.scale[:, None]
+        self._model = known.model
+        self._moved = False  # the recursion has, since the model was made
+        self._rls = self._recursion(known.model)
+        # What a term may move a tick by, at most.
+        own = np.abs(known.model.coefficients * known.scale[:, None]).max()
+        self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
+        self._good: _Good | None = None
+        self._better_baseline = 0  # lifts in a row
+
+    @property
+    def model(self) -> LegModel:
+        """In force; made when somebody asks, as most rows are learned while the leg stands."""
+        if self._moved:
+            self._publish()
+        return self._model
+
+    @property
+    def as_made(self) -> LegModel:
+        """As it was when somebody last asked for it; rows learned since are not in it."""
+        return self._model
+
+    @property
+    def covariance(self) -> Covariance | None:
+        """Of the coefficients while it is inflated, else None."""
+        return self._rls.roots if self.inflated else None
+
+    def learn(self, row: Row) -> list[float]:
+        """Learn a row; how far the model was off before, J numbers over the noise."""
+        self._moved = True
+        return self._rls.update(row.theta, row.target)
+
+    def inflate(self) -> None:
+        """The leg has changed: let the recursion move along the ways in which legs change."""
+        self.inflated = True
+        self._rls.inflate(change_directions(self.model, self._scale, self._noise))
+
+    def remember(self) -> None:
+        """All is well: this is the model to go back to."""
+        self._good = _Good(self.model, self._rls.copy(), self.inflated)
+
+    def recall(self) -> None:
+        """What was learned since the last good swing was of something else: go back to that."""
+        good = self._good
+        if good is None or good.model.version != self.model.version:
+            return
+        self._model, self._moved = good.model, False
+        self._rls, self.inflated = good.rls.copy(), good.inflated
+
+    def replace(self, model: LegModel) -> None:
+        """Another model is in force; the recursion begins from it."""
+        self._model, self._moved = model, False
+        self._rls, self.inflated = self._recursion(model), False
+
+    def baseline_is_better(self, rows: Sequence[Row]) -> bool:
+        """Whether the baseline has fitted lifts much better than the model, with this one enough.
+
+        Args:
+            rows: of a lift, all free.
+        """
+        if self.model.version == 0:
+            return False
+        now, before = (self._error(rows, of.coefficients) for of in (self.model, self.baseline))
+        self._better_baseline = self._better_baseline + 1 if before < RETURN_RATIO * now else 0
+        if self._better_baseline < RETURN_SWINGS:
+            return False
+        self._better_baseline = 0
+        return True
+
+    def revert_to_baseline(self) -> None:
+        """Back to what was known; the version goes on."""
+        self._rls, self.inflated = self._recursion(self.baseline), False
+        self._moved = True
+
+    def snapshot(self) -> dict[str, Any]:
+        """What :meth:`restore` and the state's reader need."""
+        return {
+            "baseline": pack(self.baseline.coefficients),
+            "coefficients": pack(self.model.coefficients),
+            "version": self.model.version,
+            "factor": pack(self._rls.factor),
+            "support": pack(self._rls.support.astype(np.float64)),
+            "loosened": self.inflated,
+        }
+
+    def restore(self, state: SavedState, factor: Any) -> None:
+        """Take over a saved model and the packed square root of its covariance.
+
+        Raises:
+            ImplausibleError: the two are none of a leg's; nothing is changed.
+        """
+        # A model that moves a typical tick by radians is none of a servo's.
+        if not self.plausible(state.coefficients):
+            raise ImplausibleError("its model is implausible")
+        # A promoted model has a support of its own.
+        rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
+        rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
+        self._model, self._moved = self._model.moved(state.coefficients, state.version), False
+        self._rls, self.inflated = rls, state.inflated
+
+    def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
+        rls = RecursiveLeastSquares(
+            model.coefficients, core_support(model), self._scale, self._noise
+        )
+        if self._provisional and self._recent.domain is not None:
+            rls.doubt(self._recent.domain.gram)
+        return rls
+
+    def _error(self, rows: Sequence[Row], coefficients: Array) -> float:
+        _, residual = residuals_of(rows, coefficients)
+        return float(np.square(residual / self._noise).mean())
+
+    def plausible(self, coefficients: Array) -> bool:
+        """Whether a model moves a typical tick by no more than a servo can; NaN does not."""
+        return bool(np.abs(coefficients * self._scale_column).max() <= self._most_rad)
+
+    def _publish(self) -> None:
+        version = max(1, self._model.version)
+        self._moved = False
+        coefficients = self._rls.coefficients
+        if self.plausible(coefficients):
+            self._model = self._model.moved(coefficients, version)
+            return
+        good = self._good or _Good(self.baseline, self._recursion(self.baseline), inflated=False)
+        self._model = self._model.moved(good.model.coefficients, version)
+        self._rls, self.inflated = good.rls.copy(), good.inflated
+        self._on_fall("the baseline" if self._good is None else "the last good model")

@@ -1,0 +1,443 @@
+"""Follows one leg's model: recursion, refits, return to what was known.
+
+When the monitor says that the leg has changed, the recursion is loosened along the ways in which
+legs change, and learns from the lifts at once.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.diagnose.change_classifier import ChangeClassifier
+from adaptive_contact.fit.refit_job import Refitter
+from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel
+from adaptive_contact.learn.candidate import Candidate, rows_for_refit
+from adaptive_contact.learn.drift import (
+    LEAST_LEVEL,
+    LEVEL_RANGE,
+    SETTLED_LEVEL,
+    DriftMonitor,
+)
+from adaptive_contact.learn.early_contacts import EarlyContacts
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.learn.state import (
+    FORMAT,
+    ImplausibleError,
+    library_key,
+    read_state,
+    segment_of,
+)
+from adaptive_contact.model.free_motion import FreeMotion
+from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Row
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.model_file import LegBaseline
+from adaptive_contact.wire import Doubt, RefitCounts, Status
+
+__all__ = ["Adapter"]
+
+Array = NDArray[np.float64]
+
+# Rows that may wait while nothing has changed: those of one long swing.
+CALM_QUEUE: Final = 24
+# Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
+CONFIRMED_TICKS: Final = 2048
+# A level up to this says nothing of a leg that has not changed; from twice as far on it counts in
+# full.
+STRAY: Final = 1.2
+STEEP: Final = 2.0
+# Covariances and thresholds are made anew after so many swings.
+REFRESH_SWINGS: Final = 4
+# Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
+# fall into one tick.
+REFRESH_TICKS: Final = 16
+
+
+class Adapter:
+    """The adapting part of one leg's learner.
+
+    Args:
+        leg: its id.
+        known: the baseline.
+        noise_tracker: covariances and thresholds, which it keeps up to date.
+        mode: what it may do.
+        refitter: does the sparse refits.
+        provisional: the baseline is a first model, from a few swings: it may move by what these
+            left open.
+
+    Attributes:
+        learning: whether it does anything at all.
+        gated: whether it learns from what is confirmed only, and lifts are heard as witnesses.
+        baseline: the model as the leg was first known.
+    """
+
+    def __init__(
+        self,
+        leg: str,
+        known: LegBaseline,
+        noise_tracker: NoiseTracker,
+        mode: LearnerMode,
+        refitter: Refitter,
+        *,
+        provisional: bool = False,
+    ) -> None:
+        self.mode = mode
+        self.learning = mode is not LearnerMode.FROZEN
+        self.gated = mode.gated
+        self.baseline = known.model
+        least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
+        self.monitor = DriftMonitor(len(known.noise.rms), least)
+        self._early = EarlyContacts()
+        self.buffer = ReplayBuffer(rows=rows_for_refit(known.model))
+        self._noise_tracker = noise_tracker
+        self.confirmed_ns: deque[int] = deque(maxlen=CONFIRMED_TICKS)
+        self._leg = leg
+        self._noise = known.noise.rms
+        self._scale = known.scale
+        self._active = ActiveModel(
+            known, noise_tracker, provisional=provisional, on_fall=self._fallen
+        )
+        self._queue: deque[Row] = deque()
+        self._learned_ns = -1  # the newest row learned
+        self._suspected: list[Row] = []  # the descent after a lift that was not believed
+        self._evidence: ChangeClassifier | None = None  # of the newest change
+        self._era = 0
+        self._swings = 0  # since covariances were made anew
+        self._learned_swing = False
+        self._refresh_in: int | None = None  # ticks
+        self._candidate = Candidate(
+            leg, self._noise, self._scale, refitter, known.domain, self._active.plausible
+        )
+
+    # -- what the detector asks -------------------------------------------------------------------
+
+    @property
+    def model(self) -> LegModel:
+        """In force."""
+        return self._active.model
+
+    @property
+    def inflated(self) -> bool:
+        """Whether the recursion was let loose, so that a prediction has a doubt of its own."""
+        return self._active.inflated
+
+    @property
+    def changed(self) -> bool:
+        """Whether the leg has changed since the model in force was fitted, by what is heard."""
+        return self._active.inflated or self.variance_in_force > 1.0
+
+    @property
+    def variance_in_force(self) -> float:
+        """The level by which this swing is judged.
+
+        That of a leg that has not changed strays by a tenth of itself; as it is not followed below
+        the baseline's, what it strays upwards would make the detector duller on average.
+        """
+        level = self.monitor.variance_in_force
+        if self._active.inflated or not 1.0 < level < STEEP * STRAY - 1.0:
+            return level
+        return max(1.0, 1.0 + STEEP * (level - STRAY))
+
+    @property
+    def status(self) -> Status:
+        """What is thought of the leg."""
+        status = self.monitor.status
+        return "ambiguous" if status == "valid" and self._early.told else status
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        doubt = self.monitor.doubt
+        return "descents" if doubt is None and self.status == "ambiguous" else doubt
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person on what is thought of the leg, None when all is well."""
+        return self.monitor.note or self._early.note
+
+    @property
+    def refits(self) -> RefitCounts:
+        """For the status."""
+        return self._candidate.counts
+
+    def free_motion(self, *, wanted: bool) -> FreeMotion:
+        """What the next tick is to judge by.
+
+        Args:
+            wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
+                rows are learned then.
+        """
+        noise = self._noise_tracker
+        return FreeMotion(
+            self.model.coefficients if wanted else None,
+            self.variance_in_force,
+            self._active.covariance,
+            self.changed,
+            noise.whiten,
+            noise.thresholds,
+            noise.awaited,
+            noise.domain,
+        )
+
+    # -- what detection has found -------------------------------------------------------------
+
+    def learn(self, part: LabelledSwing) -> None:
+        """Learn from a part of a swing."""
+        match part.label:
+            case Label.BEGIN:
+                self.monitor.begin_swing()
+            case Label.TICK:
+                self.monitor.look(part.nis)
+            case Label.TRAVEL:
+                self.monitor.note_travel(obstructed=part.obstructed, travel_ratio=part.travel_ratio)
+            case Label.LIFT:
+                self._lift(list(part.rows), part.region, part.t_ns)
+            case Label.DESCENT:
+                self._descent(list(part.rows), part.region)
+            case Label.UNGATED:
+                self._active.learn(part.rows[0])
+            case Label.CONTACT:
+                # While the leg is known, it is one to try candidates on.
+                if self.status == "valid":
+                    self._candidate.contacts.add(part.touch)
+            case Label.END:
+                self._end_swing(part.early)
+
+    def _lift(self, rows: list[Row], region: int, t_ns: int) -> None:
+        """The top of a swing has been passed."""
+        heard = self.monitor.assess_lift(rows, t_ns)
+        waiting, self._suspected = self._suspected, []
+        if heard.changed:
+            self._change(first=heard.first)
+        if heard.rows:
+            self._consider_baseline(heard.rows)
+            self._confirm(heard.rows, region)
+        if heard.changed:
+            self._confirm(waiting, region)
+
+    def _descent(self, rows: list[Row], region: int) -> None:
+        """The confirmed part of a descent; that of a suspected lift waits for the next one."""
+        if self.monitor.trusted:
+            self._confirm(rows, region)
+        else:
+            self._suspected = rows
+
+    def distrust(self, since_ns: int) -> None:
+        """The ticks from a time on were of another length: what was confirmed of them is dropped.
+
+        A row or two of them may have been learned, which the next swings outweigh; the buffer
+        would have kept them.
+        """
+        self._queue = deque(row for row in self._queue if row.t_ns < since_ns)
+        self._suspected = [row for row in self._suspected if row.t_ns < since_ns]
+        self.buffer.drop_since(since_ns)
+        self.monitor.distrust(since_ns)
+        self._noise_tracker.drop_refresh()
+        # Not in order: a descent that waited is confirmed with the lift that comes after it.
+        kept = [t_ns for t_ns in self.confirmed_ns if t_ns < since_ns]
+        self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
+
+    def retract(self, since_ns: int) -> None:
+        """The ticks from a time on were not of this leg: nothing of them stays learned."""
+        self.distrust(since_ns)
+        if self._learned_ns >= since_ns:
+            self._active.recall()
+
+    def new_source(self) -> None:
+        """The source began anew: times from before do not compare with its own."""
+        while self._queue:
+            self._learn(self._queue.popleft())
+        self._suspected.clear()
+        self._learned_ns = -1
+        self.confirmed_ns.clear()
+        self.buffer.new_source()
+        self.monitor.new_clock()
+
+    def _end_swing(self, early: bool | None) -> None:
+        """A swing has been resolved.
+
+        Args:
+            early: a touch was reported in it before the foot had begun to come down; None where
+                nobody can tell.
+        """
+        learned, self._learned_swing = self._learned_swing, False
+        if not self.gated:
+            return
+        known = self.monitor.status == "valid"
+        if known and early is not None and self._early.hear(early):
+            # They were none.  None come while it is told, so that no refit is promoted, either.
+            self._candidate.contacts.clear()
+        self._swings += 1
+        if self._swings >= REFRESH_SWINGS:
+            self._swings, self._refresh_in = 0, zlib.crc32(self._leg.encode()) % REFRESH_TICKS
+        if self.monitor.status == "valid" and self.monitor.variance_scale < SETTLED_LEVEL:
+            self._active.remember()
+        if self.mode.refits:
+            self._candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
+
+    def tick(self, budget: int) -> bool:
+        """Once per control tick: learn a few rows, collect a result that is due.
+
+        Args:
+            budget: rows at most.
+
+        Returns:
+            Whether what is known of free motion may be another.
+        """
+        moved = bool(self._queue)
+        if self._queue:
+            for _ in range(self._share(budget)):
+                if not self._queue:  # a model that falls takes the rows that wait with it
+                    break
+                self._learn(self._queue.popleft())
+        if self._candidate.tick():
+            moved = True
+            self._noise_tracker.domain = self._candidate.domain
+        if self._noise_tracker.go_on():
+            moved = True
+        if self._refresh_in is not None:
+            self._refresh_in -= 1
+            if self._refresh_in < 0:
+                self._refresh(at_once=False)
+        return moved
+
+    def _share(self, budget: int) -> int:
+        """Rows of a tick: a leg that is known can wait, one that has changed cannot.
+
+        A swing brings some twenty rows and takes twice as many ticks; a queue that grows longer
+        than a swing's is worked off at the full rate.
+        """
+        return budget if self.monitor.status != "valid" or len(self._queue) > CALM_QUEUE else 1
+
+    def snapshot(self) -> dict[str, Any]:
+        """What has been learned, for :meth:`restore`."""
+        return {
+            "format": FORMAT,
+            "library": library_key(self.model.library),
+            **self._active.snapshot(),
+            "level": self.monitor.variance_scale,
+            "status": self.monitor.status,
+            "held": self.monitor.obstructed,
+            "heard": list(self.monitor.heard),
+            "kind": self.monitor.kind,
+            "belied": self._early.snapshot(),
+            "era": self._era,
+            "refits": self._candidate.snapshot(),
+            "recent": self._noise_tracker.snapshot(),
+            "segments": [segment_of(s) for s in self.buffer.segments],
+        }
+
+    def restore(self, saved: dict[str, Any]) -> str | None:
+        """Take over a snapshot, whole or not at all.
+
+        Returns:
+            None when it is in force, else one line that says why it is not.
+        """
+        try:
+            state = read_state(saved, self._active.baseline, len(self._noise_tracker.whiten))
+            self._active.restore(state, saved.get("factor"))
+        except ImplausibleError as problem:
+            return f"snapshot of leg '{self._leg}' not used: {problem}"
+        self.monitor.resume(state.level, state.status, obstructed=state.held, heard=state.heard)
+        self.monitor.kind = state.kind
+        self._early.restore(saved.get("belied"))
+        self._era = state.era
+        self._candidate.restore(saved.get("refits"))
+        self.buffer.restore(state.segments)
+        self._candidate.resume(self.buffer, len(self._scale), self._era)
+        self._noise_tracker.domain = self._candidate.domain
+        self._noise_tracker.restore(saved.get("recent"))
+        self._refresh()
+        return None
+
+    # -- private ----------------------------------------------------------------------------------
+
+    def _change(self, *, first: bool) -> None:
+        """Something about the leg has changed: let the recursion move."""
+        if first:
+            self._early.forget()
+            self._evidence = ChangeClassifier(self.model, self._noise)
+        self._era += 1
+        if self.mode.recursive:
+            self._active.inflate()
+        self._candidate.withdraw()
+        self._refresh()
+
+    def _confirm(self, rows: list[Row], region: int) -> None:
+        rows = [row for row in rows if row.cleared]
+        self._learned_swing |= bool(rows)
+        if self._evidence is not None and not self._evidence.complete:
+            self._evidence.add(rows)
+            self.monitor.kind = self._evidence.kind
+        if self.monitor.status == "valid" and rows and rows[0].lift:
+            self._noise_tracker.count(
+                rows
+            )  # of a descent, soft ground may be among the last of them
+        self.confirmed_ns.extend(row.t_ns for row in rows)
+        self.buffer.add(rows, region, self._era)
+        if self.mode.recursive:
+            self._queue.extend(rows)
+        else:
+            for row in rows:
+                self._compare(row)
+
+    def _consider_baseline(self, rows: list[Row]) -> None:
+        """Mud is washed off, a battery is changed: what was known may hold again."""
+        if not self._active.baseline_is_better(rows):
+            return
+        self._active.revert_to_baseline()
+        self._queue.clear()
+        self._candidate.withdraw()
+        self._candidate.rolled_back(f"the baseline fits {RETURN_SWINGS} lifts better")
+        self.monitor.mark_unchanged()
+        self._evidence = None
+        self._era += 1
+        self._refresh()
+
+    def _learn(self, row: Row) -> None:
+        """Learn a row, and let a candidate, if there is one, be tried on it."""
+        self._learned_ns = row.t_ns
+        innovations = self._active.learn(row)
+        if self._candidate.trying:
+            # Made anew for the row that decides only: it stands by as it was when it was displaced.
+            deciding, active = self._candidate.deciding, self._active
+            self._try(row, innovations, active.model if deciding else active.as_made)
+
+    def _compare(self, row: Row) -> None:
+        """Let a candidate be tried on a row that is not learned."""
+        if self._candidate.trying:
+            off = (row.target - row.theta @ self.model.coefficients) / self._noise
+            self._try(row, off.tolist(), self.model)
+
+    def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
+        won = self._candidate.compare(row, off, model, known=self.monitor.status == "valid")
+        if won is not None:
+            self._active.replace(won)
+            self._refresh()
+
+    def _refresh(self, *, at_once: bool = True) -> None:
+        """Make covariances and thresholds those of the model in force and the leg as it is.
+
+        Args:
+            at_once: now, as what they are of is another model or leg; else within a few ticks.
+        """
+        self._swings, self._refresh_in = 0, None
+        segments = [s for s in self.buffer.segments if s.era == self._era]
+        refresh = self._noise_tracker.refresh if at_once else self._noise_tracker.begin_refresh
+        refresh(segments, self.model.coefficients)
+
+    def _fallen(self, back_to: str) -> None:
+        """The model was not finite, or implausible, and another is in force again."""
+        self._queue.clear()
+        self._candidate.withdraw()
+        self._candidate.rolled_back(
+            f"a coefficient was not finite, or implausible: {back_to} again"
+        )
+        self._refresh()

@@ -1,0 +1,395 @@
+"""Hears the lifts of one leg: is this still the leg that the model knows?
+
+The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
+the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
+widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change; so
+is a level that crept up without any lift standing out.  A leg that will not fit again is never
+called valid: it is ambiguous, as a foot that drags looks the same.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.special import chdtri  # scipy.stats takes half a second to import
+
+from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.wire import Doubt, DriftLevel, Status
+
+__all__ = [
+    "LEVEL_RANGE",
+    "PATIENCE_SWINGS",
+    "SETTLED_LEVEL",
+    "UNFIT_LEVEL",
+    "DriftMonitor",
+    "LiftAssessment",
+]
+
+# A good model's lift exceeds the doubt level once in so many.
+SUSPICION_PROBABILITY: Final = 1e-4
+SUSPICIONS: Final = 2  # in a row, for a change
+# A doubt is taken back when the mean level of so many ticks in a row after it is below this: a foot
+# that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
+TAKE_BACK_TICKS: Final = 3
+TAKE_BACK_LEVEL: Final = 1.5
+# Share of a new lift in the followed level, and while adapting.
+LEVEL_SHARE: Final = 0.1
+LEVEL_SHARE_ADAPTING: Final = 0.8
+LEVEL_RANGE: Final = (0.2, 400.0)
+# A baseline's noise is that of many swings: below it nothing is gained.  A first model's is that of
+# a hasty fit, and what is learned may bring it down as far as the range goes.
+LEAST_LEVEL: Final = 1.0
+# Calm lifts in a row after which an adapting leg is valid again.
+SETTLED_SWINGS: Final = 3
+SETTLED_LEVEL: Final = 2.5
+# Swings after which a leg that will not settle is taken for noisier, or, above the level of a worn
+# leg (two and a half times the noise), called ambiguous.
+PATIENCE_SWINGS: Final = 20
+WORN_LEVEL: Final = 6.25
+LOOSEN_EVERY: Final = 5
+# A foot that does not rise in so many swings in a row is held by something.
+OBSTRUCTED_SWINGS: Final = 2
+# Nor does one whose lifts are so much further off (ten times the noise) than any drift takes them:
+# the worst of the simulator's, a drive gone twice as soft, came to 80; a foot that is caught and
+# still gives is at 115 to 180.
+FAR_LEVEL: Final = 100.0
+# It is let go of after so many lifts in a row that tell nothing of it: where little way is asked,
+# a foot on a leash comes all of it.
+RELEASE_SWINGS: Final = 3
+# A baseline whose very first lifts are all further off than this (five times the noise) is of
+# another leg; a leg that merely changed overnight is followed instead.  One that fitted by chance
+# takes longer to tell: nine in ten, for as long as a leg is given to settle.
+UNFIT_LEVEL: Final = 25.0
+UNFIT_LIFTS: Final = 3
+UNFIT_SHARE: Final = 0.9
+
+
+class LiftAssessment(NamedTuple):
+    """What a lift told.
+
+    Attributes:
+        rows: to learn from now; none where the lift is doubted.
+        changed: the leg has changed, and the recursion is to be let loose.
+        first: that was not known before.
+    """
+
+    rows: list[Row]
+    changed: bool = False
+    first: bool = False
+
+
+class DriftMonitor:
+    """Follows the level of one leg's residuals, swing by swing.
+
+    Args:
+        joints: J.
+        least: the level is not followed below this.
+
+    Attributes:
+        variance_scale: of the residuals over the baseline's, followed from lift to lift.
+        status: what is thought of the leg.
+        kind: of the newest change, where it can be told.
+    """
+
+    def __init__(self, joints: int, least: float = LEAST_LEVEL) -> None:
+        self._range = (least, LEVEL_RANGE[1])
+        self.variance_scale = 1.0
+        self.status: Status = "valid"
+        self.kind: str | None = None
+        self._joints = joints
+        self._swing_level: float | None = None
+        self._suspected: list[Row] = []
+        self._suspicions = 0
+        self._suspected_ns = 0
+        self._newest: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
+        self._settled = 0
+        self._since_ns: int | None = None
+        self._swings_adapting = self._swings_loose = 0  # since the change, since it was let loose
+        self._worn_swings = 0
+        self._obstructed_swings = self._far_swings = self._free_swings = 0
+        self._sign = ""
+        self._obstructed_by: Doubt = "held"
+        self._told_free = False  # in this swing
+        self._trusted = True
+        self._lifts = self._lifts_far = 0
+
+    @property
+    def variance_in_force(self) -> float:
+        """The level by which this swing is judged."""
+        return self.variance_scale if self._swing_level is None else self._swing_level
+
+    @property
+    def drift(self) -> DriftLevel:
+        """For the status."""
+        return DriftLevel(level=self.variance_scale, since_ns=self._since_ns, kind=self.kind)
+
+    @property
+    def unfit(self) -> bool:
+        """Whether the baseline was never this leg's: its first lifts were all, or nearly, far off.
+
+        Not while something may hold the foot: a leg that starts on a leash is this leg all the
+        same, and a cold start would learn it with its leash.
+        """
+        far, lifts = self._lifts_far, self._lifts
+        if self.obstructed or far < UNFIT_LIFTS:
+            return False
+        return far == lifts or (lifts >= PATIENCE_SWINGS and far >= UNFIT_SHARE * lifts)
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self.status != "ambiguous":
+            return None
+        return self._obstructed_by if self.obstructed else "unsettled"
+
+    @property
+    def heard(self) -> tuple[int, int]:
+        """Lifts so far, and how many of them were far off; to be saved."""
+        return self._lifts, self._lifts_far
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person, None when all is well."""
+        if self.obstructed:
+            return (
+                f"{self._sign}, {self._obstructed_swings} swings in a row: caught, or no strength"
+            )
+        if self.status == "ambiguous":
+            return (
+                f"lifts have been {self.variance_scale**0.5:.1f} times as far from the model as "
+                f"they should for {self._swings_adapting} swings: a lasting change, or a foot "
+                "that drags"
+            )
+        return None
+
+    def begin_swing(self) -> None:
+        """A new swing: doubts of the last one's lift are not carried over."""
+        self._swing_level = None
+        self._newest.clear()
+        self._trusted = not self.obstructed
+        self._told_free = False
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the descent of this swing may be learned: its lift was not, where it may not."""
+        return self._trusted
+
+    def assess_lift(self, rows: Sequence[Row], t_ns: int) -> LiftAssessment:
+        """Take in a lift, at its top.
+
+        Args:
+            rows: its ticks, at least one, all free.
+            t_ns: now.
+        """
+        levels = np.sort([row.nis for row in rows])
+        kept = levels[: max(1, len(levels) - 1)]  # one wild reading is no change
+        level = float(kept.mean())
+        self._lifts += 1
+        self._lifts_far += level > UNFIT_LEVEL
+        if level > FAR_LEVEL:
+            return self._assess_far(list(rows), level, t_ns)
+        self._far_swings = 0
+        self._note_free()
+        if self.obstructed:
+            self._swing_level = float(np.clip(level, self.variance_scale, self._range[1]))
+            return LiftAssessment([])
+        if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
+            return self._suspect(list(rows), level, t_ns)
+        self._drop_suspicions()
+        self._follow_level(level)
+        if self._crept():
+            return self._changed(list(rows), t_ns)
+        self._settle(level)
+        return LiftAssessment(list(rows))
+
+    def distrust(self, since_ns: int) -> None:
+        """A lift in doubt that was heard at or after a time speaks for no change."""
+        if self._suspected_ns >= since_ns:
+            self._drop_suspicions()
+
+    def new_clock(self) -> None:
+        """Times from before do not compare with those to come."""
+        self._since_ns = None
+        self._drop_suspicions()
+
+    def mark_unchanged(self) -> None:
+        """The leg is again what it was before any change."""
+        self.variance_scale, self._since_ns, self.kind = 1.0, None, None
+
+    @property
+    def watches(self) -> bool:
+        """Whether the levels of this swing's ticks may change how it is judged."""
+        return self._swing_level is not None or bool(self._swings_adapting)
+
+    def look(self, level: float) -> None:
+        """Take in the level of a tick, which may belie what was told of this swing or the last.
+
+        A doubt is taken back; a leg that has just changed may have been learned since, from that
+        very lift, and is judged by how it fits now.
+        """
+        doubted = self._swing_level is not None and self._suspicions == 1
+        moving = self._swings_adapting and self._trusted and self._swings_loose <= SETTLED_SWINGS
+        if not (doubted or (moving and self.variance_in_force > LEAST_LEVEL)):
+            return
+        self._newest.append(level)
+        if len(self._newest) < TAKE_BACK_TICKS:
+            return
+        now = TAKE_BACK_LEVEL * sum(self._newest) / TAKE_BACK_TICKS
+        if not doubted:
+            self._swing_level = min(self.variance_in_force, max(now, self._range[0]))
+        elif now < TAKE_BACK_LEVEL**2 * self.variance_scale:
+            self._swing_level = None
+            self._drop_suspicions()
+            self._trusted = True
+
+    def note_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
+        """Tell whether the foot failed to rise with its command in the swing that ends.
+
+        A foot that is caught and a leg that has lost its strength look alike; neither is learned.
+
+        Args:
+            obstructed: whether it did.
+            travel_ratio: share of its command's way that it went.
+        """
+        if not obstructed:
+            if self.obstructed or not self._far_swings:  # else its lift is yet to be heard
+                self._note_free()
+        else:
+            self._far_swings = 0
+            self._note_obstructed(
+                "held", f"the foot came {100 * travel_ratio:.0f} % of its command's way"
+            )
+
+    @property
+    def obstructed(self) -> bool:
+        """Whether something holds the foot, as far as can be told: nothing of it is learned."""
+        return self._obstructed_swings >= OBSTRUCTED_SWINGS
+
+    def resume(
+        self,
+        level: float,
+        status: Status,
+        *,
+        obstructed: bool = False,
+        heard: tuple[int, int] = (1, 0),
+    ) -> None:
+        """Go on from a saved state; since when is of another clock, perhaps.
+
+        Args:
+            level: followed.
+            status: what was thought of the leg.
+            obstructed: whether that was because of a foot that did not rise.
+            heard: as it was saved; the model is this leg's where it was not.
+        """
+        self.variance_scale, self.status, self._since_ns = level, status, None
+        self._obstructed_swings = OBSTRUCTED_SWINGS if obstructed else 0
+        self._sign = "the foot was held when the state was saved"
+        adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
+        self._swings_adapting = 0 if obstructed else adapting.get(status, 0)
+        self._swings_loose = LOOSEN_EVERY  # a doubt that comes now is of something new
+        self._lifts, self._lifts_far = heard
+
+    def _drop_suspicions(self) -> None:
+        self._suspicions, self._suspected = 0, []
+
+    def _suspect(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
+        self._swing_level = float(np.clip(level, *self._range))
+        self._newest.clear()
+        self._suspicions += 1
+        self._settled = 0
+        self._trusted = self._suspicions >= SUSPICIONS
+        if self._suspicions < SUSPICIONS:
+            self._suspected, self._suspected_ns = rows, t_ns
+            return LiftAssessment([])
+        rows, self._suspected = [*self._suspected, *rows], []
+        self.variance_scale = self._swing_level**0.5
+        heard = self._changed(rows, self._suspected_ns)
+        self._follow_level(level)
+        return heard
+
+    def _assess_far(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
+        """A lift further off than any drift: held by something, or, if it lasts, another leg."""
+        self._swing_level = float(np.clip(level, *self._range))
+        self._newest.clear()
+        self._settled = 0
+        self._far_swings += 1
+        sign = f"the lift is {level**0.5:.0f} times as far from the model as it should be"
+        self._note_obstructed("far", sign)
+        if self._far_swings < PATIENCE_SWINGS:
+            return LiftAssessment([])
+        # The foot comes all its way, and each time so: a horn that slipped, another leg's horn.
+        self._far_swings = self._obstructed_swings = 0
+        self.variance_scale = self._swing_level**0.5
+        self._trusted = True
+        return self._changed(rows, t_ns)
+
+    def _note_obstructed(self, by: Doubt, sign: str) -> None:
+        self._obstructed_by, self._sign = by, sign
+        self._obstructed_swings += 1
+        self._free_swings = 0
+        self._trusted = False
+        if self.obstructed:
+            self.status = "ambiguous"
+            # Of what held the foot, perhaps; they speak for no change after it.
+            self._drop_suspicions()
+
+    def _note_free(self) -> None:
+        if not self.obstructed:
+            self._obstructed_swings = 0
+            return
+        if self._told_free:
+            return
+        self._told_free = True
+        self._free_swings += 1
+        if self._free_swings < RELEASE_SWINGS:
+            return
+        self._obstructed_swings = self._free_swings = 0
+        self._trusted = True
+        self.status = "adapting" if self._swings_adapting else "valid"
+
+    def _crept(self) -> bool:
+        """Whether the leg has left its model so slowly that no lift was doubted."""
+        worn = self.status == "valid" and self.variance_scale > WORN_LEVEL
+        self._worn_swings = self._worn_swings + 1 if worn else 0
+        return self._worn_swings >= LOOSEN_EVERY
+
+    def _changed(self, rows: list[Row], since_ns: int) -> LiftAssessment:
+        """The leg is another than the model's, for the first time or still."""
+        first = self._swings_adapting == 0
+        if first:
+            self.status, self._since_ns, self.kind = "adapting", since_ns, None
+            self._worn_swings = 0
+        loose = first or self._swings_loose >= LOOSEN_EVERY
+        self._swings_loose = 1 if loose else self._swings_loose + 1
+        self._swings_adapting += 1
+        if self._swings_adapting > PATIENCE_SWINGS:
+            self.status = "ambiguous"
+        return LiftAssessment(rows, loose, first)
+
+    def _follow_level(self, level: float) -> None:
+        share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
+        mean = (1 - share) * self.variance_scale + share * level
+        self.variance_scale = float(np.clip(mean, *self._range))
+
+    def _settle(self, level: float) -> None:
+        if self.status == "valid":
+            return
+        self._swings_adapting += 1
+        self._swings_loose += 1
+        self._settled = self._settled + 1 if level < SETTLED_LEVEL else 0
+        patient = self._swings_adapting > PATIENCE_SWINGS
+        if self._settled >= SETTLED_SWINGS or (patient and self.variance_scale <= WORN_LEVEL):
+            self.status = "valid"
+            self._swings_adapting = 0
+        elif patient:
+            self.status = "ambiguous"
+
+
+@functools.cache
+def _suspicion_limit(dof: int) -> float:
+    """Mean level of so many degrees of freedom above which a lift is doubted."""
+    return float(chdtri(dof, SUSPICION_PROBABILITY)) / dof

@@ -1,0 +1,70 @@
+"""Touches that the foot belies: a change of the leg that no lift shows.
+
+Lifts are the witnesses of a change (``monitor.py``).  One that shows on descents only leaves every
+lift as it was, and makes each descent look like a touch: the swing is quarantined from there on,
+and nothing would ever tell.  But the foot does: it cannot have met the ground in swing after swing
+where it has hardly begun to come down.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Final
+
+__all__ = ["EarlyContacts"]
+
+# Of so many swings, how many begin the doubt, and with how many it ends.  Legs in pose that meet
+# obstacles up to the top of every second swing come to 16, walking ones to 5 (decision 17).
+SWINGS: Final = 30
+BEGIN: Final = 22
+END: Final = 15
+
+
+class EarlyContacts:
+    """How many of the last swings of one leg reported a touch that its foot belied.
+
+    Attributes:
+        told: too many to be touches.
+    """
+
+    def __init__(self) -> None:
+        self.told = False
+        self._lately: deque[bool] = deque(maxlen=SWINGS)
+
+    def hear(self, belied: bool) -> bool:
+        """Take in a swing; True if it is the one with which the doubt begins.
+
+        Args:
+            belied: it reported a touch, and the foot belied it.
+        """
+        self._lately.append(belied)
+        count, before = sum(self._lately), self.told
+        self.told = count > END if before else count >= BEGIN
+        return self.told and not before
+
+    def forget(self) -> None:
+        """The leg is known to have changed: what was heard before is of another."""
+        self.told = False
+        self._lately.clear()
+
+    @property
+    def note(self) -> str | None:
+        """One line for a person, None when all is well."""
+        if not self.told:
+            return None
+        return (
+            f"in {sum(self._lately)} of {len(self._lately)} swings a touch was reported at the top "
+            "of the swing: a change that only descents show, or something that is always in the way"
+        )
+
+    def snapshot(self) -> dict[str, Any]:
+        """What was heard, for :meth:`restore`."""
+        return {"lately": [int(belied) for belied in self._lately], "told": self.told}
+
+    def restore(self, saved: Any) -> None:
+        """Take over what was heard; what is none is left."""
+        if not isinstance(saved, dict) or not isinstance(saved.get("lately"), list):
+            return
+        self.forget()
+        self._lately.extend(bool(belied) for belied in saved["lately"])
+        self.told = saved.get("told") is True and sum(self._lately) > END

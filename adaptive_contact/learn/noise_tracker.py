@@ -1,0 +1,225 @@
+r"""What the residuals of a leg look like lately: covariance and tail that follow.
+
+A baseline's covariances and tails are of the day it was learned.  A joint that has grown noisier,
+a reading that has become rougher, a model that fits one direction less well show in the confirmed
+free ticks, and only there: a contact is never among them.  Two things follow, so that the
+false-alarm rate stays put and not the threshold:
+
+- the *shape* of the covariance.  With Z the whitened residuals of the buffer under the model in
+  force, :math:`S = (Z^\top Z + n_0 s I) / (n + n_0)`, shrunk towards the baseline's and normed to
+  a mean variance of one: how large it is on the whole, the drift monitor's level says;
+- the *tail* of the statistic.  How often it passes the level at which the baseline's tail begins,
+  and by how much, against what the baseline promised; on lifts only, which no ground can press on.
+
+The tail is never narrowed, nor the trace lowered: a leg that fits better by chance is not judged
+more strictly for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.model.model_file import thresholds_of
+from adaptive_contact.model.noise import NoiseModel
+from adaptive_contact.model.tail import Tail
+
+if TYPE_CHECKING:
+    from adaptive_contact.learn.replay_buffer import Segment
+    from adaptive_contact.model.labelled_swing import Row
+    from adaptive_contact.model.training_domain import Domain
+
+__all__ = ["NoiseTracker"]
+
+Array = NDArray[np.float64]
+
+# The baseline's covariance weighs like so many ticks; the buffer holds some 700 (decision 9).
+SHRINK_TICKS: Final = 1000.0
+# A residual further out than so many of its deviations counts as if it were there.
+CLIP: Final = 3.0
+# The baseline's tail weighs like so many exceedances.
+PRIOR_EXCEEDANCES: Final = 50.0
+# An exceedance counts for so many times the mean of the tail as it is known, at most: one tick of a
+# touch that passed for a lift had made the threshold three times as high for twenty minutes.
+MOST_EXCESS: Final = 5.0
+# Beyond so many ticks, the older ones fade: some twenty minutes of a walking leg.
+MEMORY_TICKS: Final = 20_000.0
+# A foot that has not touched at its turn to stance is about to: 0.13 of those ticks begin
+# a touch, 0.012 of those in swings (eight planned walks of 90 s).  At so many times the aim, which
+# is 1.3e-4 per tick, one alarm there in a thousand is false.
+AWAITED: Final = 70.0
+# Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
+SEGMENTS_PER_TICK: Final = 12
+# A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
+# which the monitor has to say.
+MOST: Final = 4.0
+
+
+class NoiseTracker:
+    """Covariances and thresholds of one leg, from a baseline's and its confirmed free ticks.
+
+    Args:
+        noise: of the baseline.
+        tails: (windows,) of the baseline's statistic.
+        false_alarms_per_hour: aimed at.
+        domain: where the baseline's model has been; None if that is not known.
+
+    Attributes:
+        domain: where the model in force has been; None if that is not known.
+        whiten: (contexts, windows, J, J).
+        thresholds: (windows,) of the statistic.
+        awaited: the same for ticks after the turn to stance, in which a touch is expected.
+        revision: raised whenever one of them changes.
+    """
+
+    def __init__(
+        self,
+        noise: NoiseModel,
+        tails: tuple[Tail, ...],
+        false_alarms_per_hour: float,
+        domain: Domain | None = None,
+    ) -> None:
+        self._noise = noise
+        self.domain = domain
+        self._tails = tails
+        self._aim = false_alarms_per_hour
+        self._least = thresholds_of(tails, false_alarms_per_hour)
+        self.whiten: Array = noise.whiten
+        self.thresholds: Array = self._least
+        self._least_awaited = thresholds_of(tails, AWAITED * false_alarms_per_hour)
+        self.awaited: Array = self._least_awaited
+        self.revision = 0
+        self._under_way: _Shaping | None = None
+        # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
+        self._ticks = self._above = self._excess = 0.0
+
+    def count(self, rows: Sequence[Row]) -> None:
+        """Take in the free ticks of a lift of a leg that is known."""
+        tail = self._tails[0]
+        level = tail.level
+        self._ticks += len(rows)
+        for row in rows:
+            if not row.value > level:  # NaN is not
+                continue
+            # As for an alarm, and when the tail was fitted: what is extrapolated is no noise.
+            spread = 0.0 if self.domain is None else float(self.domain.leverage(row.theta))
+            value = row.value / (1.0 + spread)
+            if value > level:
+                most = MOST_EXCESS * self.tail_factors[1] * tail.scale / (1.0 - tail.shape)
+                self._above += 1.0
+                self._excess += min(value - level, most)
+        if self._ticks > MEMORY_TICKS:
+            fade = MEMORY_TICKS / self._ticks
+            self._ticks *= fade
+            self._above *= fade
+            self._excess *= fade
+
+    def refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
+        """Make covariances and thresholds those of now.
+
+        Args:
+            segments: confirmed ticks of the leg as it is.
+            coefficients: (p, J) of the model in force.
+        """
+        self.begin_refresh(segments, coefficients)
+        while self._under_way is not None:
+            self.go_on()
+
+    def begin_refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
+        """Begin to do so; some segments a tick, with :meth:`go_on`.  What was begun is dropped."""
+        self._under_way = _Shaping(self._noise.whiten, tuple(segments), coefficients)
+
+    def drop_refresh(self) -> None:
+        """What was begun is of ticks that were dropped since."""
+        self._under_way = None
+
+    def go_on(self) -> bool:
+        """A tick's share of what was begun, if anything was; True if it is done."""
+        shaping = self._under_way
+        if shaping is None or not shaping.advance(SEGMENTS_PER_TICK):
+            return False
+        self._under_way = None
+        self.whiten = shaping.turned()
+        often, wide = self.tail_factors
+        tails = tuple(
+            dataclasses.replace(t, rate=min(often * t.rate, 0.5), scale=wide * t.scale)
+            for t in self._tails
+        )
+        self.thresholds = np.maximum(self._least, thresholds_of(tails, self._aim))
+        awaited = thresholds_of(tails, AWAITED * self._aim)
+        self.awaited = np.maximum(self._least_awaited, awaited)
+        self.revision += 1
+        return True
+
+    @property
+    def tail_factors(self) -> tuple[float, float]:
+        """How many times as often, and as far, the statistic passes its level; 1 for as before."""
+        tail = self._tails[0]
+        mean = tail.scale / (1.0 - tail.shape)
+        above = PRIOR_EXCEEDANCES + self._above
+        often = above / (PRIOR_EXCEEDANCES + tail.rate * self._ticks)
+        wide = (PRIOR_EXCEEDANCES * mean + self._excess) / (above * mean)
+        return min(max(often, 1.0), MOST), min(max(wide, 1.0), MOST)
+
+    def snapshot(self) -> dict[str, float]:
+        """What was counted, for :meth:`restore`."""
+        return {"ticks": self._ticks, "above": self._above, "excess": self._excess}
+
+    def restore(self, saved: Any) -> None:
+        """Take over saved counts; what is none is left."""
+        if not isinstance(saved, dict):
+            return
+        values = [saved.get(name) for name in ("ticks", "above", "excess")]
+        known = [v for v in values if isinstance(v, float) and 0.0 <= v <= 2.0 * MEMORY_TICKS]
+        if len(known) == len(values):
+            self._ticks, self._above, self._excess = known
+
+
+class _Shaping:
+    """A baseline's whitening, turned and stretched by the scatter of confirmed ticks; on the way.
+
+    Args:
+        whiten: (contexts, windows, J, J) the baseline's.
+        segments: of confirmed ticks.
+        coefficients: (p, J) of the model whose residuals they are.
+    """
+
+    def __init__(self, whiten: Array, segments: tuple[Segment, ...], coefficients: Array) -> None:
+        self._whiten = whiten
+        self._segments = segments
+        self._coefficients = coefficients
+        self._done = 0
+        self._residuals: list[Array] = []  # whitened
+
+    def advance(self, most: int) -> bool:
+        """Take in so many segments; True when all were taken in before."""
+        part = self._segments[self._done : self._done + most]
+        if not part:
+            return True
+        self._done += len(part)
+        theta = np.concatenate([s.theta for s in part])
+        target = np.concatenate([s.target for s in part])
+        where = np.concatenate([s.context for s in part])
+        off = target - theta @ self._coefficients
+        self._residuals.append(np.matvec(self._whiten[where, 0], off))
+        return False
+
+    def turned(self) -> Array:
+        """(contexts, windows, J, J), of the segments taken in."""
+        if not self._residuals:
+            return self._whiten
+        z = np.concatenate(self._residuals)
+        joints = z.shape[1]
+        size = np.sqrt(np.square(z).mean(axis=1))
+        usual = max(float(np.median(size)), 1e-12)
+        z *= np.minimum(1.0, CLIP * usual / np.maximum(size, 1e-12))[:, None]
+        scatter = z.T @ z
+        mean = float(np.trace(scatter)) / joints / len(z)
+        shape = scatter + SHRINK_TICKS * mean * np.eye(joints)
+        shape *= joints / np.trace(shape)
+        turned = np.linalg.inv(np.linalg.cholesky(shape))
+        return np.asarray(turned @ self._whiten)

@@ -1,0 +1,162 @@
+"""The sliding buffer of confirmed free ticks.
+
+Newest segments first, with a quota per direction and region of the workspace, so that a
+monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows:
+covariances are made anew from residuals under the model in force.  Evicting is dropping.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter, deque
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.model.factor import Factor
+from adaptive_contact.model.labelled_swing import SEGMENTS, Row
+from adaptive_contact.wire import BufferCounts
+
+__all__ = ["ReplayBuffer", "Segment"]
+
+Array = NDArray[np.float64]
+
+# A large library needs more rows than that, and its segments are kept for longer; 1,000 segments of
+# the paper's library are 20 MB.
+MOST_SEGMENTS: Final = 1000
+# Swings of many seconds bring hundreds of rows each: so many, 5 MB of the shipped library, are kept
+# in all.  Segments of a walk hold a dozen, and a thousand of those are as many.
+MOST_ROWS: Final = 12_000
+
+
+class Segment(NamedTuple):
+    """Confirmed rows of one lift or one descent.
+
+    Attributes:
+        theta: (n, p); target: (n, J) rad.
+        context: (n,) by which the rows' covariances were chosen.
+        cell: direction and region it counts towards.
+        era: which state of the leg it belongs to; raised by the drift monitor.
+        t_ns: of its last row.
+    """
+
+    theta: Array
+    target: Array
+    context: NDArray[np.int64]
+    cell: tuple[int, int]
+    era: int
+    t_ns: int
+
+
+@dataclasses.dataclass
+class ReplayBuffer:
+    """Confirmed segments of one leg.
+
+    Attributes:
+        limit: segments kept, more where they hold less than ``rows`` rows.
+        rows: that a refit wants.
+    """
+
+    limit: int = SEGMENTS
+    rows: int = 0
+    _segments: deque[Segment] = dataclasses.field(default_factory=deque)
+    _held: int = 0  # rows
+    _of_source: int = 0  # segments, the newest: whose times are of the source in force
+
+    @property
+    def segments(self) -> list[Segment]:
+        """Oldest first."""
+        return list(self._segments)
+
+    @property
+    def counts(self) -> BufferCounts:
+        """For the status."""
+        lifts = [len(segment.target) for segment in self._segments if segment.cell[0] == 0]
+        return BufferCounts(
+            swings=max(len(lifts), len(self._segments) - len(lifts)),
+            lift_ticks=sum(lifts),
+            descent_ticks=self._held - sum(lifts),
+        )
+
+    def add(self, rows: list[Row], region: int, era: int) -> None:
+        """Take in the confirmed rows of a lift or of a descent."""
+        if not rows:
+            return
+        cell = (0 if rows[0].lift else 1, region)
+        theta = np.array([row.theta for row in rows])
+        target = np.array([row.target for row in rows])
+        context = np.array([row.context for row in rows])
+        self._segments.append(Segment(theta, target, context, cell, era, rows[-1].t_ns))
+        self._held += len(rows)
+        self._of_source += 1
+        if len(self._segments) > self.limit and (
+            self._held > self.rows or len(self._segments) > MOST_SEGMENTS
+        ):
+            self._evict()
+        self._bound()
+
+    def _bound(self) -> None:
+        while self._held > MOST_ROWS and len(self._segments) > 1:
+            self._evict()
+
+    def _evict(self) -> None:
+        """Drop one: first of older eras, then the oldest of the fullest cell."""
+        newest = self._segments[-1].era
+        index = next((i for i, segment in enumerate(self._segments) if segment.era != newest), None)
+        if index is None:
+            cells = [segment.cell for segment in self._segments]
+            index = cells.index(Counter(cells).most_common(1)[0][0])
+        self._of_source -= index >= len(self._segments) - self._of_source
+        self._held -= len(self._segments[index].target)
+        del self._segments[index]
+
+    def drop_since(self, t_ns: int) -> None:
+        """Drop segments that reach to or beyond a time of the source in force.
+
+        They are not in order: a descent that waited comes after the lift that confirmed it.
+        """
+        own = [self._segments.pop() for _ in range(self._of_source)]
+        kept = [segment for segment in reversed(own) if segment.t_ns < t_ns]
+        self._segments.extend(kept)
+        self._of_source = len(kept)
+        self._held = sum(len(segment.target) for segment in self._segments)
+
+    def new_source(self) -> None:
+        """The source began anew: times from before do not compare with its own."""
+        self._of_source = 0
+
+    def factors(
+        self, terms: int, joints: int, *, era: int, every: int = 5
+    ) -> tuple[Factor, Factor]:
+        """Compressed factors to fit to and to choose by.
+
+        Args:
+            terms: p.
+            joints: J.
+            era: only segments of this state of the leg.
+            every: each so-manyth segment is held out.
+
+        Returns:
+            The factor of the rest, and of those held out; their rows are compressed by whoever
+            first asks something of them.
+        """
+        fit, held_out = Factor(terms, joints), Factor(terms, joints)
+        of_era = [s for s in self._segments if s.era == era]
+        dealt: tuple[list[Segment], list[Segment]] = ([], [])
+        for number, segment in enumerate(of_era):
+            dealt[number % every == every - 1].append(segment)
+        for factor, segments in zip((fit, held_out), dealt, strict=True):
+            if segments:
+                factor.add(
+                    np.concatenate([s.theta for s in segments]),
+                    np.concatenate([s.target for s in segments]),
+                )
+        return fit, held_out
+
+    def restore(self, segments: list[Segment]) -> None:
+        """Take over saved segments, oldest first; beyond the limit, the newest."""
+        self._segments = deque(segments[-MOST_SEGMENTS:])
+        self._held = sum(len(segment.target) for segment in self._segments)
+        self._of_source = 0
+        self._bound()

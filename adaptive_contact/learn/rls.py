@@ -1,0 +1,312 @@
+r"""Recursive least squares that forgets only where it learns.
+
+One estimator for the J joints of a leg.  Each joint has its own covariance over the terms of its
+own support, as a square-root factor :math:`P_j = S_j S_j^\top`; joints with fewer terms than the
+others are filled up with zeros, which stay zero.  A row :math:`\varphi` with noise
+:math:`\sigma_j` enters by
+
+.. math::
+   v = S_j^\top \varphi / \sigma_j, \quad m = v^\top v, \quad
+   \xi_j \leftarrow \xi_j + \frac{S_j v}{1 + m} \frac{y_j - \varphi^\top \xi_j}{\sigma_j}, \quad
+   S_j \leftarrow S_j + \frac{\sqrt f - 1}{m} (S_j v) v^\top, \quad f = \frac{1}{\lambda (1 + m)} .
+
+With λ = 1 this is the square-root measurement update of Potter (1963), and one-by-one equals
+batch. With λ < 1 it is the restricted exponential forgetting of Kulhavý (1987) in square-root
+form: only the direction that the row excites is forgotten, towards :math:`m = (1 - \lambda) /
+\lambda`; a leg that stands still brings no new direction and changes nothing.  :math:`S S^\top`
+cannot lose definiteness.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from adaptive_contact.compiled import compiled
+from adaptive_contact.model.free_motion import Covariance
+
+__all__ = ["RecursiveLeastSquares", "RlsSettings"]
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class RlsSettings:
+    """Settings of the recursion.
+
+    Attributes:
+        forgetting: λ per row in the direction of the row; 0.998 remembers about 500 rows of
+            equal excitation, some 40 swings.
+        prior: standard deviation of a coefficient at the start, in noise units: how far one
+            term may move the prediction.
+        bound: no standard deviation grows above this, in the same units.
+        huber: innovations beyond this many of their own standard deviations count less.
+    """
+
+    forgetting: float = 0.998
+    prior: float = 0.03
+    bound: float = 20.0
+    huber: float = 3.0
+
+
+class RecursiveLeastSquares:
+    """Follows the coefficients of one leg.
+
+    Args:
+        coefficients: (p, J) to start from.
+        support: (p, J) which may move.
+        scale: (p,) typical size of each regressor.
+        noise: (J,) rad, standard deviation of a residual.
+        settings: see :class:`RlsSettings`.
+    """
+
+    def __init__(
+        self,
+        coefficients: Array,
+        support: NDArray[np.bool_],
+        scale: Array,
+        noise: Array,
+        settings: RlsSettings | None = None,
+    ) -> None:
+        self.settings = settings or RlsSettings()
+        self.noise = noise.copy()
+        self.rows = 0
+        self._full = coefficients.copy()
+        counts = support.sum(axis=0)
+        size = int(counts.max(initial=0))
+        self._held = np.arange(size) < counts[:, None]  # (J, n); the rest is filling
+        self._index = np.zeros((len(noise), size), dtype=np.int64)  # places in a row of regressors
+        self._index[self._held] = np.nonzero(support.T)[1]
+        self._per_scale = np.where(self._held, 1.0 / scale[self._index], 0.0)
+        # Where they sit in the matrix of coefficients.
+        self._places = (self._index[self._held], np.nonzero(self._held)[0])
+        rows, columns = self._places
+        self._flat_places = rows * len(noise) + columns
+        self._moving = np.flatnonzero(self._held)
+        # Inside, everything is in units of the noise: no division is left for a row.
+        self._per_noise = 1.0 / self.noise
+        self._to_raw = self._per_scale * self.noise[:, None]
+        self._xi = self._scaled(coefficients)  # (J, n)
+        self._s = np.zeros((len(noise), size, size))
+        self._innovations = np.zeros(len(noise))
+        self._room = np.zeros((3, len(noise), size))
+        self.reset_covariance()
+
+    @property
+    def coefficients(self) -> Array:
+        """(p, J) at present."""
+        # By flat indices: two such calls take half the time of pairs and masks.
+        raw = (self._xi * self._to_raw).take(self._moving)
+        self._full.reshape(-1)[self._flat_places] = raw
+        return self._full.copy()
+
+    @property
+    def covariance(self) -> Array:
+        """(J, q, q) of the scaled coefficients of :attr:`terms`."""
+        factor = self.factor
+        return np.asarray(factor @ factor.transpose(0, 2, 1))
+
+    @property
+    def terms(self) -> NDArray[np.int64]:
+        """(q,) rows of the coefficients that any joint may move."""
+        return np.unique(self._index[self._held])
+
+    @property
+    def support(self) -> NDArray[np.bool_]:
+        """(p, J) terms that may move, per joint."""
+        full = np.zeros(self._full.shape, dtype=bool)
+        full[self._places] = True
+        return full
+
+    @property
+    def factor(self) -> Array:
+        """(J, q, q) square roots S of the covariance, zero rows for terms a joint may not move."""
+        terms = self.terms
+        full = np.zeros((len(self._s), len(terms), len(terms)))
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            n = int(held.sum())
+            full[joint, np.searchsorted(terms, index[held]), :n] = self._s[joint, :n, :n]
+        full *= self.noise[:, None, None]
+        return full
+
+    def restore(self, coefficients: Array, factor: Array) -> None:
+        """Take over a saved state: (p, J) coefficients and (J, q, q) square roots."""
+        self.reseed(coefficients)
+        self._s[:] = 0.0
+        terms = self.terms
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            root = factor[joint, np.searchsorted(terms, index[held])]
+            self._take_root(joint, root / self.noise[joint])
+        self._bound()
+
+    def copy(self) -> RecursiveLeastSquares:
+        """One that goes its own way from here; what never changes is shared."""
+        twin = copy.copy(self)
+        twin._full, twin._xi, twin._s = self._full.copy(), self._xi.copy(), self._s.copy()
+        twin._innovations, twin._room = self._innovations.copy(), self._room.copy()
+        return twin
+
+    def reset_covariance(self) -> None:
+        """Back to the prior: every term free to move by as much as it says."""
+        self._s[:] = 0.0
+        index = np.arange(self._s.shape[1])
+        self._s[:, index, index] = self.settings.prior * self._held
+
+    def reseed(self, coefficients: Array) -> None:
+        """Take over the coefficients of an accepted refit; what was known of them stays known."""
+        self._full = coefficients.copy()
+        self._xi = self._scaled(coefficients)
+
+    @property
+    def size(self) -> int:
+        """n, terms of the joint that has the most."""
+        return self._index.shape[1]
+
+    @property
+    def roots(self) -> Covariance:
+        """Views of the terms' places, their reciprocal scales, and the square roots."""
+        return Covariance(self._index, self._per_scale, self._s)
+
+    def uncertainty(self, theta: Array) -> Array:
+        """Variance of a prediction that comes from the coefficients, over the noise's.
+
+        Args:
+            theta: (..., p) regressors.
+
+        Returns:
+            (..., J), 0 for a model known exactly.
+        """
+        phi = theta[..., self._index] * self._per_scale
+        v = np.matmul(phi[..., None, :], self._s)[..., 0, :]
+        return np.asarray(np.square(v).sum(axis=-1))
+
+    def update(self, theta: Array, target: Array) -> list[float]:
+        """Take in one row.
+
+        Args:
+            theta: (p,) regressors.
+            target: (J,) rad, what they should have predicted.  A row with a value that is not
+                finite is left out.
+
+        Returns:
+            J innovations: how far the prediction was off before the row was learned, over the
+            noise.
+        """
+        settings = self.settings
+        learn_row(
+            theta, target, self._index, self._per_scale, self._per_noise, self._xi, self._s,
+            settings.forgetting, settings.huber, self._innovations, self._room,
+        )  # fmt: skip
+        innovations: list[float] = self._innovations.tolist()
+        if all(map(math.isfinite, innovations)):
+            self.rows += 1
+            if self.rows % 64 == 0:
+                self._bound()
+        return innovations
+
+    def doubt(self, gram: Array) -> None:
+        """Let the coefficients move by what the fit they come from leaves open.
+
+        Args:
+            gram: (p, p) positive definite, sum over that fit's rows of the scaled regressors'
+                outer products, with what is known beforehand.
+        """
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            own = index[held]
+            n = len(own)
+            if n == 0:
+                continue
+            lower = np.linalg.cholesky(gram[np.ix_(own, own)])
+            root = scipy.linalg.solve_triangular(lower, np.eye(n), lower=True).T
+            self._take_root(joint, np.concatenate([self._s[joint, :n, :n], root], axis=1))
+        self._bound()
+
+    def inflate(self, directions: Array) -> None:
+        """Let the coefficients move along some directions: something about the leg has changed.
+
+        Args:
+            directions: (J, d, p) standard deviations of a change along each direction, in raw
+                units of the coefficients.
+        """
+        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
+            moves = directions[joint][:, index[held]] / self._to_raw[joint, held]
+            n = int(held.sum())
+            self._take_root(joint, np.concatenate([self._s[joint, :n, :n], moves.T], axis=1))
+        self._bound()
+
+    def _scaled(self, coefficients: Array) -> Array:
+        """(J, n), in units of scale and noise, of (p, J)."""
+        joints = np.arange(len(self._index))[:, None]
+        unit = np.where(self._held, self._to_raw, np.inf)
+        return np.asarray(coefficients[self._index, joints] / unit)
+
+    def _take_root(self, joint: int, root: Array) -> None:
+        """Take (n, m) for the root of a joint's covariance, as the square one that equals it."""
+        n = len(root)
+        if n:
+            triangle = scipy.linalg.qr(root.T, mode="r", check_finite=False)[0][:n]
+            self._s[joint, :n, : len(triangle)] = triangle.T
+
+    def _bound(self) -> None:
+        limit = self.settings.bound
+        deviation = np.sqrt(np.square(self._s).sum(axis=2))
+        over = deviation > limit
+        if over.any():
+            shrink = np.where(over, limit / np.maximum(deviation, 1e-300), 1.0)
+            self._s *= shrink[:, :, None]
+
+
+@compiled
+def learn_row(
+    theta, target, index, per_scale, per_noise, xi, s, forgetting, huber, innovations, room
+):  # fmt: skip
+    """Take in one row, in place; one whose innovations are not finite leaves all as it is.
+
+    Of (p,) theta, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
+    coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
+    (J,) ``innovations`` are filled, (3, J, n) ``room`` is scratch.
+    """
+    joints, size = index.shape
+    sound = True
+    for j in range(joints):
+        innovation = target[j] * per_noise[j]
+        for k in range(size):
+            phi = theta[index[j, k]] * per_scale[j, k]
+            room[0, j, k] = phi
+            innovation -= xi[j, k] * phi
+        innovations[j] = innovation
+        sound &= math.isfinite(innovation)
+    if not sound:
+        return
+    for j in range(joints):
+        phi, v, sv = room[0, j], room[1, j], room[2, j]
+        v[:] = 0.0
+        for k in range(size):
+            if phi[k] != 0.0:
+                for c in range(size):
+                    v[c] += phi[k] * s[j, k, c]
+        m = 0.0
+        for c in range(size):
+            m += v[c] * v[c]
+        for k in range(size):
+            total = 0.0
+            for c in range(size):
+                total += s[j, k, c] * v[c]
+            sv[k] = total
+        # Huber's weight on the innovation, in units of its own standard deviation.
+        size_of = abs(innovations[j]) / math.sqrt(1.0 + m)
+        weight = 1.0 if size_of <= huber else huber / size_of
+        gain = weight * innovations[j] / (1.0 + weight * m)
+        # Without excitation (m = 0) there is nothing to learn and nothing to forget.
+        shrink = math.sqrt(1.0 / (forgetting * (1.0 + weight * m))) - 1.0
+        rate = shrink / m if m > 1e-12 else 0.0
+        for k in range(size):
+            xi[j, k] += sv[k] * gain
+            at = sv[k] * rate
+            for c in range(size):
+                s[j, k, c] += at * v[c]

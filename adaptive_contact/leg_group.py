@@ -1,0 +1,214 @@
+"""Several learners one sample further, their libraries and statistics evaluated together.
+
+This is what makes six legs cost little more than one.  A tick has two halves: what its samples say
+of contacts, and what no event needs to wait for: learning, and the prediction of the next.
+
+Whatever a step of one leg raises, of any kind, makes that leg begin anew and no other: each step
+stands in a `try` of its own, without a call around it, which costs more (decision 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from adaptive_contact.detect.detector import DECIDED, RELEASE_PENDING
+from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
+from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.model.library import Library, with_changes
+from adaptive_contact.robot import Leg
+from adaptive_contact.wire import ContactEvent, ServoSample
+
+__all__ = ["LegGroup", "Member", "OnFault", "check_sample", "compile_ahead"]
+
+# Is told the leg and what its learning raised.
+OnFault = Callable[[str, Exception], None]
+
+
+class Member(Protocol):
+    """A learner of one leg, as a group takes it through a tick; in this order.
+
+    Attributes:
+        leg: its description.
+        place: its arrays.
+    """
+
+    leg: Leg
+    place: LegPlace
+
+    def take(self, sample: ServoSample) -> bool:
+        """Put a sample into the arrays; False if it is refused."""
+
+    def event_of(self, flags: int) -> ContactEvent | None:
+        """Make the event of a judged tick, if there is one."""
+
+    def finish(self, flags: int) -> None:
+        """Learn what the tick leaves to be learned."""
+
+    def settle(self) -> None:
+        """Take up a model that has come."""
+
+    def reset_after_fault(self, fault: Exception) -> None:
+        """Go back to what was saved, after a step of its own raised."""
+
+
+def check_sample(sample: object) -> None:
+    """Refuse what is no sample; bad values in one are counted, never raised.
+
+    Raises:
+        TypeError: such as for the map of a payload.
+    """
+    if not isinstance(sample, ServoSample):
+        raise TypeError(
+            f"expected a ServoSample, found {type(sample).__name__}; pass ServoSample(t_ns=..., "
+            "seq=..., measured=[...], desired=[...]) of adaptive_contact.wire, or what its "
+            "decode() makes of a payload"
+        )
+
+
+class LegGroup:
+    """Learners that go through time together.
+
+    Args:
+        learners: any, of one robot or of several.
+        on_fault: told of a fault in one's learning, which makes that one begin anew and stands in
+            its status; without, faults are raised.
+    """
+
+    def __init__(self, learners: Sequence[Member], *, on_fault: OnFault | None = None) -> None:
+        self.learners = tuple(learners)
+        self._on_fault = on_fault
+        self._batches: list[tuple[LegBatch, list[int]]] = []  # with the places of their rows
+        self._homes: list[LegBatch | None] = [None] * len(self.learners)
+        self._open: set[int] = set()  # judged, and not finished
+
+    def advance(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
+        """Take learners one sample further, each with its own.
+
+        Args:
+            samples: the next of each learner, None where there is none.
+
+        Returns:
+            The event of each, or None.
+        """
+        events = self.judge(samples)
+        self.finish()
+        return events
+
+    def judge(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
+        """The first half of a tick: whoever waits for its events need not wait for the second.
+
+        A learner's status and state are whole only after :meth:`finish`, which its next sample
+        calls where nobody has.
+
+        Args:
+            samples: the next of each learner, None where there is none.
+
+        Returns:
+            The event of each, or None.
+        """
+        if self._open and any(samples[i] is not None for i in self._open):
+            self.finish()
+        self._settle()
+        events: list[ContactEvent | None] = [None] * len(self.learners)
+        here: list[int] = []
+        for batch, _ in self._batches:
+            batch.accepted[:] = False
+        for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
+            if sample is None:
+                continue
+            try:
+                if learner.take(sample):
+                    here.append(i)
+            except Exception as fault:
+                self._fault(learner, fault)
+        if not here:
+            return events
+        for batch, _ in self._batches:
+            batch.judge()
+        self._open.update(here)
+        for batch, members in self._batches:
+            flags_of = batch.flags
+            if not any(
+                flags & (DECIDED | RELEASE_PENDING) for flags in flags_of
+            ):  # as in nearly every tick
+                continue
+            for i, flags in zip(members, flags_of, strict=True):
+                learner = self.learners[i]
+                if not flags & (DECIDED | RELEASE_PENDING) or not batch.accepted[learner.place.row]:
+                    continue
+                try:
+                    events[i] = learner.event_of(flags)
+                except Exception as fault:
+                    self._fault(learner, fault)
+        return events
+
+    def finish(self) -> None:
+        """The second half of what was judged: commands, learning, predictions.
+
+        Who has got, changed or lost a model takes its place among the others here, too: no event
+        waits for that.
+        """
+        if self._open:
+            for batch, members in self._batches:
+                for i, flags in zip(members, batch.flags, strict=True):
+                    if i not in self._open:
+                        continue
+                    try:
+                        self.learners[i].finish(flags)
+                    except Exception as fault:
+                        self._fault(self.learners[i], fault)
+                batch.finish()
+            for i in self._open:
+                try:
+                    self.learners[i].settle()
+                except Exception as fault:
+                    self._fault(self.learners[i], fault)
+            self._open.clear()
+        self._settle()
+
+    def _fault(self, learner: Member, fault: Exception) -> None:
+        """A step of one leg raised, which must not end the others' service; raised if none asks."""
+        if self._on_fault is None:
+            raise fault
+        learner.reset_after_fault(fault)
+        self._on_fault(learner.leg.id, fault)
+
+    def _settle(self) -> None:
+        """Bring learners of equal libraries into one batch each, where some are not."""
+        for learner, home in zip(self.learners, self._homes, strict=True):
+            if learner.place.batch is not home:
+                break
+        else:
+            return
+        groups: list[list[Member]] = []
+        for learner in self.learners:
+            for group in groups:
+                if group[0].place.batch.alike(learner.place.batch):
+                    group.append(learner)
+                    break
+            else:
+                groups.append([learner])
+        places = {id(learner): i for i, learner in enumerate(self.learners)}
+        self._batches = [
+            (LegBatch.of([learner.place for learner in group]), [places[id(o)] for o in group])
+            for group in groups
+        ]
+        self._homes = [learner.place.batch for learner in self.learners]
+
+
+def compile_ahead() -> None:
+    """Compile what a tick needs, or load it, before the first one; safe to call again."""
+    joints = ("coxa", "femur", "tibia")
+    leg = Leg(id="any", joints=joints)
+    plain = Library("servo", joints, leg.joint_axes)
+    library = with_changes(plain, np.zeros((plain.size, len(joints))))
+    batch = LegBatch([leg], library, [0.005], 20_000_000, max_step=0.5)
+    batch.judge()
+    batch.finish()
+    every = np.ones((library.size, len(joints)), dtype=np.bool_)
+    coefficients, scale = np.zeros(every.shape), np.ones(library.size)
+    recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
+    recursion.update(np.zeros(library.size), np.zeros(len(joints)))

@@ -1,0 +1,553 @@
+"""The learner of one leg: samples in, contact events out.
+
+:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
+state machine; a :class:`~adaptive_contact.leg_group.Team` takes several one tick further, so that
+six cost little more than one.  Recursive updates and refits come after the event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.counters import Counters
+from adaptive_contact.detect.detector import (
+    BEGAN,
+    BROKE_OFF,
+    DECIDED,
+    ENTERED,
+    RATE_OFF,
+    RELEASE_PENDING,
+    RESOLVED,
+    RESTARTED,
+    SOURCE,
+    TOUCHED,
+    TOUCHING,
+)
+from adaptive_contact.detect.history import MAX_STEP_RAD_S
+from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
+from adaptive_contact.detect.source_watch import SourceWatch
+from adaptive_contact.detect.stream import RateWatch, StreamGuard
+from adaptive_contact.detect.swing_judge import SwingJudge
+from adaptive_contact.detect.swing_labels import SwingLabels
+from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
+from adaptive_contact.diagnose.leg_ids import IdWatch
+from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
+from adaptive_contact.learn.adapter import Adapter
+from adaptive_contact.learn.drift import UNFIT_LEVEL
+from adaptive_contact.learn.lifecycle import Lifecycle
+from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
+from adaptive_contact.leg_group import LegGroup, check_sample
+from adaptive_contact.model.glr import statistic
+from adaptive_contact.model.labelled_swing import LabelledSwing
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.library import ChangeLibrary
+from adaptive_contact.model.model_file import Baseline
+from adaptive_contact.model.report import report_of
+from adaptive_contact.robot import AngleFrame, Leg, Robot
+from adaptive_contact.wire import (
+    BufferCounts,
+    ContactEvent,
+    Doubt,
+    DriftLevel,
+    LearnerStatus,
+    ModelReport,
+    RefitCounts,
+    Reject,
+    ServoSample,
+    Status,
+)
+
+__all__ = ["ContactLearner"]
+
+# Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
+ROWS_PER_TICK: Final = 3
+_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
+# What a tick may leave to be handed on.
+_MOVES: Final = (
+    RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF | SOURCE
+)
+
+
+class JudgedTick(NamedTuple):
+    """How a tick was judged.
+
+    Attributes:
+        residual: (J,) rad.
+        scores: (windows,) statistic over threshold, NaN where it reaches too far back.
+        thresholds: (windows,) of the statistic, for the baseline's variance.
+    """
+
+    residual: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    thresholds: NDArray[np.float64]
+
+
+class ContactLearner:
+    """Learns one leg, and reports its contacts.
+
+    Args:
+        robot: the robot's description.
+        leg: id of the leg.
+        baseline: what is known of its free motion; without one the learner says ``learning``.
+        mode: how it follows changes of the leg.
+        refitter: does the sparse refits; in line where absent.
+        conventions: watches whether the robot's angles are counted as described, together with its
+            other legs; the leg by itself where absent.
+        ids: watches whether the samples are this leg's, together with the other legs.
+        when_ambiguous: whether contacts are reported while the leg is ambiguous.
+
+    Attributes:
+        place: the leg's arrays.
+
+    Raises:
+        ConfigurationError: the robot has no such leg.
+        BaselineError: the baseline belongs to another robot.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        leg: str,
+        baseline: Baseline | None = None,
+        *,
+        mode: LearnerMode = LearnerMode.FULL,
+        refitter: Refitter | None = None,
+        conventions: ConventionWatch | None = None,
+        ids: IdWatch | None = None,
+        when_ambiguous: WhenAmbiguous = WhenAmbiguous.WITHHOLD,
+    ) -> None:
+        if baseline is not None:
+            baseline.check_fits(robot)
+        self.robot = robot
+        self.leg: Leg = robot.leg(leg)
+        frame = AngleFrame(self.leg)
+        self._frame = None if frame.same else frame
+        self._lifecycle = Lifecycle(robot, self.leg, baseline, mode, refitter or InlineRefitter())
+        self.place = LegPlace(self._batch())
+        self._guard = StreamGuard(len(self.leg.joints))
+        self._rate = RateWatch.of(self.place)
+        self._counters = Counters()
+        self._alone: LegGroup | None = None
+        self._conventions = ConventionWatch(robot) if conventions is None else conventions
+        self._track = self._conventions.track(self.leg)
+        self._ids = None if ids is None else ids.track(self.leg)
+        self._when_ambiguous = WhenAmbiguous(when_ambiguous)
+        self._source = SourceWatch(self.leg, self.place)
+        self._misread = False  # the leg's angles are not counted as described
+        self._sample: ServoSample | None = None  # of the tick in hand
+        self._swing = SwingJudge(self.leg, self.place)
+        self._labels = SwingLabels(self.place, self._swing)
+        self._assessed = False  # what this tick found, for its event
+        self._begun = 0  # what the arrays hold of what is known
+        self._begin()
+
+    # -- public --------------------------------------------------------------------------------
+
+    def update(self, sample: ServoSample) -> ContactEvent | None:
+        """Take in the next sample of the wire.
+
+        Args:
+            sample: any sample; a bad one is counted in :attr:`status` and changes nothing.
+
+        Returns:
+            The change of contact that this sample decides, if it does.
+
+        Raises:
+            TypeError: it is no sample, such as the map of a payload.
+        """
+        check_sample(sample)
+        if self._alone is None:
+            self._alone = LegGroup([self])
+        event = self._alone.advance([sample])[0]
+        self._conventions.look()
+        return event
+
+    def reset_after_fault(self, fault: Exception) -> None:
+        """After a fault in its learning: go back to what was last saved of it, and say so."""
+        self._counters.fault(fault)
+        self.place.drop_tick()
+        self._assessed = False
+        self._lifecycle.restore_last_good()
+        self._let_go()
+        self.place.restart_swing()
+        self._swing.restart()
+        self._labels.restart()
+        self._begin()
+
+    def count(self, reason: Reject, times: int = 1) -> None:
+        """Count payloads that were refused before they became samples."""
+        self._counters.rejects[reason] += times
+
+    def request_release(self) -> None:
+        """Whoever listens may have heard from another process that the leg touches."""
+        self.place.leg["release_pending"] = True
+
+    @property
+    def contact(self) -> bool:
+        """Whether the leg touches, by its last event."""
+        return bool(self.place.leg["reported"])
+
+    @property
+    def model(self) -> LegModel | None:
+        """The model in force, or None while there is none."""
+        return None if self._adapter is None else self._adapter.model
+
+    def judged(self) -> JudgedTick | None:
+        """The last tick's residual and scores; None where it could not be judged."""
+        leg, recent = self.place.leg, self._lifecycle.recent
+        usable = int(leg["usable"])
+        if recent is None or not usable:
+            return None
+        batch, row = self.place.batch, self.place.row
+        unit = batch.unit[row]
+        whiten = recent.whiten[int(leg["context"])] / np.sqrt(unit)
+        found = statistic(self.place.residuals, self.place.increments, whiten, np.array(usable))
+        thresholds = recent.thresholds
+        residual = self.place.residuals[0].copy()
+        return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
+
+    def drain_confirmed(self) -> list[int]:
+        """Times of the ticks confirmed as free since the last call, ns."""
+        if self._adapter is None:
+            return []
+        times = list(self._adapter.confirmed_ns)
+        self._adapter.confirmed_ns.clear()
+        return times
+
+    @property
+    def status(self) -> LearnerStatus:
+        """How the learner is."""
+        adapter = self._adapter
+        self._collect_counts()
+        untouched_ns = int(self.place.leg["untouched_ns"])
+        return LearnerStatus(
+            leg=self.leg.id,
+            t_ns=int(self.place.leg["t_ns"]),
+            status=self._status,
+            model_version=self._version,
+            residual_rms=self.place.free_rms,
+            noise_floor=self._lifecycle.noise_floor,
+            buffer=BufferCounts() if adapter is None else adapter.buffer.counts,
+            drift=DriftLevel() if adapter is None else adapter.monitor.drift,
+            refits=RefitCounts() if adapter is None else adapter.refits,
+            ticks=self._counters.counts["ticks"],
+            rejects={str(reason): n for reason, n in sorted(self._counters.rejects.items())},
+            missed=self._guard.missed,
+            restarts=self._guard.restarts,
+            contact=self.contact,
+            contacts=self._counters.counts["contacts"],
+            withheld=self._counters.counts["withheld"],
+            doubt=self._doubt,
+            jitter_ms=self._rate.jitter_ms,
+            untouched=int(self.place.leg["untouched"]),
+            untouched_ns=None if untouched_ns < 0 else untouched_ns,
+            note=self._ailment(),
+        )
+
+    @property
+    def model_report(self) -> ModelReport | None:
+        """The model in terms and equations, or None while there is none."""
+        adapter, recent = self._adapter, self._lifecycle.recent
+        if adapter is None or recent is None:
+            return None
+        threshold = float(recent.thresholds[0])
+        return report_of(self.leg, adapter.model, threshold, self._lifecycle.origin)
+
+    def snapshot(self) -> dict[str, Any]:
+        """What has been learned and counted, as a tree that msgpack can write."""
+        self._collect_counts()
+        stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
+        return {**self._lifecycle.snapshot(), **self._counters.snapshot(), **stream}
+
+    def restore(self, saved: dict[str, Any]) -> str | None:
+        """Take over a snapshot, whole or not at all.
+
+        Returns:
+            None when it is in force, else one line that says why it is not.
+        """
+        refused = self._lifecycle.restore(saved)
+        if refused is not None:
+            return refused
+        self._begin()
+        self._counters.restore(saved)
+        if isinstance(saved.get("missed"), int):
+            self._guard.missed = saved["missed"]
+        self._guard.restore(saved.get("stream"))
+        return None
+
+    # -- one tick, in the order `Team` calls it -------------------------------------------------
+
+    def take(self, sample: ServoSample) -> bool:
+        """Put a sample into the arrays, for the tick to judge; False if it is refused."""
+        if self._frame is not None:
+            sample = self._frame.sample(sample)
+        result = self._guard.admit(sample)
+        if isinstance(result, Reject):
+            self.count(result)
+            return False
+        self._sample = sample
+        track = self._track
+        if track is not None and (self._misread or track.finding is not None):
+            self._follow_convention(track)
+        self.place.take(sample, lost=result.missed, restart=result.restart)
+        return True
+
+    def event_of(self, flags: int) -> ContactEvent | None:
+        """The event of a judged tick, if there is one."""
+        leg = self.place.leg
+        if flags & DECIDED:
+            # A lift whose top is past changes the status that the event carries.
+            self._assess(flags)
+            contact = bool(leg["contact"])
+            if not (contact or leg["reported"]):  # the end of one that was withheld
+                return None
+            residual = self.place.residuals[0].tolist()
+            return self._event(contact, int(leg["onset_ns"]), float(leg["score"]), residual)
+        if flags & RELEASE_PENDING:
+            leg["release_pending"] = False
+            return self._event(False, int(leg["at_ns"]), 0.0, [0.0] * len(self.leg.joints))
+        return None
+
+    def finish(self, flags: int) -> None:
+        """What a tick leaves to be learned, before the next is predicted."""
+        lifecycle, track = self._lifecycle, self._track
+        if track is not None and not track.settled:
+            if flags & RESTARTED:
+                track.restart()
+            sample, (batch, row) = self._sample, self.place.at
+            assert sample is not None
+            measured, desired = batch.measured[row], batch.desired[row]
+            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
+        ids = self._ids
+        if ids is not None and ids.wants:
+            if flags & RESTARTED:
+                ids.restart()
+            assert self._sample is not None
+            ids.take(self.place.sample(self._sample))
+        if flags & RESTARTED:
+            self._swing.restart()
+            if lifecycle.adapter is not None:
+                lifecycle.adapter.new_source()
+        if flags & RESOLVED:
+            self._learn(self._labels.resolve())
+        if flags & _MOVES:
+            if not self._assessed:
+                self._assess(flags)
+            if flags & TOUCHED:
+                self._learn(self._labels.alarm())
+            if flags & RATE_OFF and lifecycle.adapter is not None:
+                lifecycle.adapter.distrust(self._rate.since_ns)
+            if flags & SOURCE and self._source.cause is not None:
+                self._retract()
+        self._assessed = False
+        if self._void:
+            return
+        if lifecycle.cold is not None:
+            self._collect(flags)
+            lifecycle.try_cold()
+        adapter = lifecycle.adapter
+        if adapter is None or not adapter.learning or self._begun != lifecycle.begun:
+            return
+        moved = adapter.tick(ROWS_PER_TICK)
+        if not (moved or flags & _MOVES):
+            return
+        if adapter.monitor.unfit and self._swing.ticks:
+            lifecycle.forget()
+            self._let_go()
+            self._begin()
+            return
+        if moved or flags & ~ENTERED or adapter.monitor.watches:
+            self._publish()
+
+    def settle(self) -> None:
+        """After a tick: a model that has come is in force from the next one on."""
+        if self._begun != self._lifecycle.begun:
+            self._begin()
+
+    # -- private -------------------------------------------------------------------------------
+
+    def _batch(self) -> LegBatch:
+        robot, leg = self.robot, self.leg
+        library = self._lifecycle.library
+        return LegBatch(
+            [leg], library, [robot.quantum(leg.id)], round(robot.period_s * 1e9),
+            max_step=MAX_STEP_RAD_S * library.period_s,
+        )  # fmt: skip
+
+    def _begin(self) -> None:
+        """What is known is another: the past under it is no past of the new."""
+        self._collect_counts()
+        lifecycle, place = self._lifecycle, self.place
+        if lifecycle.library != place.batch.library:
+            place.move(self._batch(), 0)
+        place.batch.forget_past(place.row)
+        self._begun = lifecycle.begun
+        adapter = lifecycle.adapter
+        self._labels.begin(None if adapter is None else adapter.baseline)
+        if adapter is None:
+            place.end()
+            return
+        library = adapter.model.library
+        assert isinstance(library, ChangeLibrary)
+        place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
+        self._publish(wanted=True)
+
+    def _publish(self, *, wanted: bool = False) -> None:
+        """Put what is known of free motion into force, for the next tick to judge by."""
+        adapter, leg = self._lifecycle.adapter, self.place.leg
+        assert adapter is not None
+        free = adapter.free_motion(wanted=wanted or bool(leg["ticks"]))
+        self.place.judge_by(free)
+        leg["sure"] = adapter.status == "valid" and not free.changed
+        leg["withholds"] = self._withholds
+
+    def _assess(self, flags: int) -> None:
+        self._learn(self._labels.assess(flags))
+        self._assessed = True
+
+    def _learn(self, parts: Sequence[LabelledSwing]) -> None:
+        adapter = self._lifecycle.adapter
+        if adapter is not None:
+            for part in parts:
+                adapter.learn(part)
+
+    def _collect(self, flags: int) -> None:
+        """A sample for a first model."""
+        leg, sample = self.place.leg, self._sample
+        assert sample is not None
+        rate = self._rate
+        self._lifecycle.collect(
+            self.place.sample(sample),
+            swing=bool(leg["ticks"]),
+            broken=bool(flags & RESTARTED) or bool(leg["missed"]),
+            off=rate.told_by - 1 if rate.off else 0,
+        )
+
+    def _follow_convention(self, track: MotionTrack) -> None:
+        """Stop judging a leg whose angles are not counted as described, or go on."""
+        if track.spoils and not self._misread:
+            self._let_go()
+        self._misread = track.spoils
+        self.place.leg["misread"] = self._misread
+
+    def _let_go(self) -> None:
+        """Forget whether the leg touches: nobody can tell any more."""
+        leg = self.place.leg
+        leg["release_pending"] |= leg["reported"]
+        leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
+
+    def _collect_counts(self) -> None:
+        leg = self.place.leg
+        self._counters.counts["ticks"] += int(leg["accepted_n"])
+        refused = int(leg["refused"])
+        if refused:
+            self._counters.rejects[Reject.IMPLAUSIBLE] += refused
+        leg["accepted_n"] = leg["refused"] = 0
+
+    def _event(
+        self, contact: bool, onset_ns: int, score: float, residual: list[float]
+    ) -> ContactEvent:
+        sample, leg = self._sample, self.place.leg
+        assert sample is not None
+        doubt, withheld = self._doubt, self._withholds
+        reported = contact and not withheld
+        leg["reported"] = reported
+        if contact:
+            self._counters.counts["withheld" if withheld else "contacts"] += 1
+        return ContactEvent(
+            leg=self.leg.id,
+            t_ns=sample.t_ns,
+            seq=sample.seq,
+            # In the stamps' own time, of which the schedule is a smoothed one.
+            onset_ns=sample.t_ns - max(int(leg["at_ns"]) - onset_ns, 0),
+            contact=reported,
+            status=self._status,
+            score=score,
+            residual=residual,
+            model_version=self._version,
+            withheld=withheld,
+            doubt=doubt,
+        )
+
+    def _retract(self) -> None:
+        """What the source has sent says nothing of the leg: nothing of it stays learned."""
+        leg, lifecycle = self.place.leg, self._lifecycle
+        # It may have begun in the swing before, too late in it to be found.
+        if lifecycle.adapter is not None:
+            lifecycle.adapter.retract(int(leg["began_ns"]))
+        if lifecycle.cold is not None:
+            lifecycle.cold.drop_newest(int(leg["total_n"]) - int(leg["began_n"]))
+
+    @property
+    def _withholds(self) -> bool:
+        """Whether contacts are not reported, as the leg is ambiguous."""
+        if self._void:
+            return True
+        if self._when_ambiguous is WhenAmbiguous.PUBLISH:
+            return False
+        doubt = self._doubt
+        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
+            return doubt is not None
+        # A foot that comes short of its command in lifts that fit the model is slow, not held.
+        fits = doubt == "held" and self._labels.lift_nis <= UNFIT_LEVEL
+        return not fits and doubt != "unsettled"
+
+    @property
+    def _void(self) -> bool:
+        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
+        return self._misread or bool(self.place.leg["cause"])
+
+    @property
+    def _doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self._source.cause is not None:
+            return self._source.cause
+        if self._misread:
+            return "angles"
+        return None if self._adapter is None else self._adapter.doubt
+
+    @property
+    def _adapter(self) -> Adapter | None:
+        return self._lifecycle.adapter
+
+    @property
+    def _status(self) -> Status:
+        if self._void:
+            return "ambiguous"
+        return "learning" if self._adapter is None else self._adapter.status
+
+    @property
+    def _version(self) -> int:
+        return 0 if self._adapter is None else self._adapter.model.version
+
+    @property
+    def _convention_note(self) -> str | None:
+        """One line for a person when the leg's angles are not counted as described."""
+        found = None if self._track is None else self._track.finding
+        if found is None:
+            return None
+        until = "; no contacts are reported until then" if self._misread else ""
+        return found.line(self.leg) + until
+
+    def _ailment(self) -> str | None:
+        """What stops this leg from being judged, for a person; the gravest."""
+        adapter = self._adapter
+        notes = (
+            self._counters.fault_note,
+            self._guard.note,
+            self._rate.note,
+            self._source.note,
+            None if self._ids is None else self._ids.note,
+            self._convention_note,
+            self._swing.phase_unknown_note,
+            self._lifecycle.note_now,
+            None if adapter is None else adapter.note,
+            self._labels.unobservable_note,
+            self._labels.landings.note,
+            _NO_PREVIEW if self.place.leg["lacking"] else None,
+        )
+        return next((note for note in notes if note is not None), None)

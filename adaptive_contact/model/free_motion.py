@@ -1,0 +1,57 @@
+"""What detection needs to know of a leg's free motion: the learning makes it, a tick judges by it.
+
+One of the two values that pass between the two; the other is
+:class:`~adaptive_contact.model.labelled_swing.LabelledSwing`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.model.training_domain import Domain
+
+__all__ = ["Covariance", "FreeMotion"]
+
+Array = NDArray[np.float64]
+
+
+class Covariance(NamedTuple):
+    """How uncertain a model's coefficients are, over the noise's variance.
+
+    Attributes:
+        terms: (J, n) which of the p terms each joint's recursion moves.
+        per_scale: (J, n) reciprocal scale of each.
+        root: (J, n, n) square root of their covariance.
+    """
+
+    terms: NDArray[np.int64]
+    per_scale: Array
+    root: Array
+
+
+class FreeMotion(NamedTuple):
+    """A leg's free motion, as it is known now.
+
+    Attributes:
+        coefficients: (p, J) of the model in force; None while the leg stands, when no tick needs
+            them.
+        variance_scale: of the residuals, over the baseline's; 1 for a leg as it was first known.
+        covariance: of the coefficients while it is inflated, else None.
+        changed: the leg has changed since the model in force was fitted.
+        whiten: (contexts, windows, J, J) of sums of residuals.
+        thresholds: (windows,) of the statistic.
+        awaited: the same for ticks after the turn to stance, in which a touch is expected.
+        domain: where the model has been; None if that is not known.
+    """
+
+    coefficients: Array | None
+    variance_scale: float
+    covariance: Covariance | None
+    changed: bool
+    whiten: Array
+    thresholds: Array
+    awaited: Array
+    domain: Domain | None

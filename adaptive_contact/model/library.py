@@ -1,0 +1,377 @@
+r"""Candidate libraries: the terms a leg model may be made of.
+
+``servo``
+    what the physics of a position servo says.  With :math:`e = \theta^{des} - \theta`, velocities
+    in rad per tick and :math:`\mathrm{sat}(x) = \min(1, \max(-1, x))`: a constant, positions,
+    position and command differences, the saturating control law
+    :math:`\mathrm{sat}(e/s)` at the present and past commands and half a tick on, where the joint
+    will have moved by :math:`v/2`, Coulomb friction
+    :math:`\tanh(v/v_0)`, back-EMF and viscous friction (the differences), gravity
+    :math:`\cos\phi, \sin\phi` of the absolute link angles.
+``paper``
+    the paper's Eq. 8: sine, cosine and all polynomials up to degree 2 of every position and
+    command in the window.
+``linear``
+    a constant, the positions and the commands.
+
+Every library predicts the increment :math:`\theta[k+1] - \theta[k]`: a ridge term then pulls
+towards "no motion" rather than towards the zero position.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from itertools import combinations_with_replacement, pairwise
+from typing import Final, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model.window import Window
+from adaptive_contact.robot import Leg, Robot
+
+__all__ = [
+    "ChangeLibrary",
+    "Library",
+    "LibraryName",
+    "friction_terms",
+    "leg_library",
+    "soft_term",
+    "with_changes",
+]
+
+Array = NDArray[np.float64]
+LibraryName = Literal["servo", "paper", "linear"]
+
+# Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at
+# 0.1 to 0.3 rad/s (Rhoban/bam identifications); the readings do not resolve less.
+FRICTION_KNEE_RAD_S: Final = 0.5
+# Knees of friction against a movement foretold, rad per second: from what a joint must be asked for
+# to break away to what it does at its fastest.
+FORETOLD_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
+# The library offers the control law at the described slope and at its neighbours, so that wear
+# or a wrong register value stays inside its span.
+SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
+
+
+class _ServoShape(NamedTuple):
+    """The ``servo`` library as one product and a few functions of ranges of its columns.
+
+    Attributes:
+        linear: (window, p), what each column is of the flat window before any function.
+        clipped: columns that saturate at ±1.
+        curved: ranges of columns, each with its function.
+    """
+
+    linear: Array
+    clipped: slice
+    curved: tuple[tuple[slice, np.ufunc], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Library:
+    """A named set of terms over a window.
+
+    Attributes:
+        name: which of the libraries above.
+        joints: (J,) names, from the body outwards.
+        axes: (J,) ``yaw`` or ``pitch``.
+        window: past and future it looks at.
+        slope_rad: s of the servo's control law.
+        period_s: control tick, for the friction knee.
+    """
+
+    name: LibraryName
+    joints: tuple[str, ...]
+    axes: tuple[str, ...]
+    window: Window = dataclasses.field(default_factory=Window)
+    slope_rad: float = 0.164
+    period_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.name not in get_args(LibraryName):
+            raise ConfigurationError(
+                f"library is '{self.name}'; expected one of {', '.join(get_args(LibraryName))}"
+            )
+        if len(self.axes) != len(self.joints):
+            raise ConfigurationError(
+                f"library: {len(self.axes)} axes for {len(self.joints)} joints"
+            )
+
+    @property
+    def size(self) -> int:
+        """p, the number of terms."""
+        return len(self.names)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of every term, in the order of :meth:`evaluate`'s columns."""
+        return self._all_names()
+
+    def _all_names(self) -> tuple[str, ...]:
+        if self.name == "servo":
+            return tuple(self._servo_names())
+        columns = self._variable_names()
+        if self.name == "linear":
+            return ("1", *columns)
+        pairs = combinations_with_replacement(range(len(columns)), 2)
+        return (
+            "1",
+            *columns,
+            *(f"sin({c})" for c in columns),
+            *(f"cos({c})" for c in columns),
+            *(f"{columns[i]} {columns[j]}" for i, j in pairs),
+        )
+
+    def evaluate(self, measured: Array, desired: Array, preview: Array) -> Array:
+        """Compute Θ.
+
+        Args:
+            measured: (..., N + 1, J) rad, lag 0 first.
+            desired: (..., N' + 1, J) rad, lag 0 first.
+            preview: (..., M, J) rad, next command first.
+
+        Returns:
+            (..., p).
+        """
+        parts = [_flat(part) for part in (measured, desired, preview)]
+        return self.evaluate_flat(np.concatenate(parts, axis=-1))
+
+    def evaluate_flat(self, window: Array) -> Array:
+        """Compute Θ of windows laid out in a row.
+
+        Args:
+            window: (..., (N + 1) J + (N' + 1) J + M J) rad: measured, desired and preview, each
+                lag by lag as in :meth:`evaluate`.
+
+        Returns:
+            (..., p).
+        """
+        if self.name == "servo":
+            return self._servo(window)
+        one = np.ones((*window.shape[:-1], 1))
+        if self.name == "linear":
+            return np.concatenate([one, window], axis=-1)
+        first, second = self._pairs
+        products = window[..., first] * window[..., second]
+        return np.concatenate([one, window, np.sin(window), np.cos(window), products], axis=-1)
+
+    @cached_property
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        pairs = combinations_with_replacement(range(len(self._variable_names())), 2)
+        first, second = np.array(list(pairs), dtype=np.int64).T
+        return first, second
+
+    @cached_property
+    def _pitch(self) -> Array:
+        return np.array([1.0 if axis == "pitch" else 0.0 for axis in self.axes])
+
+    def _variable_names(self) -> list[str]:
+        w = self.window
+        spans = [
+            ("θ", [-lag for lag in range(w.past_measured + 1)]),
+            ("u", [-lag for lag in range(w.past_desired + 1)]),
+            ("u", list(range(1, w.preview + 1))),
+        ]
+        return [
+            f"{symbol}_{joint}{_at(offset)}"
+            for symbol, offsets in spans
+            for offset in offsets
+            for joint in self.joints
+        ]
+
+    def _servo(self, window: Array) -> Array:
+        theta = np.asarray(window @ self._servo_shape.linear)
+        self._bend(theta)
+        return theta
+
+    def _bend(self, theta: Array) -> None:
+        """Make the terms, in place, of what each is of the window before any function."""
+        shape = self._servo_shape
+        theta[..., 0] = 1.0
+        clipped = theta[..., shape.clipped]
+        np.minimum(clipped, 1.0, out=clipped)
+        np.maximum(clipped, -1.0, out=clipped)
+        for columns, function in shape.curved:
+            part = theta[..., columns]
+            function(part, out=part)
+
+    @cached_property
+    def _servo_shape(self) -> _ServoShape:
+        w, joints = self.window, len(self.joints)
+        depths = (w.past_measured + 1, w.past_desired + 1, w.preview)
+        # Each row of the identity is a window with one entry: what is linear in it gives a matrix.
+        unit = np.eye(sum(depths) * joints)
+        edges = np.cumsum([0, *depths]) * joints
+        measured, desired, preview = (
+            unit[:, first:last].reshape(len(unit), -1, joints)
+            for first, last in pairwise(edges.tolist())
+        )
+        position = measured[:, 0]
+        velocity = measured[:, :-1] - measured[:, 1:]
+        depth = min(w.past_measured, w.past_desired) + 1
+        error = (desired[:, :depth] - measured[:, :depth]) / self.slope_rad
+        # The command of the tick before against the position it led to: what the servo still
+        # pushed with just before the new command came.
+        left = (desired[:, 1:depth] - measured[:, : depth - 1]) / self.slope_rad
+        angles = np.cumsum(position * self._pitch, axis=-1)[:, self._pitch > 0]
+        knee = FRICTION_KNEE_RAD_S * self.period_s
+        straight = [
+            np.zeros((len(unit), 1)),  # the constant
+            position,
+            _flat(velocity),
+            error[:, 0],
+            _flat(desired[:, :-1] - desired[:, 1:]),
+        ]
+        clipped = [_flat(error), _flat(left), *(error[:, 0] / f for f in SLOPE_FACTORS[1:])]
+        if w.past_measured:  # the joint moves on while the command is in force
+            clipped.append(error[:, 0] - velocity[:, 0] / 2.0 / self.slope_rad)
+        friction = [velocity[:, 0] / knee] if w.past_measured else []
+        ahead = [_flat(preview - desired[:, :1])] if w.preview else []
+        groups = (straight, clipped, friction, [angles], [angles], ahead)
+        widths = [sum(part.shape[1] for part in group) for group in groups]
+        bounds = [slice(*pair) for pair in pairwise(np.cumsum([0, *widths]).tolist())]
+        return _ServoShape(
+            linear=np.concatenate([part for group in groups for part in group], axis=1),
+            clipped=bounds[1],
+            curved=((bounds[2], np.tanh), (bounds[3], np.cos), (bounds[4], np.sin)),
+        )
+
+    def _servo_names(self) -> list[str]:
+        w, joints = self.window, self.joints
+        depth = min(w.past_measured, w.past_desired) + 1
+        names = ["1", *(f"θ_{j}" for j in joints)]
+        names += [f"v_{j}{_at(-lag)}" for lag in range(w.past_measured) for j in joints]
+        names += [f"e_{j}/s" for j in joints]
+        names += [f"Δu_{j}{_at(-lag)}" for lag in range(w.past_desired) for j in joints]
+        names += [f"sat(e_{j}{_at(-lag)}/s)" for lag in range(depth) for j in joints]
+        names += [f"sat(e⁻_{j}{_at(-lag)}/s)" for lag in range(depth - 1) for j in joints]
+        names += [f"sat(e_{j}/{f:g}s)" for f in SLOPE_FACTORS[1:] for j in joints]
+        if w.past_measured:
+            names += [f"sat((e_{j}-v_{j}/2)/s)" for j in joints]
+            names += [f"tanh(v_{j}/v₀)" for j in joints]
+        pitched = [j for j, axis in zip(joints, self.axes, strict=True) if axis == "pitch"]
+        names += [f"cos φ_{j}" for j in pitched] + [f"sin φ_{j}" for j in pitched]
+        names += [f"u_{j}{_at(lead)}-u_{j}" for lead in range(1, w.preview + 1) for j in joints]
+        return names
+
+
+@dataclasses.dataclass(frozen=True)
+class ChangeLibrary(Library):
+    r"""A library with the shapes of what may happen to the leg, as its first model foretells them.
+
+    With :math:`\delta = \Xi_0^\top \Theta` the movement that the model of the leg as it was first
+    known foretells:
+
+    - friction, :math:`\tanh(\delta_j / \kappa)` for several knees κ, as what stops a slow joint
+      only slows a fast one.  Against the movement *before*, as in ``servo``, a joint that is about
+      to break away or to turn looks free of friction;
+    - softness, :math:`\delta_j(2s) - \delta_j`, what the same joint would do with a control law of
+      twice the slope in place of its own; only of a library that knows the law.
+
+    Libraries that differ in Ξ₀ only are equal: their legs can share arrays.
+
+    Attributes:
+        first: (q, J) Ξ₀, of the q terms that the library has without these.
+    """
+
+    first: Array = dataclasses.field(compare=False, repr=False, kw_only=True)
+
+    @cached_property
+    def foretelling(self) -> Array:
+        """(q, K J), what the terms without changes foretell, over each knee of friction."""
+        knees = [knee * self.period_s for knee in FORETOLD_KNEES_RAD_S]
+        return np.concatenate([self.first / knee for knee in knees], axis=1)
+
+    @cached_property
+    def softening(self) -> Array:
+        """(c, J), what the law's terms foretell."""
+        return self.first[self._servo_shape.clipped] if self.knows_law else self.first[:0]
+
+    @property
+    def knows_law(self) -> bool:
+        """Whether the servo's control law is among the terms."""
+        return self.name == "servo"
+
+    def parts(self, window: Array) -> tuple[Array, Array]:
+        """What the terms are made of that all legs of equal libraries share.
+
+        Args:
+            window: as in :meth:`evaluate_flat`.
+
+        Returns:
+            (..., q) the terms without changes; (..., c) by how much those of the law would be
+            other with twice the slope.
+        """
+        if not self.knows_law:
+            theta = super().evaluate_flat(window)
+            return theta, theta[..., :0]
+        shape = self._servo_shape
+        theta = np.asarray(window @ shape.linear)
+        softer = 0.5 * theta[..., shape.clipped]
+        self._bend(theta)
+        np.minimum(softer, 1.0, out=softer)
+        np.maximum(softer, -1.0, out=softer)
+        softer -= theta[..., shape.clipped]
+        return theta, softer
+
+    def evaluate_flat(self, window: Array) -> Array:
+        """Compute Θ; see :meth:`Library.evaluate_flat`."""
+        theta, softer = self.parts(window)
+        changes = [np.tanh(theta @ self.foretelling)]
+        if self.knows_law:
+            changes.append(softer @ self.softening)
+        return np.concatenate([theta, *changes], axis=-1)
+
+    def _all_names(self) -> tuple[str, ...]:
+        rub = [name for j in zip(*map(friction_terms, self.joints), strict=True) for name in j]
+        soft = [soft_term(j) for j in self.joints] if self.knows_law else []
+        return (*super()._all_names(), *rub, *soft)
+
+
+def friction_terms(joint: str) -> tuple[str, ...]:
+    """Names of a joint's friction against the movement that was foretold first."""
+    return tuple(f"tanh(δ_{joint}/{knee:g})" for knee in FORETOLD_KNEES_RAD_S)
+
+
+def soft_term(joint: str) -> str:
+    """Name of what a joint half as stiff would do besides."""
+    return f"δ_{joint}(2s)-δ_{joint}"
+
+
+def with_changes(library: Library, first: Array) -> ChangeLibrary:
+    """A library with the shapes of changes.
+
+    Args:
+        library: plain.
+        first: (q, J) coefficients of its terms, of the leg as it was first known.
+    """
+    own = {f.name: getattr(library, f.name) for f in dataclasses.fields(Library)}
+    return ChangeLibrary(**own, first=first)
+
+
+def leg_library(
+    robot: Robot, leg: Leg, name: LibraryName = "servo", window: Window | None = None
+) -> Library:
+    """The library of a leg, from the robot's description."""
+    return Library(
+        name=name,
+        joints=leg.joints,
+        axes=leg.joint_axes,
+        window=window or Window(),
+        slope_rad=robot.servo.slope_rad,
+        period_s=robot.period_s,
+    )
+
+
+def _flat(values: Array) -> Array:
+    """(..., m, J) to (..., m J); -1 would not do for no rows at all."""
+    *lead, depth, joints = values.shape
+    return values.reshape(*lead, depth * joints)
+
+
+def _at(offset: int) -> str:
+    """``[k]`` is left out; ``[k-1]``, ``[k+2]``."""
+    return "" if offset == 0 else f"[k{offset:+d}]"

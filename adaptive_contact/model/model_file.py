@@ -1,0 +1,393 @@
+"""A learned baseline: model, noise and tails of a robot's legs, in one JSON file.
+
+JSON, because a person can read the equations in it, a diff shows what a relearning changed, and
+there is nothing to execute in it.  It carries a format version, the robot's name and everything
+the library depends on; what does not fit is refused in one line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import BaselineError, ConfigurationError, IdentificationError
+from adaptive_contact.files import cannot_write, write_file
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.library import Library, LibraryName
+from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
+from adaptive_contact.model.tail import SHAPE_RANGE, Tail
+from adaptive_contact.model.training_domain import Domain
+from adaptive_contact.model.window import Window
+from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
+
+__all__ = [
+    "FORMAT",
+    "Baseline",
+    "LegBaseline",
+    "dump_baseline",
+    "load_baseline",
+    "parse_baseline",
+    "save_baseline",
+    "shipped_baseline",
+    "thresholds_of",
+]
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class LegBaseline:
+    """What is known of one leg's free motion.
+
+    Attributes:
+        model: one step ahead.
+        noise: residuals on free ticks.
+        scale: (p,) root mean square of every regressor on free ticks.
+        rows: ticks the model was fitted to.
+        domain: where these have been; None for what was learned before it was kept.
+    """
+
+    model: LegModel
+    noise: NoiseModel
+    scale: Array
+    rows: int
+    domain: Domain | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Baseline:
+    """What is known of a robot's legs.
+
+    Attributes:
+        robot: name of the robot it belongs to.
+        origin: one line on how it was made.
+        quantum_rad: position step of the servos it was learned with.
+        legs: by id.
+        tails: of the statistic on free ticks, one per window, pooled over legs.
+    """
+
+    robot: str
+    origin: str
+    quantum_rad: float
+    legs: dict[str, LegBaseline]
+    tails: tuple[Tail, ...]
+
+    def thresholds(self, false_alarms_per_hour: float) -> Array:
+        """(windows,) thresholds for a rate of false alarms.
+
+        The rate is split evenly over the windows, which can only make alarms rarer.
+        """
+        return thresholds_of(self.tails, false_alarms_per_hour)
+
+    def check_fits(self, robot: Robot) -> None:
+        """Refuse a baseline of another robot.
+
+        Raises:
+            BaselineError: it belongs to another robot, or its legs have other joints.
+        """
+        if self.robot != robot.name:
+            raise BaselineError(
+                f"the baseline is of robot '{self.robot}', the description of '{robot.name}'; "
+                "fit a baseline for this robot (adaptive-contact fit)"
+            )
+        for leg in robot.legs:
+            known = self.legs.get(leg.id)
+            if known is not None and known.model.library.joints != leg.joints:
+                raise BaselineError(
+                    f"the baseline's leg '{leg.id}' has joints "
+                    f"{list(known.model.library.joints)}, the description's {list(leg.joints)}; "
+                    "fit a baseline for this robot (adaptive-contact fit)"
+                )
+            if known is not None and not math.isclose(
+                known.model.library.period_s, robot.period_s, rel_tol=0.05
+            ):
+                raise BaselineError(
+                    f"the baseline was learned at {known.model.library.period_s} s per tick, the "
+                    f"robot runs at {robot.period_s} s; fit a baseline at this rate"
+                )
+
+
+def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Array:
+    """(windows,) thresholds from tails, with 95 % confidence; see :meth:`Baseline.thresholds`."""
+    per_tick = false_alarms_per_hour / ROBOT_HOUR_TICKS / len(tails)
+    return np.array([t.cautious().quantile(min(per_tick, t.rate)) for t in tails])
+
+
+class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
+    joints: tuple[str, ...]
+    axes: tuple[str, ...]
+    rows: int
+    terms: dict[str, dict[str, float]]
+    scale: dict[str, float]
+    covariance: list[list[list[list[float]]]]
+    ticks: list[float]
+    domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
+
+
+class _LibraryFile(msgspec.Struct, forbid_unknown_fields=True):
+    name: LibraryName
+    past_measured: int
+    past_desired: int
+    preview: int
+    slope_rad: float
+    period_s: float
+
+
+class _TailFile(msgspec.Struct, forbid_unknown_fields=True):
+    level: float
+    rate: float
+    scale: float
+    shape: float
+    ticks: int
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    format: int
+    robot: str
+    origin: str
+    quantum_rad: float
+    library: _LibraryFile
+    tails: list[_TailFile]
+    legs: dict[str, _LegFile]
+
+
+def dump_baseline(baseline: Baseline) -> str:
+    """The text of a baseline file.
+
+    Raises:
+        BaselineError: it has no legs, or its legs' libraries differ.
+    """
+    libraries = {
+        dataclasses.replace(b.model.library, joints=("j",), axes=("pitch",))
+        for b in baseline.legs.values()
+    }
+    if len(libraries) != 1:
+        raise BaselineError(
+            f"a baseline has one library for all legs, found {len(libraries)}; fit it in one go"
+        )
+    library = libraries.pop()
+    file = _File(
+        format=FORMAT,
+        robot=baseline.robot,
+        origin=baseline.origin,
+        quantum_rad=baseline.quantum_rad,
+        library=_library_file(library),
+        tails=[_TailFile(**dataclasses.asdict(t)) for t in baseline.tails],
+        legs={leg: _leg_file(known) for leg, known in baseline.legs.items()},
+    )
+    text = msgspec.json.format(msgspec.json.encode(file), indent=1).decode()
+    return text + "\n"
+
+
+def save_baseline(baseline: Baseline, path: str | Path) -> None:
+    """Write a baseline file, whole or not at all.
+
+    Raises:
+        BaselineError: it cannot be written there.
+    """
+    path = Path(path)
+    text = dump_baseline(baseline)
+    advice = "give another file to write the baseline to"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BaselineError(cannot_write(path, error, advice)) from error
+    write_file(path, text, advice=advice, error=BaselineError)
+
+
+def load_baseline(path: str | Path) -> Baseline:
+    """Read a baseline file.
+
+    Raises:
+        BaselineError: in one line, what is wrong with it.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise BaselineError(
+            f"{path}: cannot be read ({error.strerror}); give a file that `fit` wrote"
+        ) from error
+    return parse_baseline(data, source=str(path))
+
+
+def shipped_baseline(robot: str) -> Baseline | None:
+    """The baseline that ships for a robot of this name, or None."""
+    root = resources.files("adaptive_contact_models")
+    for folder in sorted(root.iterdir(), key=lambda entry: entry.name):
+        file = folder.joinpath("baseline.json") if folder.is_dir() else None
+        if file is not None and file.is_file():
+            baseline = parse_baseline(file.read_bytes(), source=f"{folder.name}/baseline.json")
+            if baseline.robot == robot:
+                return baseline
+    return None
+
+
+def parse_baseline(data: bytes, *, source: str) -> Baseline:
+    """Parse and check the content of a baseline file; ``source`` names it in errors.
+
+    Raises:
+        BaselineError: see :func:`load_baseline`.
+    """
+    try:
+        table = msgspec.json.decode(data)
+        found = table.get("format") if isinstance(table, dict) else None
+        if found != FORMAT:
+            raise BaselineError(
+                f"{source}: a file of format {found!r}; expected a baseline of format {FORMAT}: "
+                "learn it anew with `adaptive-contact fit`"
+            )
+        file = msgspec.convert(table, _File)
+        return _baseline(file)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BaselineError(
+            f"{source}: not a baseline file ({error}); expected what `adaptive-contact fit` writes"
+        ) from error
+    except (ConfigurationError, IdentificationError) as error:
+        raise BaselineError(f"{source}: {error}") from error
+
+
+def leg_tree(known: LegBaseline) -> dict[str, object]:
+    """One leg's baseline as plain maps, lists, numbers and texts, for a snapshot."""
+    library = known.model.library
+    return {
+        "library": msgspec.to_builtins(_library_file(library)),
+        "leg": msgspec.to_builtins(_leg_file(known)),
+    }
+
+
+def leg_of_tree(tree: object, library: Library) -> LegBaseline:
+    """A leg's baseline from :func:`leg_tree`.
+
+    Args:
+        tree: as it was read.
+        library: that the leg's model must be of.
+
+    Raises:
+        BaselineError: it is no such tree, or of another library.
+    """
+    try:
+        if not isinstance(tree, dict):
+            raise BaselineError("what it started from is missing")
+        of = msgspec.convert(tree.get("library"), _LibraryFile)
+        known = _leg("?", msgspec.convert(tree.get("leg"), _LegFile), of)
+    except (msgspec.ValidationError, ConfigurationError, IdentificationError) as error:
+        raise BaselineError(f"what it started from cannot be read: {error}") from error
+    if known.model.library != library:
+        raise BaselineError("it belongs to another library, other joints or another rate")
+    return known
+
+
+def _library_file(library: Library) -> _LibraryFile:
+    return _LibraryFile(
+        name=library.name,
+        **dataclasses.asdict(library.window),
+        slope_rad=library.slope_rad,
+        period_s=library.period_s,
+    )
+
+
+def leg_library_of(
+    file_library: _LibraryFile, joints: tuple[str, ...], axes: tuple[str, ...]
+) -> Library:
+    """The library that a file's leg was fitted with."""
+    return Library(
+        name=file_library.name,
+        joints=joints,
+        axes=axes,
+        window=Window(file_library.past_measured, file_library.past_desired, file_library.preview),
+        slope_rad=file_library.slope_rad,
+        period_s=file_library.period_s,
+    )
+
+
+def _leg_file(known: LegBaseline) -> _LegFile:
+    library = known.model.library
+    return _LegFile(
+        joints=library.joints,
+        axes=library.axes,
+        rows=known.rows,
+        terms={name: dict(known.model.terms(j)) for j, name in enumerate(library.joints)},
+        scale=dict(zip(library.names, known.scale.tolist(), strict=True)),
+        covariance=known.noise.covariance.tolist(),
+        ticks=known.noise.ticks.tolist(),
+        domain=None if known.domain is None else _rows_of(known.domain.triangle),
+    )
+
+
+def _rows_of(triangle: Array) -> list[str]:
+    return [" ".join(f"{value:.4g}" for value in row[i:]) for i, row in enumerate(triangle)]
+
+
+def _domain(rows: list[str] | None, scale: Array) -> Domain | None:
+    if rows is None:
+        return None
+    p = len(scale)
+    triangle = np.zeros((p, p))
+    try:
+        for i, row in enumerate(rows):
+            triangle[i, i:] = np.array(row.split(), dtype=np.float64)
+    except (ValueError, IndexError) as error:
+        raise IdentificationError(
+            f"its domain is no triangle of {p} rows; learn it anew"
+        ) from error
+    return Domain(triangle, scale)
+
+
+def _baseline(file: _File) -> Baseline:
+    legs = {leg: _leg(leg, entry, file.library) for leg, entry in file.legs.items()}
+    if not legs:
+        raise IdentificationError("it has no legs; learn it anew")
+    if len(file.tails) != len(WINDOWS):
+        raise IdentificationError(f"it has {len(file.tails)} tails; expected {len(WINDOWS)}")
+    for tail in file.tails:
+        sound = all(math.isfinite(x) for x in (tail.level, tail.scale, tail.shape))
+        usual = SHAPE_RANGE[0] <= tail.shape <= SHAPE_RANGE[1] and tail.ticks >= 0
+        if not (sound and usual and tail.scale > 0 and 0 < tail.rate < 1):
+            raise IdentificationError("a tail is implausible; learn it anew")
+    tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
+    return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
+
+
+def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
+    library = leg_library_of(of, entry.joints, entry.axes)
+    coefficients = np.zeros((library.size, len(library.joints)))
+    row = {name: i for i, name in enumerate(library.names)}
+    for j, joint in enumerate(library.joints):
+        for term, value in entry.terms.get(joint, {}).items():
+            if term not in row:
+                raise IdentificationError(
+                    f"leg '{leg}' has a term '{term}' that the library "
+                    f"'{library.name}' has not; learn it anew"
+                )
+            coefficients[row[term], j] = value
+    joints = len(library.joints)
+    shape = (CONTEXTS, len(WINDOWS), joints, joints)
+    covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
+    ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
+    if not (np.isfinite(ticks).all() and (ticks >= 0).all() and ticks.sum() > 0):
+        raise IdentificationError(f"leg '{leg}': ticks are not counts, or none; learn it anew")
+    scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
+    if not (np.isfinite(scale).all() and (scale > 0).all()):
+        raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
+    model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
+    return LegBaseline(model, noise, scale, entry.rows, _domain(entry.domain, scale))
+
+
+def _array(values: object, shape: tuple[int, ...], what: str) -> Array:
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except ValueError as error:
+        raise IdentificationError(f"{what} is ragged; learn it anew") from error
+    if array.shape != shape:
+        raise IdentificationError(f"{what} has shape {array.shape}; expected {shape}")
+    return array

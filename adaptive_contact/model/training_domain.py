@@ -1,0 +1,138 @@
+r"""How far a row of regressors lies outside of what a fit has seen.
+
+Least squares on rows :math:`\varphi_i` knows its prediction at :math:`\varphi` to
+
+.. math::
+   h(\varphi) = \varphi^\top
+   \Big(\sum_i \varphi_i \varphi_i^\top + \rho^2 I\Big)^{-1} \varphi
+
+times the noise variance (the leverage), so that a residual there has variance :math:`1 + h`.
+Where the leg has been, h is a few hundredths; in a motion that no swing of a short recording held,
+it is 10 or 100, and a residual there speaks of the model, not of the ground.  ρ is what is known of
+a term beforehand, and keeps h finite for one that was never excited.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.model.factor import Factor
+
+__all__ = ["Domain"]
+
+Array = NDArray[np.float64]
+
+# A term of typical size that was never seen is believed to move a tick by less than twenty times
+# the noise (6 degrees for an AX-12A's leg).
+PRIOR_DEVIATIONS: Final = 20.0
+# And one that was no part of the fit to move it by nothing.
+BEYOND_DEVIATIONS: Final = 1e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class Domain:
+    """Where in the space of its regressors a fit has been.
+
+    Attributes:
+        triangle: (p, p) upper triangle R with :math:`R^T R` the sum over rows of the regressors'
+            outer products, each regressor in units of its scale.
+        scale: (p,) typical size of each regressor, above 0.
+        beyond: further terms of the library, of which it says nothing: they were no part of the
+            fit.
+    """
+
+    triangle: Array
+    scale: Array
+    beyond: int = 0
+    _reach: Array = dataclasses.field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        p = len(self.scale)
+        if self.triangle.shape != (p, p) or not np.isfinite(self.triangle).all():
+            raise IdentificationError(
+                f"domain: expected a finite triangle of shape {(p, p)}, found "
+                f"{self.triangle.shape}; learn it anew"
+            )
+        stacked = np.concatenate([self.triangle, np.eye(p) / PRIOR_DEVIATIONS])
+        whole = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
+        # h = |R^-T (θ / scale)|²; the prior makes R well conditioned.
+        reach = scipy.linalg.solve_triangular(whole, np.eye(p), trans="T")
+        object.__setattr__(self, "_reach", reach / self.scale)
+
+    @classmethod
+    def of(cls, factor: Factor, scale: Array) -> Domain:
+        """The domain of a fit.
+
+        Args:
+            factor: what it was fitted to.
+            scale: (p,); zeros (columns that were never there) count as one.
+        """
+        p = factor.terms
+        scale = np.where(scale > 0.0, scale, 1.0)
+        rows = factor.system[0] / scale
+        triangle = np.zeros((p, p))
+        if len(rows):
+            found = scipy.linalg.qr(rows, mode="r", check_finite=False)[0][:p]
+            triangle[: len(found)] = found
+        return cls(triangle, scale)
+
+    def widened(self, factor: Factor) -> Domain:
+        """The domain, with the rows of another fit."""
+        p = len(self.scale)
+        stacked = np.concatenate([self.triangle, factor.system[0][:, :p] / self.scale])
+        triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
+        return Domain(np.asarray(triangle, dtype=np.float64), self.scale, self.beyond)
+
+    @property
+    def rows(self) -> float:
+        """How many it has seen: the constant, which comes first, is one in every row."""
+        return float(np.square(self.triangle[:, 0] * self.scale[0]).sum())
+
+    def rows_like(self, most: float) -> Array:
+        """Rows that stand for those it has seen, in raw units.
+
+        Args:
+            most: weigh like so many of them, or like all there are where these are fewer.
+
+        Returns:
+            (p, p + beyond) regressors with the same outer products, zero beyond.
+        """
+        raw = np.pad(self.triangle * self.scale, ((0, 0), (0, self.beyond)))
+        seen = self.rows
+        return raw * math.sqrt(min(most / seen, 1.0)) if seen > 0.0 else raw
+
+    @property
+    def gram(self) -> Array:
+        """Sum of the scaled regressors' outer products, with what is known beforehand.
+
+        Square, of p and the terms beyond, which are known to be nothing.
+        """
+        seen = np.pad(self.triangle.T @ self.triangle, (0, self.beyond))
+        known = np.full(len(self.scale) + self.beyond, PRIOR_DEVIATIONS**-2)
+        known[len(self.scale) :] = BEYOND_DEVIATIONS**-2
+        return np.asarray(seen + np.diag(known))
+
+    @property
+    def reach(self) -> Array:
+        """(p, p) G of which h is the square of G θ, without the terms beyond."""
+        return self._reach
+
+    def leverage(self, theta: Array) -> Array:
+        """Leverage h of rows.
+
+        Args:
+            theta: (..., p + beyond) regressors.
+
+        Returns:
+            (...,) 0 where everything is known.
+        """
+        if self.beyond:
+            theta = theta[..., : -self.beyond]
+        return np.asarray(np.square(theta @ self._reach.T).sum(axis=-1))

@@ -1,0 +1,101 @@
+"""Swing and stance from the commands alone, for controllers that do not tell.
+
+The commanded foot height in the leg's frame decides: a swing begins when it rises out of the
+recent low, and ends when, after a descent, it stops changing.  Only commands are used: a leg
+that is held back by an obstacle is still in swing as long as its controller moves it down.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections import deque
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.robot.description import Leg
+from adaptive_contact.robot.kinematics import foot
+from adaptive_contact.wire import Phase
+
+__all__ = ["Direction", "PhaseTracker", "directions", "infer_phase"]
+
+# A swing begins once the command has risen this far out of the low of the last LOW_TICKS.  The
+# posture control of a walking robot moves stance feet by less within a fifth of a second.
+RISE_M: Final = 0.004
+LOW_TICKS: Final = 10
+# It ends after this many ticks of a height that changes by less than STILL_M each, below the apex.
+STILL_TICKS: Final = 2
+STILL_M: Final = 0.0008
+# Ticks after the command lifts off in which the foot may still be loaded: the servo follows its
+# command three to four ticks late, and the stance's load has to let go first.
+LIFT_OFF_TICKS: Final = 5
+
+
+class Direction(enum.IntEnum):
+    """Where a swing's command is heading; the values index conditional statistics."""
+
+    LIFT = 0
+    DESCENT = 1
+
+
+@dataclasses.dataclass
+class PhaseTracker:
+    """Follows the height of one leg's commanded foot, one tick at a time."""
+
+    phase: Phase = "stance"
+    _heights: deque[float] = dataclasses.field(default_factory=lambda: deque(maxlen=LOW_TICKS))
+    _apex: float = -np.inf
+    _still: int = 0
+
+    def update(self, height: float) -> Phase:
+        """Take in the next command.
+
+        Args:
+            height: of the commanded foot in the leg's frame, m.
+
+        Returns:
+            The phase at this tick.
+        """
+        before = self._heights[-1] if self._heights else height
+        self._heights.append(height)
+        if self.phase == "stance":
+            if height > before and height - min(self._heights) > RISE_M:
+                self.phase, self._apex, self._still = "swing", height, 0
+        else:
+            self._apex = max(self._apex, height)
+            still = abs(height - before) < STILL_M and height < self._apex - RISE_M
+            self._still = self._still + 1 if still else 0
+            if self._still >= STILL_TICKS:
+                self.phase = "stance"
+                self._heights.clear()
+                self._heights.append(height)
+        return self.phase
+
+
+def infer_phase(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.bool_] | None:
+    """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without lengths."""
+    if leg.lengths_m is None:
+        return None
+    tracker = PhaseTracker()
+    heights = foot(desired, leg.lengths_m, leg.joint_axes)[:, 2].tolist()
+    return np.array([tracker.update(height) == "swing" for height in heights], dtype=bool)
+
+
+def directions(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.int64]:
+    """Direction of every tick from the height of its command against the one before.
+
+    Args:
+        desired: (n, J) rad, one row per tick without gaps.
+        leg: its geometry; without lengths everything counts as descent, the cautious choice
+            (a descent may hold a contact, a lift may not).
+
+    Returns:
+        (n,) values of :class:`Direction`.
+    """
+    if leg.lengths_m is None:
+        return np.full(len(desired), int(Direction.DESCENT))
+    height = foot(desired, leg.lengths_m, leg.joint_axes)[:, 2]
+    rise = np.diff(height, prepend=height[:1])
+    return np.where(rise > 0, int(Direction.LIFT), int(Direction.DESCENT))

@@ -1,0 +1,235 @@
+"""The compiled steps of a tick, one at a time, for a leg by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptive_contact.detect.detector import begin_labels, enter_row, note_hole
+from adaptive_contact.detect.echo import take_phase
+from adaptive_contact.detect.history import (
+    MAX_STEP_RAD_S,
+    judged,
+    push_command,
+    repair,
+    restart_history,
+    take,
+)
+from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
+from adaptive_contact.detect.swing import follow_command, follow_foot, place_foot
+from adaptive_contact.detect.swing_judge import SwingJudge
+from adaptive_contact.learn.change_terms import ready_for_changes
+from adaptive_contact.model import Baseline, leg_library
+from adaptive_contact.model.labelled_swing import Row, confirmed_before, confirmed_of, let_go_rows
+from adaptive_contact.model.library import with_changes
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.wire import ServoSample
+
+PERIOD_NS = 20_000_000
+_PHASES = {None: -1, "stance": 0, "swing": 1}
+
+
+def place_of(robot: Robot, leg: Leg) -> LegPlace:
+    """Arrays of one leg that has seen nothing."""
+    plain = leg_library(robot, leg)
+    library = with_changes(plain, np.zeros((plain.size, len(leg.joints))))
+    return LegPlace(LegBatch([leg], library, [0.005], PERIOD_NS, max_step=MAX_STEP_RAD_S * 0.02))
+
+
+class Swings:
+    """Follows the swings of a leg, as a tick does."""
+
+    def __init__(self, robot: Robot, leg: Leg | None = None) -> None:
+        leg = robot.leg("rf") if leg is None else leg
+        self.place = place_of(robot, leg)
+        self.judge = SwingJudge(leg, self.place)
+
+    def follow(self, sample: ServoSample, *, awaited: bool = False) -> bool:
+        """A sample's phase and command; True where the next swing ends one that was awaited."""
+        b, joints = self.place.batch, len(self.place.batch.desired[0])
+        angles = [(list(v) * joints)[:joints] for v in (sample.measured, sample.desired)]
+        b.measured[0], b.desired[0] = angles
+        ended: bool = follow_command(
+            self.place.leg, _PHASES[sample.phase], b.measured[0], b.desired[0], sample.seq,
+            b.lengths[0], b.pitched[0], b.low[0], b.lengths_ticks[0], b.last_desired[0],
+            b.last_measured[0], b.last_read[0], b.path[0], b.asked[0], b.commanded[0], b.foot[0],
+            b.start[0], b.now, awaited,
+        )  # fmt: skip
+        return ended
+
+    def observe(self, measured: Sequence[float]) -> None:
+        """Where the leg is."""
+        b = self.place.batch
+        follow_foot(
+            self.place.leg, np.array(measured), b.lengths[0], b.pitched[0], b.lengths_ticks[0],
+            b.last_measured[0], b.heights[0], b.asked[0], b.commanded[0], b.foot[0], b.start[0],
+            b.now,
+        )  # fmt: skip
+
+    def take(self, sample: ServoSample) -> None:
+        """All of a sample."""
+        self.follow(sample)
+        self.observe(sample.measured)
+
+    @property
+    def cleared(self) -> bool:
+        """The foot was off the ground before."""
+        return bool(self.place.leg["cleared"])
+
+
+class Readings:
+    """Repairs the readings of a leg whose model expects the same movement in every tick."""
+
+    def __init__(self, robot: Robot, baseline: Baseline, expected: np.ndarray) -> None:
+        model = ready_for_changes(baseline.legs["rf"]).model
+        batch = LegBatch(
+            [robot.leg("rf")], model.library, [0.005], PERIOD_NS, max_step=MAX_STEP_RAD_S * 0.02
+        )
+        self.place, self._expected = LegPlace(batch), expected
+
+    def move(self, reading: np.ndarray, valid: list[bool] | None = None) -> np.ndarray:
+        """One tick; the residual it left."""
+        self.observe(reading, valid)
+        residual = self.place.residuals[0].copy()
+        b, leg = self.place.batch, self.place.leg
+        push_command(leg, reading, b.window[0], b.lags, b.preview)
+        b.increment[0] = self._expected
+        leg["predicted"] = True
+        return residual
+
+    def observe(self, reading: np.ndarray, valid: list[bool] | None = None) -> None:
+        """Take a reading in."""
+        b, leg = self.place.batch, self.place.leg
+        flags = np.ones(3, dtype=bool) if valid is None else np.array(valid)
+        repair(
+            leg, np.asarray(reading, dtype=float), flags, valid is not None and not all(valid),
+            b.floats[6], b.window[0], b.lags, b.preview, b.history[0], b.increment[0], b.reach[0],
+            b.believed[0], b.last[0], b.doubts[0], b.stale[0], b.refused[0], b.values[0],
+            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.theta[0], b.room, b.bools,
+            b.floats,
+        )  # fmt: skip
+        take(leg, b.floats[6], b.window[0], b.lags, b.history[0], b.increment[0])
+        judged(leg, b.theta[0], b.thetas[0])
+
+    def restart(self) -> None:
+        """Drop the past."""
+        restart_history(self.place.leg, self.place.batch.doubts[0])
+
+    @property
+    def substituted(self) -> bool:
+        """The last reading of a joint was replaced by the model's prediction."""
+        return bool(self.place.leg["bad"])
+
+    @property
+    def usable(self) -> int:
+        """Sound residuals, the newest in a row."""
+        return int(self.place.leg["usable"])
+
+    @property
+    def full(self) -> bool:
+        """The window holds enough for a prediction."""
+        return bool(self.place.leg["filled"] >= self.place.leg["length"])
+
+
+class Labels:
+    """Holds back the rows of a swing, as a tick does, and hands them on."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.place = place_of(robot, robot.leg("rf"))
+        self.place.leg["gated"] = self.place.leg["learning"] = True
+        self._seen: list[Row] = []
+        self._lift_taken = False
+
+    def begin(self) -> None:
+        """A swing begins."""
+        begin_labels(self.place.leg)
+        self._seen, self._lift_taken = [], False
+
+    def discard(self) -> None:
+        """The swing was broken off."""
+        begin_labels(self.place.leg)
+        self.place.leg["broken"] = True
+
+    def hole(self) -> None:
+        """Readings were lost."""
+        note_hole(self.place.leg, self.place.batch.rows[0])
+
+    def add(self, row: Row, ticks: int, *, descending: bool) -> None:
+        """Enter a tick."""
+        b, leg = self.place.batch, self.place.leg
+        leg["ticks"], leg["rising"], leg["cleared"], leg["at_ns"] = (
+            ticks, row.lift, row.cleared, row.t_ns,
+        )  # fmt: skip
+        joints = len(b.unit[0])
+        before = int(leg["row_n"])
+        enter_row(
+            leg, b.rows[0], b.row_thetas[0], b.row_targets[0], b.row_asides[0], b.theta[0],
+            b.history[0], row.nis * joints, row.value, row.calm, descending, b.whiten[0],
+            b.unit[0], b.last_measured[0], b.lengths[0], b.pitched[0], b.floats[0], b.floats[1],
+        )  # fmt: skip
+        if int(leg["row_n"]) > before:
+            self._seen = [*self._seen[:before], row]
+        elif int(leg["row_n"]) == before and before and b.rows[0, before - 1]["t_ns"] == row.t_ns:
+            self._seen = [*self._seen[1:], row]
+        if leg["row_n"] + 2 > b.rows.shape[1]:
+            b.grow()
+
+    def take_lift(self) -> list[Row] | None:
+        """The rows of the lift, once its top is past."""
+        leg = self.place.leg
+        if not leg["topped"] or leg["broken"] or self._lift_taken or not leg["lift_n"]:
+            return None
+        self._lift_taken = True
+        return let_go_rows(self._rows(0, int(leg["lift_n"])))
+
+    def alarm(self, onset_ns: int, period_ns: int) -> list[Row]:
+        """A contact was reported."""
+        leg = self.place.leg
+        lift, count = int(leg["lift_n"]), int(leg["row_n"])
+        hole = int(leg["hole_ns"])
+        kept, rows = confirmed_before(
+            self._rows(0, lift), int(leg["commanded_n"]), self._rows(lift, count), onset_ns,
+            period_ns, None if hole < 0 else hole,
+        )  # fmt: skip
+        self.place.batch.rows[0, : len(kept)] = self.place.batch.rows[0, kept]
+        self._seen = [self._seen[k] for k in kept]
+        leg["lift_n"] = leg["row_n"] = len(kept)
+        leg["closed"] = True
+        return rows
+
+    def resolve(self) -> list[Row]:
+        """The next stance has begun."""
+        leg = self.place.leg
+        rows = self._rows(int(leg["lift_n"]), int(leg["row_n"]))
+        leg["row_n"], leg["closed"] = leg["lift_n"], True
+        return confirmed_of(rows)
+
+    def _rows(self, first: int, last: int) -> list[Row]:
+        found = self.place.batch.rows[0, first:last]
+        return [
+            row._replace(lift=bool(kept["lift"]), level=float(kept["level"]))
+            for row, kept in zip(self._seen[first:last], found, strict=True)
+        ]
+
+
+class Phases:
+    """Follows the phases that a leg's samples say, as a tick does."""
+
+    def __init__(self, robot: Robot, leg: Leg) -> None:
+        self.place = place_of(robot, leg)
+
+    def take(self, sample: ServoSample) -> None:
+        """A sample's phase and command."""
+        b, leg, height = self.place.batch, self.place.leg, 0.0
+        desired = np.array(sample.desired)
+        if leg["has_lengths"]:
+            place_foot(desired, b.lengths[0], b.pitched[0], b.now)
+            height = float(b.now[2])
+        phase = _PHASES[sample.phase]
+        take_phase(leg, phase, desired, height, b.phase_before[0], b.parts[0])
+
+    @property
+    def swapped(self) -> bool:
+        """Stance is published as swing."""
+        return bool(self.place.leg["swapped"])

@@ -1,0 +1,206 @@
+"""Gaps, junk, wrong rates and streams that break off: bridged, or counted and not learned."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact import ContactLearner, ServoSample
+from adaptive_contact.detect.swing import RECENT_TICKS
+from adaptive_contact.model import Baseline, LegModel, Window, leg_library
+from adaptive_contact.robot import Robot
+from adaptive_contact.wire import Reject
+
+from .conftest import PERIOD, FakeLeg, outcomes, play, samples
+
+
+def test_gaps_and_missing_readings_are_bridged(robot: Robot, baseline: Baseline) -> None:
+    rng = np.random.default_rng(0)
+    stops = [16 if n % 2 else None for n in range(200)]
+    stream = samples(*FakeLeg(seed=13).run(200, touch=lambda n: stops[n])[:3])
+    lost = rng.random(len(stream)) < 0.01
+    invalid = rng.random(len(stream)) < 0.02
+    damaged = [
+        msgspec.structs.replace(
+            s, valid=[True, False, True], measured=[s.measured[0], -3.14, s.measured[2]]
+        )
+        if bad
+        else s
+        for s, bad, gone in zip(stream, invalid, lost, strict=True)
+        if not gone
+    ]
+    learner = ContactLearner(robot, "rf", baseline)
+    told = outcomes(play(learner, damaged), range(200), stops)
+    assert told.count("alarm") <= 2
+    assert told.count("miss") <= 6
+    kept = np.flatnonzero(~lost)
+    assert learner.status.missed == lost[kept[0] : kept[-1]].sum()
+
+
+@pytest.mark.parametrize("back", [0, 2, 4])
+def test_after_a_long_gap_a_foot_on_the_ground_is_not_taken_for_free(
+    robot: Robot, baseline: Baseline, back: int
+) -> None:
+    """From one swing into the next one's lift, with a foot that lets go in its seventh tick."""
+    held = samples(*FakeLeg(seed=13).run(60, pressed=7)[:3])
+    whole = play(ContactLearner(robot, "rf", baseline), held)
+    assert not [event for event in whole if event.contact]
+    for swing in range(20, 40):
+        learner = ContactLearner(robot, "rf", baseline)
+        gone = range(28 * swing + 14, 28 * (swing + 1) + back)
+        told = play(learner, [s for s in held[: 28 * (swing + 2)] if s.seq not in gone])
+        assert not [event for event in told if event.contact], swing
+
+
+def test_after_a_long_gap_nothing_is_said_until_the_window_is_full(
+    robot: Robot, baseline: Baseline
+) -> None:
+    stream = samples(*FakeLeg(seed=14).run(60, touch=lambda _: 16)[:3])
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, stream[:280])
+    resumed = play(learner, stream[280 + 12 : 280 + 12 + 5])
+    assert resumed == []
+    assert learner.status.missed == 12
+
+
+def slowed(stream: list[ServoSample], first: int, stop: int, factor: float) -> list[ServoSample]:
+    """The same samples, those of a stretch so many times as far apart."""
+    out, late = [], 0
+    for s in stream:
+        late += round((factor - 1.0) * PERIOD) if first <= s.seq < stop else 0
+        out.append(msgspec.structs.replace(s, t_ns=s.t_ns + late))
+    return out
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_rate_off_by_a_fifth_is_said_and_not_learned(
+    robot: Robot, baseline: Baseline, factor: float
+) -> None:
+    first, stop = 100, 160  # swings
+    stops = [16 if n % 2 else None for n in range(260)]
+    # Slower ticks are longer ones: the leg moves further in each.
+    measured, desired, swing, _ = FakeLeg(seed=21).run(
+        260, touch=lambda n: stops[n], change=lambda n: factor if first <= n < stop else 1.0
+    )
+    stream = slowed(samples(measured, desired, swing), 28 * first, 28 * stop, factor)
+    learner = ContactLearner(robot, "rf", baseline)
+    assert "alarm" not in outcomes(play(learner, stream[: 28 * first]), range(first), stops)
+    before, confirmed = learner.status, learner.drain_confirmed()
+    assert confirmed
+    during = play(learner, stream[28 * first : 28 * stop])
+    assert [e for e in during if e.contact] == []
+    assert learner.drain_confirmed() == []
+    assert learner.status.buffer == before.buffer
+    assert learner.status.status == "valid"
+    assert learner.status.note == (
+        f"samples are {20 * factor:.1f} ms apart, robot.toml says 20.0 ms: "
+        "nothing is judged or learned until they agree"
+    )
+    after = outcomes(play(learner, stream[28 * stop :]), range(stop, 260), stops)
+    assert "alarm" not in after
+    assert after[1:].count("miss") <= 1
+    assert learner.status.note is None
+    assert learner.drain_confirmed()
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_stream_that_stops_in_a_swing_teaches_nothing_of_it(
+    robot: Robot, baseline: Baseline, *, counted: bool
+) -> None:
+    """For a minute, and then goes on in another swing, whether its numbers tell of it or not."""
+    stream = samples(*FakeLeg(seed=22).run(80)[:3])
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, stream[: 28 * 40 + 15])
+    learner.drain_confirmed()
+    resumed = [
+        msgspec.structs.replace(
+            s,
+            t_ns=s.t_ns + 60 * 50 * PERIOD,
+            seq=s.seq + (60 * 50 if counted else -28),
+        )
+        for s in stream[28 * 41 + 15 :]
+    ]
+    events = play(learner, resumed[:28])
+    assert [e for e in events if e.contact] == []
+    # Of the swing it stopped in and of that it came back in, nothing is confirmed.
+    bounds = stream[28 * 40].t_ns, resumed[9].t_ns
+    assert not [t for t in learner.drain_confirmed() if bounds[0] <= t <= bounds[1]]
+    play(learner, resumed[28:])
+    assert learner.drain_confirmed()
+    assert learner.status.status == "valid"
+
+
+bad_values = st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e9, 0.0, -3.14])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 119), bad_values), max_size=25))
+def test_bad_samples_are_counted_and_change_nothing_else(
+    robot: Robot, baseline: Baseline, plan: list[tuple[int, int, float]]
+) -> None:
+    """A stream with junk between its samples gives the events of the stream without."""
+    stream = samples(*FakeLeg(seed=15).run(5, touch=lambda n: 16 if n % 2 else None)[:3])
+    clean = play(ContactLearner(robot, "rf", baseline), stream)
+    learner = ContactLearner(robot, "rf", baseline)
+    events = []
+    for k, sample in enumerate(stream):
+        for kind, where, value in plan:
+            if where == k:
+                events += play(learner, [_junk(kind, sample, value)])
+        events += play(learner, [sample])
+    assert [(e.seq, e.contact) for e in events] == [(e.seq, e.contact) for e in clean]
+    assert learner.status.ticks == len(stream)
+
+
+def _junk(kind: int, sample: ServoSample, value: float) -> ServoSample:
+    replace = msgspec.structs.replace
+    if kind == 0:
+        return replace(sample, measured=[float("nan"), value, 0.0])
+    if kind == 1:
+        return replace(sample, measured=[0.0] * 2)
+    if kind == 2:
+        return replace(sample, desired=[0.0, float("inf"), value])
+    if kind == 3:
+        return replace(sample, t_ns=-1)
+    if kind == 4:
+        return replace(sample, preview=[[0.0]])
+    if kind == 5:
+        return replace(sample, valid=[True])
+    return replace(sample, desired=[1e9, 0.0, 0.0])
+
+
+def test_rejects_are_told_by_reason(robot: Robot, baseline: Baseline) -> None:
+    learner = ContactLearner(robot, "rf", baseline)
+    stream = samples(*FakeLeg(seed=16).run(2)[:3])
+    play(learner, stream)
+    learner.count(Reject.MALFORMED, 3)
+    learner.update(stream[5])
+    learner.update(msgspec.structs.replace(stream[-1], t_ns=2**62, seq=2**40, measured=[0.0]))
+    assert learner.status.rejects == {"malformed": 3, "time_backwards": 1, "wrong_joints": 1}
+
+
+def test_a_preview_that_lacks_is_told_of_while_it_does(robot: Robot, baseline: Baseline) -> None:
+    """One sample without is no lack for good, nor does a restart of the service make it one."""
+    library = leg_library(robot, robot.leg("rf"), "servo", Window(preview=2))
+    model = LegModel(library, np.zeros((library.size, 3)))
+    known = dataclasses.replace(
+        baseline.legs["rf"], model=model, scale=np.ones(library.size), domain=None
+    )
+    ahead = dataclasses.replace(baseline, legs={"rf": known})
+    stream = samples(*FakeLeg(seed=3).run(8)[:3])
+    learner = ContactLearner(robot, "rf", ahead)
+    first, count = 20, RECENT_TICKS + 1
+    for k, sample in enumerate(stream[: first + count]):
+        rows = None if k == first else [s.desired for s in stream[k + 1 : k + 3]]
+        learner.update(msgspec.structs.replace(sample, preview=rows))
+        if k == first:
+            assert "needs a preview" in str(learner.status.note)
+            again = ContactLearner(robot, "rf", ahead)
+            again.restore(learner.snapshot())
+            assert again.status.note is None
+    assert learner.status.note is None

@@ -1,0 +1,343 @@
+"""What must not be learned, and what must not stop: bad readings, held feet, faults of our own."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.learn.drift import OBSTRUCTED_SWINGS
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
+from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.robot import Robot
+from adaptive_contact.wire import ServoSample
+
+from .conftest import PERIOD, FakeLeg, samples
+
+TICKS = 28  # of a swing and its stance
+
+
+def confirmed(learner: ContactLearner) -> list[int]:
+    """Ticks confirmed since the last call."""
+    return [t_ns // PERIOD for t_ns in learner.drain_confirmed()]
+
+
+def without_femur(sample: ServoSample) -> ServoSample:
+    """As from a bus on which one servo did not answer, and said so."""
+    measured = [sample.measured[0], -np.pi, sample.measured[2]]
+    return msgspec.structs.replace(sample, valid=[True, False, True], measured=measured)
+
+
+def spy(learner: ContactLearner) -> list[Row]:
+    """Rows that go into the buffer from here on."""
+    adapter, taken = learner._lifecycle.adapter, []
+    assert adapter is not None
+    add = adapter.buffer.add
+
+    def listen(rows: list[Row], region: int, era: int) -> None:
+        taken.extend(rows)
+        add(rows, region, era)
+
+    adapter.buffer.add = listen  # type: ignore[method-assign]
+    return taken
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.0005, 0.003])
+def test_a_foot_held_fast_is_told_and_not_learned(
+    robot: Robot, baseline: Baseline, noise: float
+) -> None:
+    """Without noise not one tick of a held lift seems to rise: it has to be judged all the same."""
+    start, swings = 60, 100
+    leg = FakeLeg(seed=2, noise=noise)
+    measured, desired, swing, _ = leg.run(swings, touch=lambda k: 0 if k >= start else None)
+    learner = ContactLearner(robot, "rf", baseline)
+    told = []
+    for k, sample in enumerate(samples(measured, desired, swing)):
+        learner.update(sample)
+        if k == TICKS * start - 1:
+            confirmed(learner)
+        if k >= TICKS * start and k % TICKS == TICKS - 1:
+            told.append(learner.status.status)
+    # The last free swing is resolved in the first ticks of the next one.
+    assert [k for k in confirmed(learner) if k >= TICKS * start] == []
+    assert told.count("ambiguous") > len(told) / 2
+    assert "ambiguous" in told[: OBSTRUCTED_SWINGS + 4]
+
+
+def test_a_reading_that_is_none_says_nothing_of_the_foots_height(
+    robot: Robot, baseline: Baseline
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=3).run(24)
+    seen = []
+    for junk in (lambda s: s, without_femur):
+        learner, cleared = ContactLearner(robot, "rf", baseline), []
+        for k, sample in enumerate(samples(measured, desired, swing)):
+            learner.update(junk(sample) if k == TICKS * 20 + 2 else sample)
+            if TICKS * 20 <= k < TICKS * 20 + 20:
+                cleared.append(bool(learner.place.leg["cleared"]))
+        seen.append(cleared.index(True))
+    assert seen[1] >= seen[0] - 1
+
+
+def test_no_prediction_is_learned_as_if_it_had_been_read(robot: Robot, baseline: Baseline) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=3).run(120)
+    bad = np.random.default_rng(0).random(len(measured)) < 0.05
+    learner = ContactLearner(robot, "rf", baseline)
+    taken = spy(learner)
+    for k, sample in enumerate(samples(measured, desired, swing)):
+        learner.update(without_femur(sample) if bad[k] else sample)
+    assert len(taken) > 500
+    assert not any(bad[row.t_ns // PERIOD] for row in taken)
+
+
+@pytest.mark.parametrize("at", range(6, 16))
+def test_a_rate_that_changes_in_mid_swing_leaves_nothing_in_the_buffer(
+    robot: Robot, baseline: Baseline, at: int
+) -> None:
+    first = TICKS * 30 + at
+    measured, desired, swing, _ = FakeLeg(seed=4).run(40)
+    late_ns, stream = 0, []
+    for sample in samples(measured, desired, swing):
+        late_ns += PERIOD // 5 if sample.seq >= first else 0
+        stream.append(msgspec.structs.replace(sample, t_ns=sample.t_ns + late_ns))
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in stream:
+        learner.update(sample)
+    adapter = learner._lifecycle.adapter
+    assert adapter is not None
+    assert adapter.buffer.segments
+    assert all(s.t_ns < stream[first].t_ns for s in adapter.buffer.segments)
+    assert not [t_ns for t_ns in learner.drain_confirmed() if t_ns >= stream[first].t_ns]
+
+
+def test_a_leg_that_changes_over_a_restart_keeps_its_model(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Held when it was saved, weaker when it went on: not a baseline that never fitted."""
+    change = 60
+    measured, desired, swing, _ = FakeLeg(seed=7).run(
+        90, touch=lambda n: 16 if n % 2 else None, change=lambda n: 0.7 if n >= change else 1.0
+    )
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in stream[: TICKS * change]:
+        learner.update(sample)
+    tree: dict[str, Any] = learner.snapshot() or {}
+    tree["follower"] |= {"status": "ambiguous", "held": True}
+    again = ContactLearner(robot, "rf", baseline)
+    assert again.restore(tree) is None
+    assert again.status.status == "ambiguous"
+    valid = []
+    for k, sample in enumerate(stream[TICKS * change :]):
+        again.update(sample)
+        if k % TICKS == TICKS - 1:
+            valid.append(again.status.status == "valid")
+    assert again.model is not None
+    assert any(valid[3:12])
+
+
+def _without_segments(tree: dict[str, Any]) -> None:
+    tree["follower"]["segments"] = None
+
+
+def _empty_segment(tree: dict[str, Any]) -> None:
+    one = tree["follower"]["segments"][0]
+    for name in ("theta", "target", "context"):
+        one[name] = {"shape": [0, *one[name]["shape"][1:]], "data": b""}
+
+
+def _no_map(tree: dict[str, Any]) -> None:
+    tree["follower"]["recent"] = {"ticks": []}
+    tree["follower"]["segments"] = [{"theta": 3}]
+
+
+@pytest.mark.parametrize("spoil", [_without_segments, _empty_segment, _no_map])
+def test_a_snapshot_that_is_none_is_refused_whole(
+    robot: Robot, baseline: Baseline, spoil: Callable[[dict[str, Any]], None]
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=5).run(40)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+    tree = copy.deepcopy(learner.snapshot() or {})
+    spoil(tree)
+    fresh = ContactLearner(robot, "rf", baseline)
+    before = fresh.snapshot()
+    assert "snapshot of leg 'rf' not used: " in str(fresh.restore(tree))
+    assert msgspec.msgpack.encode(fresh.snapshot()) == msgspec.msgpack.encode(before)
+
+
+def test_a_fault_while_restoring_leaves_the_leg_as_new(
+    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    learner = ContactLearner(robot, "rf", baseline)
+    tree = learner.snapshot() or {}
+    fresh = ContactLearner(robot, "rf", baseline)
+
+    def fail(*_: object) -> None:
+        raise np.linalg.LinAlgError("not positive definite")
+
+    monkeypatch.setattr("adaptive_contact.learn.adapter.Follower._refresh", fail)
+    why = fresh.restore(tree)
+    assert why == "snapshot of leg 'rf' not used: LinAlgError: not positive definite"
+    monkeypatch.undo()
+    assert msgspec.msgpack.encode(fresh.snapshot()) == msgspec.msgpack.encode(tree)
+
+
+def test_a_fault_in_one_legs_learning_ends_no_other_leg(
+    two_legs: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12)
+    stream = samples(measured, desired, swing)
+    told: list[tuple[str, str]] = []
+
+    def tell(leg: str, fault: Exception) -> None:
+        told.append((leg, str(fault)))
+
+    for on_fault in (tell, None):
+        bank = LearnerBank(two_legs, None, on_fault=on_fault)
+        for sample in stream[:40]:
+            bank.update({"rf": sample, "lf": sample})
+        faulty = bank.learner("rf")
+        assert faulty is not None
+
+        def fail(*_: object) -> None:
+            raise np.linalg.LinAlgError("not positive definite")
+
+        monkeypatch.setattr(faulty._lifecycle, "try_cold", fail)
+        if on_fault is None:
+            with pytest.raises(np.linalg.LinAlgError):
+                bank.update({"rf": stream[40], "lf": stream[40]})
+            continue
+        for sample in stream[40:60]:
+            bank.update({"rf": sample, "lf": sample})
+        monkeypatch.undo()
+        for sample in stream[60:]:
+            bank.update({"rf": sample, "lf": sample})
+        other = bank.learner("lf")
+        assert other is not None
+        assert other.status.note != faulty.status.note
+        assert other.status.ticks == len(stream)
+        assert faulty.status.note == (
+            "20 faults in learning, begun anew each time; last LinAlgError: not positive definite"
+        )
+        assert told == 20 * [("rf", "not positive definite")]
+
+
+@pytest.mark.parametrize("where", ["take", "event_of", "finish", "settle"])
+def test_a_fault_in_a_shared_block_takes_its_own_row_only(
+    two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """Two legs with models of one library; what the sound one tells is what it tells alone."""
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12, touch=lambda k: 16 if k % 2 else None)
+    stream = samples(measured, desired, swing)
+    both = dataclasses.replace(baseline, legs=dict.fromkeys(("rf", "lf"), baseline.legs["rf"]))
+    alone = ContactLearner(two_legs, "lf", both)
+    wanted = [(e.seq, e.contact) for sample in stream if (e := alone.update(sample)) is not None]
+    assert len(wanted) > 6
+
+    bank = LearnerBank(two_legs, both, on_fault=lambda *_: None)
+    told = []
+    for k, sample in enumerate(stream):
+        learner = bank.learner("rf")
+        assert learner is not None
+        if k in (100, 101, 180):  # in the midst of a swing
+
+            def fail(*_: object) -> None:
+                raise ZeroDivisionError("division by zero")
+
+            if where == "event_of":
+                learner.request_release()
+            monkeypatch.setattr(learner, where, fail)
+        told += bank.update({"rf": sample, "lf": sample})
+        monkeypatch.undo()
+    assert [(event.seq, event.contact) for event in told if event.leg == "lf"] == wanted
+    faulty = bank.learner("rf")
+    assert faulty is not None
+    assert str(faulty.status.note).startswith("3 faults in learning")
+    assert any(event.leg == "rf" and event.seq > 200 for event in told), "it goes on"
+
+
+@pytest.fixture
+def two_legs(robot: Robot) -> Robot:
+    other = msgspec.structs.replace(robot.legs[0], id="lf")
+    return msgspec.structs.replace(robot, legs=(*robot.legs, other))
+
+
+def test_the_newer_publisher_wins_over_a_restart(robot: Robot, baseline: Baseline) -> None:
+    """What was superseded before the restart does not become the newer one by it."""
+    measured, desired, swing, _ = FakeLeg(seed=8).run(10)
+    stream = samples(measured, desired, swing)
+    old = [msgspec.structs.replace(s, run=1) for s in stream]
+    new = [msgspec.structs.replace(s, run=2) for s in stream]
+    learner = ContactLearner(robot, "rf", baseline)
+    for k in range(60):
+        learner.update(old[k])
+        if k >= 30:
+            learner.update(new[k - 30])
+    again = ContactLearner(robot, "rf", baseline)
+    assert again.restore(learner.snapshot() or {}) is None
+    before = again.status.rejects.get("other_publisher", 0)
+    for k in range(60, 80):
+        again.update(old[k])
+        again.update(new[k - 30])
+    assert again.status.rejects["other_publisher"] - before == 20
+    assert again.status.ticks - learner.status.ticks == 20
+
+
+def test_a_fault_costs_what_was_learned_since_the_last_save_and_the_next_one_the_rest(
+    robot: Robot, baseline: Baseline
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+    assert learner.status.buffer.lift_ticks > 0
+    held = learner.status.buffer
+    learner.snapshot()
+    learner.reset_after_fault(ZeroDivisionError("division by zero"))
+    assert learner.status.buffer == held
+    learner.reset_after_fault(ZeroDivisionError("division by zero"))
+    assert learner.status.buffer.lift_ticks == 0
+
+
+def test_a_fault_after_a_restart_costs_nothing_that_was_kept(
+    robot: Robot, baseline: Baseline
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(12)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+    again = ContactLearner(robot, "rf", baseline)
+    assert again.restore(learner.snapshot() or {}) is None
+    again.reset_after_fault(ZeroDivisionError("division by zero"))
+    assert again.status.buffer == learner.status.buffer
+    again.reset_after_fault(ZeroDivisionError("division by zero"))
+    assert again.status.buffer.lift_ticks == 0
+
+
+def test_a_fault_is_one_line_however_long_its_words(robot: Robot) -> None:
+    learner = ContactLearner(robot, "rf")
+    learner.reset_after_fault(ValueError("first\nsecond " + "x" * 5000))
+    note = str(learner.status.note)
+    assert "ValueError: first second x" in note
+    assert len(note) < 250
+
+
+def test_whoever_may_have_heard_of_a_touch_is_told_that_it_is_over(robot: Robot) -> None:
+    """With the first sample, once; also without a model."""
+    measured, desired, swing, _ = FakeLeg(seed=6).run(1)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf")
+    learner.request_release()
+    event = learner.update(stream[0])
+    assert event is not None
+    assert (event.contact, event.t_ns) == (False, stream[0].t_ns)
+    assert [learner.update(sample) for sample in stream[1:]] == [None] * (len(stream) - 1)

@@ -1,0 +1,378 @@
+"""The model in force: followed, replaced when it goes wrong, followed without geometry too."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from adaptive_contact import ContactLearner
+from adaptive_contact.fit.refit_job import InlineRefitter
+from adaptive_contact.learn.active_model import MAX_TERM_RAD
+from adaptive_contact.learn.adapter import (
+    REFRESH_SWINGS,
+    REFRESH_TICKS,
+    Adapter,
+)
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.model import Baseline, Domain, Factor
+from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.model_file import LegBaseline
+from adaptive_contact.robot import Leg, Robot, parse_robot
+from adaptive_contact.wire import DriftLevel
+
+from .conftest import TOML, FakeLeg, outcomes, play, samples
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture
+def adapter(baseline: Baseline) -> Adapter:
+    known = baseline.legs["rf"]
+    recent = NoiseTracker(known.noise, baseline.tails, 1.0)
+    return Adapter("rf", known, recent, LearnerMode.RLS, InlineRefitter())
+
+
+def rows_of(theta: Array, target: Array, *, level: float = 1.0, t_ns: int = 0) -> list[Row]:
+    """Free ticks of a lift, one after the other."""
+    return [
+        Row(t, moved, level, 1.0, 0, t_ns + k, lift=True, calm=True, cleared=True)
+        for k, (t, moved) in enumerate(zip(theta, target, strict=True))
+    ]
+
+
+def swing(adapter: Adapter, rows: list[Row], number: int) -> None:
+    """One that has a lift alone, and the stance that follows."""
+    adapter.monitor.begin_swing()
+    adapter.lift(rows, 0, number)
+    for _ in range(28):
+        adapter.tick(3)
+    adapter.swing_done()
+
+
+def lifts(adapter: Adapter, swings: int, spoil: Callable[[Row], Row] = lambda row: row) -> None:
+    """Swings of a leg that does what the model says, each row changed on its way."""
+    rng = np.random.default_rng(swings)
+    model = adapter.model
+    for number in range(swings):
+        theta = rng.normal(size=(8, model.library.size)) * adapter._scale
+        target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
+        swing(adapter, [spoil(row) for row in rows_of(theta, target)], number)
+
+
+def test_a_model_that_fits_stays(adapter: Adapter) -> None:
+    before = adapter.model.coefficients
+    lifts(adapter, 10)
+    np.testing.assert_allclose(adapter.model.coefficients, before, atol=1e-3)
+    assert adapter.refits.rolled_back == 0
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e3])
+def test_a_model_that_went_wild_gives_way_to_the_last_good_one(
+    adapter: Adapter, wild: float
+) -> None:
+    lifts(adapter, 10)
+    good = adapter.model.coefficients
+    adapter._active._rls._xi[0, 0] = wild / adapter._active._rls._to_raw[0, 0]
+    adapter._active._moved = True
+    np.testing.assert_allclose(adapter.model.coefficients, good, atol=1e-9)
+    assert adapter.refits.rolled_back == 1
+    assert adapter.refits.last_reason == (
+        "rolled back: a coefficient was not finite, or implausible: the last good model again"
+    )
+    lifts(adapter, 5)  # and it goes on from there
+    assert adapter.refits.rolled_back == 1
+    assert np.isfinite(adapter.model.coefficients).all()
+
+
+def test_one_that_goes_wild_before_there_was_a_good_swing_gives_way_to_the_baseline(
+    adapter: Adapter,
+) -> None:
+    before = adapter.model.coefficients
+    adapter._active._rls._xi[:] = np.nan
+    adapter._active._moved = True
+    np.testing.assert_array_equal(adapter.model.coefficients, before)
+    assert "the baseline again" in (adapter.refits.last_reason or "")
+
+
+def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter) -> None:
+    """Rows of a leg that jumps by radians, let loose as after a change."""
+    lifts(adapter, 5)
+    rng = np.random.default_rng(0)
+
+    def jump(row: Row) -> Row:
+        return row._replace(target=rng.normal(size=3) * 50.0, level=300.0, value=900.0)
+
+    lifts(adapter, 40, jump)
+    moved = np.abs(adapter.model.coefficients * adapter._scale[:, None]).max()
+    assert moved <= max(MAX_TERM_RAD, adapter._active._most_rad)
+    assert np.isfinite(adapter.model.coefficients).all()
+    assert adapter.status != "valid"
+
+
+def first_model(baseline: Baseline, rows: int) -> tuple[LegBaseline, Array]:
+    """What so many rows tell of a leg, and the leg itself: its baseline's model."""
+    known = baseline.legs["rf"]
+    true = known.model.coefficients
+    rng = np.random.default_rng(5)
+    theta = rng.normal(size=(rows, len(true))) * known.scale
+    noise = known.noise.rms
+    factor = Factor(*true.shape)
+    factor.add(theta, theta @ true + rng.normal(size=(rows, 3)) * noise)
+    ridge = np.diag(known.scale / 20.0)
+    guess = Factor(*true.shape)
+    guess.merge(factor)
+    guess.add(ridge, np.zeros(true.shape))
+    left, right = guess.system
+    model = known.model.moved(np.linalg.lstsq(left, right)[0], 1)
+    domain = Domain.of(factor, known.scale)
+    return dataclasses.replace(known, model=model, domain=domain), true
+
+
+def test_a_first_model_moves_by_what_its_rows_left_open(baseline: Baseline) -> None:
+    """After as many rows again it is nearly right; one that is held for a baseline is not."""
+    known, true = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
+    off = {}
+    for provisional in (True, False):
+        recent = NoiseTracker(known.noise, baseline.tails, 1.0, known.domain)
+        adapter = Adapter(
+            "rf", known, recent, LearnerMode.RLS, InlineRefitter(), provisional=provisional
+        )
+        rng = np.random.default_rng(6)
+        for number in range(60):
+            theta = rng.normal(size=(8, len(true))) * known.scale
+            target = theta @ true + rng.normal(size=(8, 3)) * known.noise.rms
+            swing(adapter, rows_of(theta, target), number)
+        wrong = (adapter.model.coefficients - true) * known.scale[:, None] / known.noise.rms
+        off[provisional] = float(np.square(wrong[adapter._active._rls.support]).mean() ** 0.5)
+    assert off[True] < 0.1
+    assert off[True] < 0.5 * off[False]
+
+
+def test_six_legs_make_their_covariances_anew_in_ticks_of_their_own(baseline: Baseline) -> None:
+    known = baseline.legs["rf"]
+    due: dict[int, list[str]] = {}
+    for leg in ("lf", "lm", "lr", "rf", "rm", "rr"):
+        recent = NoiseTracker(known.noise, baseline.tails, 1.0)
+        adapter = Adapter(leg, known, recent, LearnerMode.RLS, InlineRefitter())
+        for _ in range(REFRESH_SWINGS):
+            adapter.swing_done()
+        before = recent.revision
+        for tick in range(REFRESH_TICKS):
+            adapter.tick(3)
+            if recent.revision > before:
+                due.setdefault(tick, []).append(leg)
+                break
+    assert sum(map(len, due.values())) == 6
+    assert max(map(len, due.values())) == 1
+
+
+def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> None:
+    known, _ = first_model(baseline, rows=2 * len(baseline.legs["rf"].scale))
+
+    def fresh() -> tuple[Adapter, NoiseTracker]:
+        recent = NoiseTracker(known.noise, baseline.tails, 1.0, known.domain)
+        mode, refitter = LearnerMode.FULL, InlineRefitter()
+        return Adapter("rf", known, recent, mode, refitter, provisional=True), recent
+
+    adapter, recent = fresh()
+    assert known.domain is not None
+    theta = np.random.default_rng(7).normal(size=len(known.scale)) * known.scale
+    lifts(adapter, 60)
+    grown = float(recent.domain.leverage(theta)) if recent.domain else 0.0
+    assert grown < 0.8 * float(known.domain.leverage(theta)), "refits have widened it"
+    again, restored = fresh()
+    assert again.restore(adapter.snapshot()) is None
+    assert restored.domain is not None
+    assert float(restored.domain.leverage(theta)) <= grown * 1.05
+
+
+def rows_at(adapter: Adapter, level: float, t_ns: int) -> list[Row]:
+    """Eight rows of the model's own leg, as far off as is said."""
+    theta = np.random.default_rng(t_ns).normal(size=(8, len(adapter._scale))) * adapter._scale
+    return rows_of(theta, theta @ adapter.model.coefficients, level=level, t_ns=t_ns)
+
+
+@pytest.mark.parametrize(
+    ("second", "distrusted", "learned"), [(20.0, False, 24), (1.0, False, 8), (20.0, True, 16)]
+)
+def test_the_descent_of_a_doubted_lift_waits_for_the_next(
+    adapter: Adapter, second: float, distrusted: bool, learned: int
+) -> None:
+    """It is learned with the change, is dropped where there was none, or its ticks were none."""
+    for t_ns in range(1000, 1005):
+        adapter.monitor.begin_swing()
+        adapter.lift(rows_at(adapter, 1.0, 100 * t_ns), 0, 0)
+    before = len(adapter.confirmed_ns)
+    adapter.monitor.begin_swing()
+    adapter.lift(rows_at(adapter, 20.0, 10_000_000), 0, 0)
+    adapter.descent(rows_at(adapter, 20.0, 11_000_000), 0)
+    assert len(adapter.confirmed_ns) == before
+    if distrusted:
+        adapter.distrust(11_000_000)
+    adapter.monitor.begin_swing()
+    adapter.lift(rows_at(adapter, second, 12_000_000), 0, 0)
+    assert len(adapter.confirmed_ns) - before == learned
+
+
+def without_lengths() -> Robot:
+    text = "\n".join(line for line in TOML.splitlines() if not line.startswith("lengths_m"))
+    return parse_robot(text, source="testbot")
+
+
+def test_a_leg_of_unknown_lengths_is_followed_by_its_phase(baseline: Baseline) -> None:
+    """A drive that has lost three tenths of its strength; half of the swings end in contact."""
+    robot = without_lengths()
+    stops = [18 if n % 2 else None for n in range(240)]
+    stream = samples(
+        *FakeLeg(seed=5).run(
+            240, touch=lambda n: stops[n], change=lambda n: 0.7 if n >= 100 else 1.0
+        )[:3]
+    )
+    learner = ContactLearner(robot, "rf", baseline)
+    assert isinstance(learner.leg, Leg)
+    assert learner.leg.lengths_m is None
+    events = play(learner, stream)
+    before = outcomes(events, range(40, 100), stops)
+    after = outcomes(events, range(140, 240), stops)
+    assert before.count("alarm") <= 1
+    assert before.count("hit") >= 28
+    assert after.count("alarm") <= 3
+    assert after.count("hit") >= 47
+    frozen = play(ContactLearner(robot, "rf", baseline, mode=LearnerMode.FROZEN), stream)
+    assert outcomes(frozen, range(140, 240), stops).count("alarm") > 20, "it was worth following"
+
+
+def test_a_baseline_that_holds_again_is_taken_up_and_the_status_says_why(
+    baseline: Baseline,
+) -> None:
+    """Mud that is washed off: more than the recursion follows at once."""
+    known = baseline.legs["rf"]
+    recent = NoiseTracker(known.noise, baseline.tails, 1.0)
+    adapter = Adapter("rf", known, recent, LearnerMode.FULL, InlineRefitter())
+    rng = np.random.default_rng(1)
+    clean = known.model.coefficients
+
+    def walk(coefficients: Array, swings: int, first: int) -> None:
+        for number in range(first, first + swings):
+            theta = rng.normal(size=(8, len(clean))) * known.scale[:, None].T
+            target = theta @ coefficients
+            off = (target - theta @ adapter.model.coefficients) / known.noise.rms
+            level = 1.0 + float(np.square(off).mean())
+            target += known.noise.rms * rng.normal(size=(8, 3))
+            swing(adapter, rows_of(theta, target, level=level), number)
+
+    # Each of the terms that count has come to count for less.
+    walk(0.9 * clean, 40, 0)
+    muddy = adapter.model.coefficients
+    assert np.abs(muddy - clean).max() > 0.03 * np.abs(clean).max()
+    assert adapter.monitor.drift.since_ns is not None
+    walk(clean, 6, 40)
+    assert adapter.refits.rolled_back >= 1
+    assert "rolled back: the baseline fits 3 lifts better" in (adapter.refits.last_reason or "")
+    assert adapter.monitor.drift == DriftLevel(level=adapter.monitor.variance_scale), (
+        "no change any more"
+    )
+
+
+def test_what_came_at_another_rate_is_dropped_wherever_it_lies(adapter: Adapter) -> None:
+    """A descent that waits for the next lift is confirmed after it, and is older."""
+    p = adapter.model.library.size
+
+    def rows(t_ns: int) -> list[Row]:
+        return rows_of(np.zeros((4, p)), np.zeros((4, 3)), t_ns=t_ns)
+
+    for first_ns in (100, 300, 200):
+        adapter._confirm(rows(first_ns), 0)
+    adapter.distrust(250)
+    assert sorted(adapter.confirmed_ns) == [100, 101, 102, 103, 200, 201, 202, 203]
+    assert [segment.t_ns for segment in adapter.buffer.segments] == [103, 203]
+    adapter.new_source()
+    adapter.distrust(0)
+    assert len(adapter.buffer.segments) == 2, "of another clock"
+    adapter.buffer.add(rows(50), 0, 0)
+    assert adapter.buffer._held == 12
+
+
+@pytest.mark.parametrize(("seed", "at", "stop"), [(7, 8, 16), (6, 10, 18), (8, 6, 14)])
+def test_a_source_that_begins_within_a_swing_teaches_nothing_of_it(
+    baseline: Baseline, seed: int, at: int, stop: int
+) -> None:
+    """Without lengths its ticks stand for its lift, and those before are not known."""
+    stops: list[int | None] = [stop] * 40
+    *arrays, touching = FakeLeg(seed=seed).run(40, touch=lambda n: stops[n])
+    stream = samples(*arrays)
+    learner = ContactLearner(without_lengths(), "rf", baseline)
+    play(learner, stream[: 28 * 20])
+    learner.drain_confirmed()
+    again = [msgspec.structs.replace(s, run=1) for s in stream[28 * 20 + at :]]
+    events = play(learner, again)
+    ticks = np.array(learner.drain_confirmed()) // 20_000_000
+    assert len(ticks) > 30
+    assert not touching[ticks].any()
+    assert ticks.min() >= 28 * 21
+    assert outcomes(events, range(22, 40), stops).count("hit") >= 17
+
+
+def test_a_swing_that_began_before_the_source_says_nothing_of_how_long_swings_are(
+    baseline: Baseline,
+) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=6).run(30)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(without_lengths(), "rf", baseline)
+    play(learner, stream[: 28 * 20])
+    for part, run in ((stream[28 * 20 + 18 : 28 * 22], 1), (stream[28 * 23 + 18 :], 1)):
+        play(learner, [msgspec.structs.replace(s, run=run) for s in part])
+        assert learner.status.note is None
+
+
+def test_a_model_that_falls_in_the_midst_of_a_tick_takes_the_rows_that_wait_with_it(
+    adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p = adapter.model.library.size
+    adapter._queue.extend(rows_of(np.zeros((30, p)), np.zeros((30, 3))))
+    learned = []
+
+    def falls(row: Row) -> None:
+        learned.append(row)
+        adapter._queue.clear()
+
+    monkeypatch.setattr(adapter, "_learn", falls)
+    adapter.tick(3)
+    assert len(learned) == 1
+
+
+def test_where_swings_are_too_short_for_that_it_is_said(baseline: Baseline) -> None:
+    learner = ContactLearner(without_lengths(), "rf", baseline)
+    measured, desired, swing, _ = FakeLeg(seed=6).run(20)
+    short = swing.copy()
+    short[np.arange(len(short)) % 28 >= 14] = False
+    play(learner, samples(measured, desired, short))
+    assert learner.status.note == (
+        "robot.toml has no lengths_m, and swings are shorter than 0.4 s: changes of the leg are "
+        "not followed; give the lengths of its links"
+    )
+
+
+def test_a_joint_that_reads_more_coarsely_raises_no_alarms(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """The covariance follows, so that the other joints stay as sharp as they were."""
+    stops = [16 if n % 2 else None for n in range(400)]
+    measured, desired, swing, _ = FakeLeg(seed=7).run(400, touch=lambda n: stops[n])
+    rng = np.random.default_rng(0)
+    measured[28 * 60 :, 1] += 0.012 * rng.normal(size=len(measured) - 28 * 60)
+    learner = ContactLearner(robot, "rf", baseline)
+    told = outcomes(play(learner, samples(measured, desired, swing)), range(120, 400), stops)
+    assert told.count("alarm") <= 1
+    assert told.count("hit") >= 0.97 * 140
+    recent = learner._lifecycle.recent
+    assert recent is not None
+    now, then = recent.whiten[4, 0], baseline.legs["rf"].noise.whiten[4, 0]
+    coxa, femur = (np.diag(now) / np.diag(then))[:2]
+    assert femur < 0.8 * coxa, "the femur has grown noisier, the coxa has not"

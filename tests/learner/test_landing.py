@@ -1,0 +1,222 @@
+"""Feet that come late: judged on after the turn to stance, learned from never, counted, noted."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact.detect.detector import context_of, statistic
+from adaptive_contact.detect.swing import AFTER_TICKS, SAME_TICKS
+from adaptive_contact.detect.swing_judge import LANDINGS, Landings
+from adaptive_contact.learn.noise_tracker import AWAITED
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
+from adaptive_contact.robot import Robot, parse_robot
+from adaptive_contact.wire import ServoSample
+
+from .conftest import TOML, FakeLeg, play, samples
+from .drivers import Swings
+
+TICKS = 28  # of a swing and its stance, as FakeLeg makes them
+ROBOT = parse_robot(TOML, source="testbot")
+TURN = 18  # where these gaits say "stance": ten ticks before the next swing
+
+
+def stop_of(number: int) -> int | None:
+    """Two swings in three touch two or three ticks after the turn, the third not at all."""
+    return None if number % 3 == 2 else TURN + 1 + number % 2
+
+
+def planned(leg: FakeLeg, swings: int) -> list[ServoSample]:
+    """A gait that turns at a planned touch-down while its foot is on its way."""
+    measured, desired, _, _ = leg.run(swings, touch=stop_of)
+    swing = np.arange(len(measured)) % TICKS < TURN
+    return samples(measured, desired, swing)
+
+
+def test_touches_after_the_turn_are_found_and_no_tick_of_them_learned(
+    robot: Robot, baseline: Baseline
+) -> None:
+    learner = ContactLearner(robot, "rf", baseline)
+    events = play(learner, planned(FakeLeg(seed=31), 120))
+    touched = {event.seq // TICKS: event.seq % TICKS for event in events if event.contact}
+    late = [number for number in range(120) if stop_of(number) is not None]
+    assert len(touched) == sum(event.contact for event in events), "one to a swing at most"
+    found = [n for n in late if n in touched and 0 < touched[n] - (stop_of(n) or 0) <= 4]
+    assert len(found) >= 0.95 * len(late)
+    assert set(touched) <= set(late), "an alarm where nothing touched"
+    confirmed = [t_ns // 20_000_000 % TICKS for t_ns in learner.drain_confirmed()]
+    assert len(confirmed) > 500
+    assert max(confirmed) < TURN
+    status = learner.status
+    assert status.status == "valid"
+    assert status.note is not None
+    assert status.note.startswith("20 of the last 20 touches came after phase had turned to stance")
+
+
+def test_a_turn_in_mid_air_causes_nothing(robot: Robot, baseline: Baseline) -> None:
+    """The same free motion with its turn early, late or not at all: no event of any kind."""
+    measured, desired, swing, _ = FakeLeg(seed=32).run(60)
+    for turn in (14, TURN, 22):
+        phase = swing & (np.arange(len(swing)) % TICKS < turn)
+        assert play(ContactLearner(robot, "rf", baseline), samples(measured, desired, phase)) == []
+
+
+def test_a_swing_that_only_the_next_one_ends_is_learned_in_the_second_half(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Of a tick: an event of another leg would have waited for it."""
+    learner = ContactLearner(robot, "rf", baseline)
+    group = LegGroup([learner])
+    grown = 0
+    # The stance of four ticks is shorter than the wait.
+    for sample in samples(*FakeLeg(seed=33).run(30)[:3]):
+        before = learner.status.buffer.descent_ticks
+        group.judge([sample])
+        if sample.seq % TICKS == 0:
+            assert learner.status.buffer.descent_ticks == before
+            group.finish()
+            grown += learner.status.buffer.descent_ticks > before
+        group.finish()
+    assert grown >= 5
+
+
+def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Baseline) -> None:
+    """The verdict against the formula, for pushes of any direction."""
+    rng = np.random.default_rng(34)
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
+    batch, leg, recent = learner.place.batch, learner.place.leg, learner._lifecycle.recent
+    assert recent is not None
+    told = {True: 0, False: 0}
+    leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
+    for _ in range(200):
+        residual, gradient = rng.normal(0.0, 0.02, (3, 3)), rng.normal(0.0, 0.1, 3)
+        history = np.stack([residual, rng.normal(0.0, 0.02, (3, 3))])
+        scores = batch.scores[0]
+        statistic(
+            leg, history, batch.whiten[0], np.ones(3), recent.awaited, scores, batch.sums,
+            gradient, True,
+        )  # fmt: skip
+        for w in (1, 2, 3):
+            whiten = recent.whiten[int(leg["context"])][w - 1]
+            z = whiten @ residual[:w].sum(axis=0)
+            up = float(z @ whiten @ gradient) > 0.0
+            expected = float(z @ z) / recent.awaited[w - 1] if up else 0.0
+            assert scores[w - 1] == pytest.approx(expected, rel=1e-9)
+            told[up] += 1
+    assert min(told.values()) > 100
+
+
+def test_awaited_touches_have_thresholds_of_their_own_aim(robot: Robot, baseline: Baseline) -> None:
+    learner = ContactLearner(robot, "rf", baseline)
+    recent = learner._lifecycle.recent
+    assert recent is not None
+    aim = robot.detector.false_alarms_per_hour
+    assert recent.thresholds == pytest.approx(baseline.thresholds(aim))
+    assert recent.awaited == pytest.approx(baseline.thresholds(AWAITED * aim))
+    assert (recent.awaited < recent.thresholds).all()
+
+
+Step = tuple[Literal["swing", "stance"], bool, bool]  # phase, in the air, the leg moves
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(["swing", "stance"]), st.booleans(), st.booleans())))
+def test_waiting_ends_with_a_touch_a_standstill_a_swing_or_16_ticks(steps: list[Step]) -> None:
+    """Against the rules, spelled out for any course of phases."""
+    watch = Swings(ROBOT)
+    at, still, awaiting, over = 0, 0, None, True
+    for k, (phase, air, moves) in enumerate(steps):
+        at += moves
+        sample = ServoSample(t_ns=k, seq=k, measured=[0.1 * at] * 3, desired=[0.1] * 3, phase=phase)
+        was = int(watch.place.leg["after"])
+        ended = watch.follow(sample, awaited=air)
+        after, ticks = (int(watch.place.leg[name]) for name in ("after", "ticks"))
+        if phase == "swing":
+            assert ended == (was > 0)
+            assert after == 0 < ticks
+            still, awaiting, over = 0, 0, False
+            continue
+        still = 0 if moves or k == 0 else still + 1
+        assert not ended
+        if not over and awaiting is not None:
+            goes_on = air and awaiting < AFTER_TICKS and still < SAME_TICKS
+            awaiting, over = (awaiting + 1, False) if goes_on else (None, True)
+        assert after == (awaiting or 0)
+        assert (ticks > 0) == (not over)
+
+
+class TestLandings:
+    @pytest.mark.parametrize(
+        ("quiet", "after", "awaited", "counts"),
+        [
+            (AFTER_TICKS, AFTER_TICKS, True, True),
+            (AFTER_TICKS - 1, AFTER_TICKS, True, False),  # a tick was not judged, or pushed
+            (AFTER_TICKS, AFTER_TICKS - 1, True, False),  # it ended otherwise
+            (AFTER_TICKS, AFTER_TICKS, False, False),  # with a touch
+        ],
+    )
+    def test_only_a_whole_quiet_wait_is_no_touch(
+        self, quiet: int, after: int, awaited: bool, counts: bool
+    ) -> None:
+        watch = Swings(ROBOT)
+        leg = watch.place.leg
+        leg["ticks"], leg["after"], leg["quiet"], leg["same"], leg["t_ns"] = 30, after, quiet, 5, 7
+        watch.follow(
+            ServoSample(t_ns=7, seq=7, measured=[0.1] * 3, desired=[0.1] * 3, phase="stance"),
+            awaited=awaited,
+        )
+        assert leg["untouched"] == counts
+        assert (leg["untouched_ns"] == 7) == counts
+
+    def test_touches_that_keep_coming_late_are_noted(self) -> None:
+        landings = Landings()
+        for _ in range(LANDINGS):
+            landings.touched(-2)
+        assert landings.note is None
+        for k in range(LANDINGS // 2 + 1):
+            assert landings.note is None
+            landings.touched(3 + k % 3)
+        assert landings.note is not None
+        assert landings.note.startswith("11 of the last 20 touches came after phase")
+        assert "by 4 ticks" in landings.note
+        for _ in range(LANDINGS // 2):  # the nine from before the turn go first
+            landings.touched(0)
+        assert landings.note is None
+
+
+def test_a_swing_without_ground_is_told_in_the_status(robot: Robot, baseline: Baseline) -> None:
+    """A long stance in the air, under a command that goes on slowly down."""
+    measured, desired, swing, _ = FakeLeg(seed=35, noise=0.0).run(3)
+    stream = samples(measured, desired, swing)
+    last = stream[-1]
+    # What the model of free motion foretells, so that nothing pushes.
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, stream)
+    assert learner.status.untouched == 0
+    told = []
+    for i in range(1, 40):
+        batch, leg = learner.place.batch, learner.place.leg
+        free = learner.place.window[0] + (batch.increment[0] if leg["predicted"] else 0.0)
+        down = [last.desired[0], last.desired[1] - 0.004 * i, last.desired[2]]
+        sample = msgspec.structs.replace(
+            last,
+            seq=last.seq + i,
+            t_ns=last.t_ns + 20_000_000 * i,
+            measured=free.tolist(),
+            desired=down,
+            phase="stance",
+        )
+        assert learner.update(sample) is None
+        told.append(learner.status.untouched)
+    assert told[-1] == 1
+    # Four ticks of stance are FakeLeg's; the wait is over with the seventeenth.
+    assert told.index(1) == AFTER_TICKS - 4
+    assert learner.status.untouched_ns == last.t_ns + 20_000_000 * (AFTER_TICKS - 4 + 1)

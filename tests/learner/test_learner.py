@@ -1,0 +1,448 @@
+"""The learner of one leg, on a synthetic leg whose contacts and changes are known."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact import ContactLearner
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.errors import BaselineError, ConfigurationError
+from adaptive_contact.fit.train import Stretch, learn
+from adaptive_contact.learn.active_model import ActiveModel
+from adaptive_contact.learn.adapter import Adapter
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.leg_learner import ROWS_PER_TICK
+from adaptive_contact.model import Baseline
+from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact.wire import ContactEvent
+
+from .conftest import PERIOD, FakeLeg, outcomes, play, samples
+
+
+def test_contacts_are_found_and_nothing_else(robot: Robot, baseline: Baseline) -> None:
+    stops = [16 if n % 2 else None for n in range(200)]
+    measured, desired, swing, _ = FakeLeg(seed=2).run(200, touch=lambda n: stops[n])
+    events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
+    told = outcomes(events, range(200), stops)
+    assert told.count("alarm") == 0
+    assert told.count("miss") <= 1
+    late = [e.seq % 28 - 16 for e in events if e.contact]
+    assert np.median(late) <= 2
+    onset_error = [(e.onset_ns / PERIOD) % 28 - 16 for e in events if e.contact]
+    assert np.median(np.abs(onset_error)) < 1.5
+    assert all(e.onset_ns <= e.t_ns for e in events)
+
+
+def test_every_contact_is_released_in_the_next_swing(robot: Robot, baseline: Baseline) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=3).run(
+        40, touch=lambda n: 16 if n % 3 == 0 else None
+    )
+    events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
+    states = [e.contact for e in events]
+    assert states == [i % 2 == 0 for i in range(len(states))]
+
+
+@pytest.mark.parametrize("run", [2, None])
+def test_a_restart_of_the_source_ends_a_contact(
+    robot: Robot, baseline: Baseline, run: int | None
+) -> None:
+    """With a new run at once, without one when the source's clock is believed; never silently."""
+    measured, desired, swing, _ = FakeLeg(seed=3).run(40, touch=lambda n: 16)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf", baseline)
+    last: ContactEvent | None = None
+    first = [
+        msgspec.structs.replace(s, run=1 if run else None, t_ns=s.t_ns + 10**15) for s in stream
+    ]
+    for s in first[: 28 * 20 + 24]:
+        last = learner.update(s) or last
+    assert last is not None
+    assert last.contact
+    assert learner.contact
+    again = play(learner, [msgspec.structs.replace(s, run=run) for s in stream[:12]])
+    assert [(e.contact, e.seq, e.score) for e in again] == [(False, 0 if run else 9, 0.0)]
+    assert again[0].onset_ns == again[0].t_ns
+    assert not learner.status.contact
+
+
+def test_no_event_is_decided_outside_a_swing(robot: Robot, baseline: Baseline) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=4).run(60, touch=lambda _: 16)
+    events = play(ContactLearner(robot, "rf", baseline), samples(measured, desired, swing))
+    assert events
+    assert all(swing[e.seq] for e in events)
+
+
+def test_a_command_that_freezes_is_no_contact(robot: Robot, baseline: Baseline) -> None:
+    measured, desired, swing, _ = FakeLeg(seed=5).run(30)
+    stream = samples(measured, desired, swing)
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, stream[: 28 * 20 + 13])
+    held = stream[28 * 20 + 12]
+    frozen = [
+        msgspec.structs.replace(held, seq=held.seq + i, t_ns=held.t_ns + i * PERIOD, phase="stance")
+        for i in range(1, 50)
+    ]
+    assert not [e for e in play(learner, frozen) if e.contact]
+
+
+@pytest.mark.parametrize("late_ms", [10, 17, 20])
+def test_a_tick_that_comes_late_blinds_no_leg(
+    robot: Robot, baseline: Baseline, late_ms: int
+) -> None:
+    """A controller that sleeps between ticks: in every swing one is late, and the leg goes on.
+
+    The touch comes three to five ticks after it.
+    """
+    stops = [17 if n % 2 else None for n in range(120)]
+    late = [12 + n % 3 if n >= 20 else None for n in range(120)]
+    measured, desired, swing, _ = FakeLeg(seed=3).run(
+        120, touch=lambda n: stops[n], late=lambda n: late[n], by=late_ms / 20.0
+    )
+    delays = [late_ms * 1_000_000 if k % 28 == late[k // 28] else 0 for k in range(len(swing))]
+    behind = np.concatenate(([0], np.cumsum(delays)[:-1])).tolist()
+    stream = [
+        msgspec.structs.replace(sample, t_ns=sample.t_ns + by)
+        for sample, by in zip(samples(measured, desired, swing), behind, strict=True)
+    ]
+    learner = ContactLearner(robot, "rf", baseline)
+    told = outcomes(play(learner, stream), range(20, 120), stops)
+    assert told.count("hit") >= 44, "of 50"
+    assert told.count("alarm") <= 8
+    assert learner.status.missed == 0
+    assert learner.status.note is None
+
+
+def test_a_leg_whose_lifts_are_never_heard_says_so(robot: Robot, baseline: Baseline) -> None:
+    """A controller whose swings begin past the top."""
+    measured, desired, _, _ = FakeLeg(seed=5).run(40)
+    swing = np.arange(len(measured)) % 28
+    swing = (swing >= 12) & (swing < 24)
+    learner = ContactLearner(robot, "rf", baseline)
+    told = []
+    for sample in samples(measured, desired, swing):
+        learner.update(sample)
+        told.append(learner.status.note)
+    assert told[28 * 15] is None
+    assert "no lift could be heard in" in str(told[-1])
+    assert "changes of the leg are not followed" in str(told[-1])
+    heard = ContactLearner(robot, "rf", baseline)
+    play(heard, samples(*FakeLeg(seed=5).run(40)[:3]))
+    assert heard.status.note is None
+
+
+def test_the_same_samples_give_the_same_events(robot: Robot, baseline: Baseline) -> None:
+    stream = samples(*FakeLeg(seed=6).run(100, touch=lambda n: 16 if n % 2 else None)[:3])
+    first = play(ContactLearner(robot, "rf", baseline), stream)
+    assert first == play(ContactLearner(robot, "rf", baseline), stream)
+
+
+# -- following the leg ---------------------------------------------------------------------------
+
+
+def changed(n: int) -> float:
+    return 0.7 if n >= 60 else 1.0
+
+
+def run_changed(
+    mode: LearnerMode, robot: Robot, baseline: Baseline, *, always: bool = False, seed: int = 7
+) -> list[str]:
+    stops = [16 if always or n % 2 else None for n in range(160)]
+    measured, desired, swing, _ = FakeLeg(seed=seed).run(
+        160, touch=lambda n: stops[n], change=changed
+    )
+    learner = ContactLearner(robot, "rf", baseline, mode=mode)
+    events = play(learner, samples(measured, desired, swing))
+    return outcomes(events, range(160), stops)
+
+
+def errors(told: list[str]) -> int:
+    return sum(word in ("miss", "alarm") for word in told)
+
+
+def test_a_changed_leg_is_followed(robot: Robot, baseline: Baseline) -> None:
+    frozen = run_changed(LearnerMode.FROZEN, robot, baseline)
+    assert errors(frozen[:60]) <= 1
+    assert errors(frozen[80:]) > 30, "the change must matter for the test to mean anything"
+    # One leg in ten goes astray once more on its way.
+    runs = [run_changed(LearnerMode.FULL, robot, baseline, seed=seed) for seed in range(7, 16)]
+    assert max(errors(told[:60]) for told in runs) <= 2
+    assert np.median([errors(told[80:]) for told in runs]) <= 2
+    assert sum(errors(told[80:]) for told in runs) <= 3 * len(runs)
+    # A lift is heard before its swing alarms.
+    assert np.median([told[60:80].count("alarm") for told in runs]) <= 2
+
+
+def test_what_a_leg_has_changed_in_and_when_is_told(robot: Robot, baseline: Baseline) -> None:
+    """Touches of every other swing are none of it."""
+    told = []
+    for seed in range(7, 16):
+        arrays = FakeLeg(seed=seed).run(100, touch=lambda n: 16 if n % 2 else None, change=changed)[
+            :3
+        ]
+        learner = ContactLearner(robot, "rf", baseline)
+        play(learner, samples(*arrays))
+        told.append(learner.status.drift)
+        again = ContactLearner(robot, "rf", baseline)
+        assert again.restore(learner.snapshot() or {}) is None
+        assert again.status.drift.kind == told[-1].kind
+    # One leg in ten changes once more on its way, and tells of that.
+    swing_ns = 28 * PERIOD
+    soon = [each for each in told if 60 <= (each.since_ns or 0) / swing_ns < 68]
+    assert len(soon) >= 8
+    assert all(each.kind == "drive" for each in soon)
+
+
+def test_it_is_followed_even_when_every_swing_ends_in_contact(
+    robot: Robot, baseline: Baseline
+) -> None:
+    full = run_changed(LearnerMode.FULL, robot, baseline, always=True)
+    assert errors(full[85:]) <= 3
+
+
+def test_then_it_is_learned_to_the_end_of_its_descents(
+    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a leg that has changed, and but for what touches; before, the guard is kept."""
+    *arrays, touching = FakeLeg(seed=7).run(160, touch=lambda _: 16, change=changed)
+
+    def learned() -> tuple[np.ndarray, np.ndarray]:
+        learner = ContactLearner(robot, "rf", baseline)
+        play(learner, samples(*arrays))
+        ticks = np.array(learner.drain_confirmed()) // PERIOD
+        assert not touching[ticks].any()
+        late = ticks[(ticks % 28 == 15) | (ticks % 28 == 16)]  # the foot is stopped in the 17th
+        return late[late < 60 * 28], late[late >= 60 * 28]
+
+    before, after = learned()
+    monkeypatch.setattr(Adapter, "changed", False)
+    guarded_before, guarded_after = learned()
+    assert len(before) == len(guarded_before) <= 2
+    assert len(after) > 2 * len(guarded_after) > 0
+
+
+def test_a_stream_of_contacts_does_not_blind_it(robot: Robot, baseline: Baseline) -> None:
+    measured, desired, swing, touching = FakeLeg(seed=8).run(500, touch=lambda _: 16)
+    learner = ContactLearner(robot, "rf", baseline)
+    events = play(learner, samples(measured, desired, swing))
+    told = outcomes(events, range(500), [16] * 500)
+    assert errors(told[-200:]) <= 2
+    confirmed = np.array(learner.drain_confirmed()) // PERIOD
+    assert len(confirmed) > 1000
+    assert touching[confirmed].mean() <= 0.001
+
+
+def test_standing_changes_nothing(robot: Robot, baseline: Baseline) -> None:
+    stream = samples(*FakeLeg(seed=9).run(30)[:3])
+    learner = ContactLearner(robot, "rf", baseline)
+    play(learner, stream)
+    model = learner.model
+    assert model is not None
+    before = model.coefficients.copy()
+    last = stream[-1]
+    still = [
+        msgspec.structs.replace(last, seq=last.seq + i, t_ns=last.t_ns + i * PERIOD, phase="stance")
+        for i in range(1, 5000)
+    ]
+    assert play(learner, still) == []
+    # What the last swing confirmed is still drained in the first ticks of standing.
+    after = learner.model
+    assert after is not None
+    assert np.abs(after.coefficients - before).max() < 0.02
+    assert learner.status.status == "valid"
+
+
+def test_the_report_says_what_its_terms_of_changes_speak_of(
+    robot: Robot, baseline: Baseline
+) -> None:
+    learner = ContactLearner(robot, "rf", baseline)
+    known = baseline.legs["rf"].model
+    fresh = learner.model_report
+    assert fresh is not None
+    assert fresh.first == []
+    play(learner, samples(*FakeLeg(seed=12).run(12)[:3]))
+    report = learner.model_report
+    assert report is not None
+    assert report.model_version >= 1
+    named = {term.name for joint in report.terms for term in joint}
+    assert {"tanh(δ_coxa/1)", "δ_tibia(2s)-δ_tibia"} <= named
+    for joint, first in enumerate(report.first):
+        assert {t.name: t.coefficient for t in first} == dict(known.terms(joint))
+
+
+# -- cold start ----------------------------------------------------------------------------------
+
+
+def test_without_a_baseline_it_learns(robot: Robot) -> None:
+    stops = [16 if n % 2 and n > 70 else None for n in range(160)]
+    measured, desired, swing, _ = FakeLeg(seed=11).run(160, touch=lambda n: stops[n])
+    learner = ContactLearner(robot, "rf")
+    assert learner.status.status == "learning"
+    assert learner.model_report is None
+    events = play(learner, samples(measured, desired, swing))
+    assert learner.status.status == "valid"
+    assert learner.status.model_version >= 1
+    report = learner.model_report
+    assert report is not None
+    assert len(report.equations) == 3
+    told = outcomes(events, range(75, 160), stops)
+    assert errors(told) <= 4
+
+
+def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(
+    robot: Robot, baseline: Baseline
+) -> None:
+    known = baseline.legs["rf"]
+    model = known.model.moved(0.0 * known.model.coefficients, 0)  # of one that never moves
+    of_another = dataclasses.replace(baseline, legs={"rf": dataclasses.replace(known, model=model)})
+    stream = samples(*FakeLeg(seed=11).run(100)[:3])
+    whole = ContactLearner(robot, "rf", of_another)
+    play(whole, stream[: 28 * 10])
+    assert whole.status.status == "learning"
+    note = whole.status.note
+    assert re.fullmatch(
+        r"the baseline does not fit this leg: learning it anew \(\d+ of 20 swings\)", note
+    )
+    for swings in (1, 2, 10):  # before the third lift has told, and after
+        before = ContactLearner(robot, "rf", of_another)
+        play(before, stream[: 28 * swings])
+        learner = ContactLearner(robot, "rf", of_another)
+        assert learner.restore(before.snapshot()) is None
+        play(learner, stream[28 * swings : 28 * 10])
+        assert learner.status.status == "learning"
+        # Swings towards a first model are not kept, and counted from 0.
+        assert learner.status.note.partition(" (")[0] == whole.status.note.partition(" (")[0]
+    play(whole, stream[28 * 10 :])
+    assert whole.status.status == "valid"
+    assert whole.status.note is None
+
+
+def test_swings_are_told_from_commands_and_geometry_as_well(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Samples that carry no phase: the same touches are found."""
+    stops = [16 if n % 2 else None for n in range(120)]
+    *arrays, touching = FakeLeg(seed=17).run(120, touch=lambda n: stops[n])
+    told = samples(*arrays)
+    bare = [msgspec.structs.replace(sample, phase=None) for sample in told]
+    learner = ContactLearner(robot, "rf", baseline)
+    found = outcomes(play(learner, bare), range(1, 120), stops)
+    assert learner.status.note is None
+    assert found.count("alarm") <= 1
+    assert found.count("hit") >= 57
+    confirmed = np.array(learner.drain_confirmed()) // PERIOD
+    assert len(confirmed) > 600
+    assert touching[confirmed].mean() < 0.01  # as where the phase is told
+
+
+def test_a_frozen_learner_without_a_baseline_stays_silent(robot: Robot) -> None:
+    stream = samples(*FakeLeg(seed=12).run(60)[:3])
+    learner = ContactLearner(robot, "rf", mode=LearnerMode.FROZEN)
+    assert play(learner, stream) == []
+    assert learner.status.status == "learning"
+
+
+def test_a_baseline_of_another_robot_is_refused(robot: Robot, baseline: Baseline) -> None:
+    other = dataclasses.replace(baseline, robot="otherbot")
+    with pytest.raises(BaselineError, match="is of robot 'otherbot'"):
+        ContactLearner(robot, "rf", other)
+    with pytest.raises(ConfigurationError, match="has no leg 'xx'"):
+        ContactLearner(robot, "xx")
+
+
+@pytest.mark.parametrize("gain", [0.25, 0.15])
+def test_servos_that_are_far_behind_their_commands_are_not_taken_for_a_held_foot(
+    robot: Robot, gain: float
+) -> None:
+    """By four and by seven ticks: the foot never gets to where its command was."""
+    measured, desired, swing, _ = FakeLeg(seed=1, gain=gain).run(500)
+    sound = np.ones(len(swing), dtype=bool)
+    known = learn(robot, {"rf": [Stretch(measured, desired, swing, swing, sound)]}, origin="test")
+    # Free, then caught for thirty swings, then free.
+    caught = range(40, 70)
+    stream = FakeLeg(seed=3, gain=gain).run(110, touch=lambda n: 0 if n in caught else None)
+    learner = ContactLearner(robot, "rf", known.baseline)
+    told: list[str] = []
+    confirmed: list[int] = []
+    for k, sample in enumerate(samples(*stream[:3])):
+        learner.update(sample)
+        if k % 28 == 27:
+            told.append(learner.status.status)
+            confirmed.append(len(learner.drain_confirmed()))
+    assert told[5:40].count("valid") == 35
+    assert sum(confirmed[:40]) > 200
+    assert told[46:70].count("ambiguous") == 24
+    assert sum(confirmed[41:70]) == 0
+    assert told[76:].count("valid") >= 30
+    assert sum(confirmed[76:]) > 150
+
+
+def test_a_swing_s_rows_are_learned_a_few_per_tick(
+    robot: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A swing confirms a dozen rows or two at once; no tick pays for all of them."""
+    learned: list[int] = []
+    whole = ActiveModel.learn
+
+    def count(active: ActiveModel, row: Row) -> list[float]:
+        learned[-1] += 1
+        return whole(active, row)
+
+    monkeypatch.setattr(ActiveModel, "learn", count)
+    run = FakeLeg(seed=3).run(80, change=lambda n: 0.7 if n >= 40 else 1.0)
+    learner = ContactLearner(robot, "rf", baseline)
+    for sample in samples(*run[:3]):
+        learned.append(0)
+        learner.update(sample)
+    assert max(learned) == ROWS_PER_TICK, "while it adapts"
+    calm = learned[28 * 20 : 28 * 40]
+    assert max(calm) == 1, "a leg that is known can wait"
+    assert sum(calm) > 150
+
+
+@pytest.mark.parametrize("tick", [15, 18, 21])
+def test_contacts_never_loosen_a_threshold(robot: Robot, baseline: Baseline, tick: int) -> None:
+    """Two hundred swings that all end in a touch, against the same leg without."""
+    limits, levels, tails = [], [], []
+    for touch in (None, tick):
+        run = FakeLeg(seed=8).run(240, touch=lambda n, t=touch: t if n >= 20 else None)
+        learner = ContactLearner(robot, "rf", baseline)
+        play(learner, samples(*run[:3]))
+        recent, adapter = learner._lifecycle.recent, learner._lifecycle.adapter
+        assert recent is not None
+        assert adapter is not None
+        limits.append(recent.thresholds)
+        levels.append(adapter.variance_in_force)
+        tails.append(recent.tail_factors)
+    np.testing.assert_array_less(limits[1], 1.05 * limits[0])
+    assert levels[1] <= 1.05 * levels[0]
+    assert tails[1] <= tuple(1.05 * factor for factor in tails[0])
+
+
+def test_a_foot_stopped_in_its_lift_is_told_once_its_command_has_turned(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """Until then it speaks of the leg: one that still falls as its command rises does, too."""
+    run = FakeLeg(seed=4).run(120, touch=lambda n: 6 if n >= 20 and n % 4 == 0 else None)
+    events = play(ContactLearner(robot, "rf", baseline), samples(*run[:3]))
+    at = [e.seq % 28 for e in events if e.contact and e.seq // 28 % 4 == 0]
+    assert len(at) >= 20
+    assert min(at) >= 10
+    assert np.median(at) <= 13
+
+
+@pytest.mark.parametrize("wrong", [{"v": 1, "t_ns": 0, "seq": 0}, b"payload", None, [0.1, 0.2]])
+def test_what_is_no_sample_is_refused_in_a_line_that_says_what_to_pass(wrong: object) -> None:
+    learner = ContactLearner(shipped_robot(), "rf")
+    bank = LearnerBank(shipped_robot())
+    for update in (lambda: learner.update(wrong), lambda: bank.update({"rf": wrong})):  # type: ignore[arg-type,dict-item]
+        with pytest.raises(TypeError, match="expected a ServoSample, found") as caught:
+            update()
+        assert "pass ServoSample(t_ns=" in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert learner.status.ticks == 0

@@ -1,0 +1,124 @@
+"""Whose samples come under a leg's name: against another geometry of feet, and random bodies."""
+
+from __future__ import annotations
+
+import itertools
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch, LegRows, judge_ids
+from adaptive_contact.fit.refit_job import InlineRefitter
+from adaptive_contact.robot import Leg, Mount, Robot, foot, shipped_robot
+from adaptive_contact.wire import ServoSample
+
+TICKS = 600
+
+
+def commands_of(robot: Robot, seed: int) -> dict[str, LegRows]:
+    """Commands of legs that stand on a body which moves and turns; found by Newton steps."""
+    at = np.random.default_rng(seed).uniform(0.0, 6.0, 3) + np.arange(TICKS)[:, None] * 0.05
+    way = 0.02 * np.sin(at[:, :2] * [1.0, 0.7])
+    turn = 0.06 * np.sin(at[:, 2])
+    found = {}
+    for leg in robot.legs:
+        assert leg.lengths_m is not None
+        home = np.array([0.0, 0.6, -1.9])
+        yaw = leg.mount.yaw_rad
+        mount = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        reach = mount @ foot(home[None], leg.lengths_m, leg.joint_axes)[0, :2]
+        ground = reach + np.array(leg.mount.xyz_m[:2])
+        height = foot(home[None], leg.lengths_m, leg.joint_axes)[0, 2]
+        angles, rows = home.copy(), []
+        for k in range(TICKS):
+            c, s = np.cos(turn[k]), np.sin(turn[k])
+            on_body = np.array([[c, s], [-s, c]]) @ (ground - way[k])
+            aim = mount.T @ (on_body - np.array(leg.mount.xyz_m[:2]))
+            goal = np.array([*aim, height])
+            for _ in range(3):
+                here = foot(angles[None], leg.lengths_m, leg.joint_axes)[0]
+                slope = np.stack(
+                    [
+                        foot((angles + 1e-6 * step)[None], leg.lengths_m, leg.joint_axes)[0] - here
+                        for step in np.eye(3)
+                    ],
+                    axis=1,
+                )
+                angles = angles + np.linalg.solve(slope / 1e-6, goal - here)
+            rows.append(angles.copy())
+        desired = np.array(rows)
+        standing = np.zeros(TICKS, dtype=bool)
+        found[leg.id] = LegRows(np.arange(TICKS), desired, desired, standing)
+    return found
+
+
+def odd_robot() -> Robot:
+    """A body that looks the same from no two sides."""
+    robot = shipped_robot()
+    rng = np.random.default_rng(2)
+    legs = []
+    for leg in robot.legs[:4]:
+        mount = Mount(
+            xyz_m=(*(np.array(leg.mount.xyz_m[:2]) + rng.uniform(-0.03, 0.03, 2)).tolist(), 0.0),
+            yaw_rad=leg.mount.yaw_rad + float(rng.uniform(-0.3, 0.3)),
+        )
+        legs.append(msgspec.structs.replace(leg, mount=mount))
+    return msgspec.structs.replace(robot, legs=tuple(legs))
+
+
+def test_every_permutation_of_an_odd_body_is_found() -> None:
+    robot = odd_robot()
+    rows = commands_of(robot, 1)
+    ids = robot.leg_ids
+    assert judge_ids(robot, None, rows) == {}
+    for order in itertools.permutations(ids):
+        swapped = {name: rows[owner] for name, owner in zip(ids, order, strict=True)}
+        found = judge_ids(robot, None, swapped)
+        expected = {name: owner for name, owner in zip(ids, order, strict=True) if name != owner}
+        assert {name: owner.leg for name, owner in found.items()} == expected
+
+
+def test_nothing_is_said_without_mounts_or_of_legs_that_hang() -> None:
+    robot = odd_robot()
+    rows = commands_of(robot, 1)
+    a, b, *_ = robot.leg_ids
+    swapped = {**rows, a: rows[b], b: rows[a]}
+    bare = tuple(msgspec.structs.replace(leg, mount=Mount()) for leg in robot.legs)
+    assert judge_ids(msgspec.structs.replace(robot, legs=bare), None, swapped) == {}
+    rng = np.random.default_rng(3)
+    for leg in rows:  # each to and fro by itself
+        wild = np.cumsum(rng.normal(0.0, 0.01, (TICKS, 3)), axis=0)
+        rows[leg] = LegRows(np.arange(TICKS), wild, wild, np.zeros(TICKS, dtype=bool))
+    assert judge_ids(robot, None, rows) == {}
+
+
+@pytest.mark.parametrize("ahead", [0, 7000])
+def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
+    robot = odd_robot()
+    rows = commands_of(robot, 1)
+    a, b, *_ = robot.leg_ids
+    swapped = {**rows, a: rows[b], b: rows[a]}
+    watch = IdWatch(robot, None, InlineRefitter())
+    legs: dict[str, Leg] = {leg.id: leg for leg in robot.legs}
+    tracks: dict[str, IdTrack] = {}
+    for name, leg in legs.items():
+        track = watch.track(leg)
+        assert track is not None
+        tracks[name] = track
+    said = []
+    for k in range(1100):
+        for number, (name, track) in enumerate(tracks.items()):
+            angles = swapped[name].desired[k % TICKS].tolist()
+            sample = ServoSample(
+                t_ns=round(k * 2e7),
+                seq=k + number * ahead,  # legs may count by themselves
+                measured=angles,
+                desired=angles,
+                phase="stance",
+            )
+            track.take(sample)
+        watch.look()
+        said.append([name for name, track in tracks.items() if track.note is not None])
+    assert said[900] == []  # after one judgement
+    assert said[-1] == [a, b]

@@ -1,0 +1,205 @@
+"""Covariance and tail that follow the confirmed free ticks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptive_contact.learn.cold_start import prior_tails
+from adaptive_contact.learn.noise_tracker import MOST, SEGMENTS_PER_TICK, NoiseTracker
+from adaptive_contact.learn.replay_buffer import Segment
+from adaptive_contact.model import Domain
+from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.noise import CONTEXTS, WINDOWS, NoiseModel
+from adaptive_contact.model.tail import Tail
+
+J = 3
+SIGMA = 0.003
+COEFFICIENTS = np.array([[0.5, -0.2, 0.1], [0.0, 0.3, 0.2]])
+
+
+@pytest.fixture
+def noise() -> NoiseModel:
+    covariance = np.stack(
+        [[SIGMA**2 * ticks * np.eye(J) for ticks in WINDOWS] for _ in range(CONTEXTS)]
+    )
+    return NoiseModel(covariance, np.full(CONTEXTS, 1000))
+
+
+def recent(noise: NoiseModel, tails: tuple[Tail, ...] | None = None) -> NoiseTracker:
+    return NoiseTracker(noise, tails or prior_tails(J), 1.0)
+
+
+def segments(covariance: np.ndarray, n: int, seed: int = 0) -> list[Segment]:
+    """Free ticks of a leg that the coefficients fit, with residuals of a covariance."""
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(n, 2))
+    residual = rng.multivariate_normal(np.zeros(J), covariance, size=n)
+    context = rng.integers(0, CONTEXTS, n)
+    target = theta @ COEFFICIENTS + residual
+    return [
+        Segment(theta[k : k + 8], target[k : k + 8], context[k : k + 8], (0, 0), 0, k)
+        for k in range(0, n, 8)
+    ]
+
+
+def rows(values: list[float], theta: float = 0.0) -> list[Row]:
+    """Free ticks with a statistic."""
+    return [
+        Row(np.full(2, theta), np.zeros(J), v / J, v, 0, 0, lift=False, calm=True, cleared=True)
+        for v in values
+    ]
+
+
+def shape(of: NoiseTracker, noise: NoiseModel) -> np.ndarray:
+    """The covariance in force over the baseline's, of one tick."""
+    turned = of.whiten[0, 0] @ np.linalg.inv(noise.whiten[0, 0])
+    return np.linalg.inv(turned.T @ turned)
+
+
+def test_at_first_they_are_the_baseline_s(noise: NoiseModel) -> None:
+    of = recent(noise)
+    before = of.thresholds.copy()
+    np.testing.assert_array_equal(of.whiten, noise.whiten)
+    of.refresh([], COEFFICIENTS)
+    np.testing.assert_array_equal(of.whiten, noise.whiten)
+    np.testing.assert_allclose(of.thresholds, before)
+
+
+def test_a_leg_that_is_as_it_was_keeps_them(noise: NoiseModel) -> None:
+    of = recent(noise)
+    of.refresh(segments(SIGMA**2 * np.eye(J), 40_000), COEFFICIENTS)
+    np.testing.assert_allclose(shape(of, noise), np.eye(J), atol=0.06)
+
+
+def test_a_joint_that_grew_noisier_gets_the_share_it_has_earned(noise: NoiseModel) -> None:
+    of = recent(noise)
+    grown = SIGMA**2 * np.diag([1.0, 9.0, 1.0])
+    of.refresh(segments(grown, 40_000), COEFFICIENTS)
+    found = shape(of, noise)
+    assert np.trace(found) == pytest.approx(J), "how large on the whole, the level says"
+    wanted = np.diag([1.0, 9.0, 1.0]) * J / 11.0
+    np.testing.assert_allclose(found, wanted, atol=0.25)
+    # And what belongs together is known to.
+    tied = SIGMA**2 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    of.refresh(segments(tied, 40_000), COEFFICIENTS)
+    assert shape(of, noise)[0, 1] == pytest.approx(0.8, abs=0.1)
+
+
+def test_a_few_segments_a_tick_come_to_the_same(noise: NoiseModel) -> None:
+    """And nothing moves before the last of them is in."""
+    free = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 4 * SEGMENTS_PER_TICK * 8 + 8)
+    whole, parts = recent(noise), recent(noise)
+    whole.refresh(free, COEFFICIENTS)
+    parts.begin_refresh(free, COEFFICIENTS)
+    ticks = 0
+    while parts.revision == 0:
+        np.testing.assert_array_equal(parts.whiten, noise.whiten)
+        parts.go_on()
+        ticks += 1
+    assert ticks == 6, "five with segments, and one to add up"
+    np.testing.assert_allclose(parts.whiten, whole.whiten, rtol=1e-12)
+    parts.go_on()
+    assert parts.revision == 1
+
+
+def test_what_was_begun_with_another_model_is_dropped(noise: NoiseModel) -> None:
+    free = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 800)
+    of = recent(noise)
+    of.begin_refresh(free, COEFFICIENTS)
+    of.go_on()
+    of.refresh([], COEFFICIENTS)
+    of.go_on()
+    np.testing.assert_array_equal(of.whiten, noise.whiten)
+
+
+def test_what_was_begun_with_ticks_that_were_dropped_is_dropped(noise: NoiseModel) -> None:
+    of = recent(noise)
+    of.begin_refresh(segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 80), COEFFICIENTS)
+    of.drop_refresh()
+    of.go_on()
+    assert of.revision == 0
+
+
+def test_few_ticks_and_wild_ones_move_little(noise: NoiseModel) -> None:
+    of = recent(noise)
+    few = segments(SIGMA**2 * np.diag([1.0, 9.0, 1.0]), 16)
+    of.refresh(few, COEFFICIENTS)
+    assert np.abs(shape(of, noise) - np.eye(J)).max() < 0.25
+    wild = segments(SIGMA**2 * np.eye(J), 800)
+    wild[3].target[2, 0] += 1.0  # one reading, by 300 deviations
+    of.refresh(wild, COEFFICIENTS)
+    assert np.abs(shape(of, noise) - np.eye(J)).max() < 0.15
+
+
+def test_thresholds_rise_with_a_heavier_tail_so_that_the_rate_stays(noise: NoiseModel) -> None:
+    """The statistic of a leg whose residuals are heavy-tailed against that of a calm one."""
+    rng = np.random.default_rng(1)
+    tails = prior_tails(J)
+    calm, heavy = recent(noise, tails), recent(noise, tails)
+    for _ in range(200):
+        calm.count(rows(rng.chisquare(J, 100).tolist()))
+        spread = np.where(rng.random(100) < 0.03, 4, 1)
+        heavy.count(rows((rng.chisquare(J, 100) * spread).tolist()))
+    for of in (calm, heavy):
+        of.refresh([], COEFFICIENTS)
+    least = recent(noise, tails).thresholds
+    np.testing.assert_allclose(calm.thresholds, least, rtol=0.1)
+    assert (heavy.thresholds > 1.5 * least).all()
+    # Rate: at the calm leg's threshold the heavy one would raise alarms that its own prevents.
+    value = rng.chisquare(J, 10**6) * np.where(rng.random(10**6) < 0.03, 4, 1)
+    at_least = (value > least[0]).sum()
+    assert at_least > 50
+    assert (value > heavy.thresholds[0]).sum() < at_least / 10
+
+
+def test_thresholds_never_fall_below_the_baseline_s_and_have_a_top(noise: NoiseModel) -> None:
+    tails = prior_tails(J)
+    of, least = recent(noise, tails), recent(noise, tails).thresholds
+    of.count(rows([0.0] * 20_000))
+    of.refresh([], COEFFICIENTS)
+    np.testing.assert_array_equal(of.thresholds, least)
+    of.count(rows([1e9] * 20_000))
+    assert of.tail_factors == (MOST, MOST)
+
+
+def test_old_ticks_fade(noise: NoiseModel) -> None:
+    of = recent(noise)
+    of.count(rows([50.0] * 1000))
+    often, _ = of.tail_factors
+    for _ in range(10):
+        of.count(rows([1.0] * 20_000))
+    assert of.tail_factors[0] < 1.2 < often
+
+
+def test_counts_survive_a_restart_and_nonsense_is_left(noise: NoiseModel) -> None:
+    of, twin = recent(noise), recent(noise)
+    of.count(rows([50.0, 1.0] * 500))
+    twin.restore(of.snapshot())
+    assert twin.tail_factors == of.tail_factors
+    for nonsense in (
+        None,
+        {},
+        {"ticks": float("nan"), "above": 1.0, "excess": 1.0},
+        {"ticks": "a"},
+    ):
+        twin.restore(nonsense)
+        assert twin.tail_factors == of.tail_factors
+
+
+def test_nan_counts_as_a_tick_that_shows_nothing(noise: NoiseModel) -> None:
+    of = recent(noise)
+    of.count(rows([float("nan")] * 100))
+    assert of.tail_factors == (1.0, 1.0)
+
+
+def test_what_the_model_extrapolates_is_no_noise(noise: NoiseModel) -> None:
+    """As an alarm is judged, and as the tail was fitted: over one plus the leverage."""
+    domain = Domain(10.0 * np.eye(2), np.ones(2))
+    here, there = 0.1, 100.0
+    assert domain.leverage(np.full(2, here)) < 0.01
+    known, strange = (NoiseTracker(noise, prior_tails(J), 1.0, domain) for _ in range(2))
+    known.count(rows([30.0] * 500, theta=here))
+    strange.count(rows([30.0] * 500, theta=there))
+    assert known.tail_factors[0] > 1.5
+    assert strange.tail_factors == (1.0, 1.0)

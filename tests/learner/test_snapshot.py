@@ -1,0 +1,141 @@
+"""A snapshot is taken over whole or not at all."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact.learn.cold_start import prior_tails
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact.wire import Reject, ServoSample
+
+
+@pytest.fixture(scope="module")
+def robot() -> Any:
+    return shipped_robot()
+
+
+@pytest.fixture(scope="module")
+def saved(robot: Any) -> dict[str, Any]:
+    snapshot = ContactLearner(robot, "rf", shipped_baseline(robot.name)).snapshot()
+    return msgpack.unpackb(msgpack.packb(snapshot))  # as it comes back from a file
+
+
+def learner(robot: Any, leg: str = "rf") -> ContactLearner:
+    return ContactLearner(robot, leg, shipped_baseline(robot.name))
+
+
+def test_it_comes_back_the_same(robot: Any, saved: dict[str, Any]) -> None:
+    fresh = learner(robot)
+    assert fresh.restore(copy.deepcopy(saved)) is None
+    assert msgpack.packb(fresh.snapshot()) == msgpack.packb(saved)
+
+
+def damage(saved: dict[str, Any], name: str, value: object) -> dict[str, Any]:
+    tree = copy.deepcopy(saved)
+    tree["follower"][name] = value
+    return tree
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("format", 99, "format is 99"),
+        ("library", {"name": "paper"}, "another library"),
+        ("coefficients", {"shape": [1], "data": b"x" * 8}, "its model has shape"),
+        ("coefficients", 3, "its model is no array"),
+        ("level", float("nan"), "its level is nan"),
+        ("level", "high", "its level is 'high'"),
+        ("status", "happy", "its status is 'happy'"),
+        ("segments", [{}], "is no array"),
+        ("version", -1, "version or era"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(
+    robot: Any, saved: dict[str, Any], name: str, value: object, says: str
+) -> None:
+    fresh = learner(robot)
+    before = msgpack.packb(fresh.snapshot())
+    line = fresh.restore(damage(saved, name, value))
+    assert line is not None
+    assert says in line
+    assert "\n" not in line
+    assert msgpack.packb(fresh.snapshot()) == before
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e6])
+def test_an_implausible_model_is_refused(robot: Any, saved: dict[str, Any], wild: float) -> None:
+    tree = copy.deepcopy(saved)
+    model = tree["follower"]["coefficients"]
+    values = np.frombuffer(model["data"]).copy()
+    values[0] = wild
+    model["data"] = values.tobytes()
+    assert learner(robot).restore(tree) is not None
+
+
+def test_another_leg_s_snapshot_is_refused(robot: Any, saved: dict[str, Any]) -> None:
+    line = learner(robot, "lf").restore(saved)
+    assert line is not None
+    assert "another baseline" in line
+
+
+def test_without_a_baseline_a_model_is_refused(robot: Any, saved: dict[str, Any]) -> None:
+    assert "no baseline" in str(ContactLearner(robot, "rf").restore(saved))
+
+
+def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
+    bare, again = ContactLearner(robot, "rf"), ContactLearner(robot, "rf")
+    sample = ServoSample(t_ns=1, seq=5, run=7, measured=[0.0] * 3, desired=[0.0] * 3)
+    bare.update(sample)
+    bare.update(msgspec.structs.replace(sample, t_ns=2, seq=9, run=8))
+    bare.update(msgspec.structs.replace(sample, t_ns=3, seq=12, run=8))
+    bare.count(Reject.MALFORMED, 3)
+    assert again.restore(msgpack.unpackb(msgpack.packb(bare.snapshot()))) is None
+    assert again.status.status == "learning"
+    assert (again.status.ticks, again.status.missed) == (3, 2)
+    assert again.status.rejects == {"malformed": 3}
+    again.update(sample)
+    assert again.status.rejects["other_publisher"] == 1, "the newer one still wins"
+
+
+def test_a_leg_started_cold_goes_on_where_it_was(robot: Any) -> None:
+    """Nothing but the snapshot holds its first model."""
+    baseline = shipped_baseline(robot.name)
+    assert baseline is not None
+    found = ContactLearner(robot, "rf", None)
+    # As after its first fit: what a cold start found is a leg's baseline without a file.
+    lifecycle = found._lifecycle
+    lifecycle._begin(baseline.legs["rf"], prior_tails(3), version=1)
+    lifecycle.cold, lifecycle._started_cold, lifecycle.origin = None, True, "cold start: test"
+    tree = msgpack.unpackb(msgpack.packb(found.snapshot()))
+
+    fresh = ContactLearner(robot, "rf", None)
+    assert fresh.restore(copy.deepcopy(tree)) is None
+    assert msgpack.packb(fresh.snapshot()) == msgpack.packb(found.snapshot())
+    assert fresh.status.status == "valid"
+    assert fresh.model_report is not None
+    assert fresh.model_report.origin == "cold start: test"
+
+
+@pytest.mark.parametrize(
+    ("start", "says"),
+    [
+        (3, "what it started from is missing"),
+        ({"known": {"library": {}, "leg": {}}}, "cannot be read"),
+    ],
+)
+def test_a_cold_start_s_snapshot_is_refused_whole(robot: Any, start: object, says: str) -> None:
+    saved = learner(robot).snapshot()
+    fresh = ContactLearner(robot, "rf", None)
+    line = fresh.restore({**saved, "start": start})
+    assert line is not None
+    assert says in line
+    assert fresh.status.status == "learning"
+    assert fresh.model is None

@@ -1,0 +1,410 @@
+"""Sources whose samples say nothing of the leg: readings that copy commands, swapped phases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact import ContactLearner
+from adaptive_contact.detect.echo import ECHO_EVIDENCE, ECHO_TICKS
+from adaptive_contact.detect.source_watch import EchoWatch
+from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.leg_learner import ContactLearner as Learner
+from adaptive_contact.model import Baseline
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.wire import ContactEvent, Doubt, ServoSample
+
+from .conftest import FakeLeg, play, samples
+from .drivers import Phases
+
+STEP = 0.005
+SWING, PERIOD = 24, 28  # ticks of the fake leg's swings, and from one to the next
+Rounding = Callable[[float], float]
+ROUNDINGS: dict[str, Rounding] = {
+    "none": lambda x: x,
+    "float32": lambda x: float(np.float32(x)),
+    "nearest": lambda x: round(x / STEP) * STEP,
+    "down": lambda x: math.floor(x / STEP) * STEP,
+}
+
+
+def echoed(
+    stream: list[ServoSample],
+    begin: int,
+    end: int,
+    *,
+    lag: int,
+    joints: tuple[int, ...] = (0, 1, 2),
+    rounding: Rounding = ROUNDINGS["none"],
+) -> list[ServoSample]:
+    """The commands of so many ticks before, published as readings from one tick to another."""
+    made = list(stream)
+    for k in range(begin, end):
+        goal = stream[max(k - lag, 0)].desired
+        measured = [
+            rounding(goal[j]) if j in joints else x for j, x in enumerate(stream[k].measured)
+        ]
+        made[k] = msgspec.structs.replace(stream[k], measured=measured)
+    return made
+
+
+def swapped(stream: list[ServoSample], begin: int, end: int) -> list[ServoSample]:
+    """Stance for swing, and swing for stance, from one tick to another."""
+    return [
+        msgspec.structs.replace(s, phase="stance" if s.phase == "swing" else "swing")
+        if begin <= k < end
+        else s
+        for k, s in enumerate(stream)
+    ]
+
+
+def told(watch: EchoWatch, stream: list[ServoSample]) -> set[int]:
+    found: set[int] = set()
+    for sample in stream:
+        watch.command(sample.desired)
+        watch.take(sample.measured)
+        found |= watch.echoing
+    return found
+
+
+def swings(count: int, *, seed: int = 5, **of: float) -> list[ServoSample]:
+    measured, desired, swing, _ = FakeLeg(seed=seed, **of).run(count)  # type: ignore[arg-type]
+    return samples(measured, desired, swing)
+
+
+# -- the watches by themselves ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rounding", ROUNDINGS.values(), ids=ROUNDINGS.keys())
+@pytest.mark.parametrize("lag", range(ECHO_TICKS + 1))
+def test_a_copy_is_told_within_one_swing(lag: int, rounding: Rounding) -> None:
+    stream = swings(4)
+    for begin in (PERIOD, 2 * PERIOD, 3 * PERIOD):
+        made = echoed(stream, begin - lag, begin + SWING, lag=lag, rounding=rounding)
+        watch = EchoWatch(3, STEP)
+        told(watch, made[:begin])
+        watch._echoing[:] = False
+        watch.begin()
+        assert told(watch, made[begin : begin + SWING]) >= {1, 2}
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_one_joint_that_copies_is_named(joint: int) -> None:
+    made = echoed(swings(3), PERIOD, 2 * PERIOD, lag=1, joints=(joint,))
+    assert told(EchoWatch(3, STEP), made[: 2 * PERIOD]) == {joint}
+
+
+@pytest.mark.parametrize(
+    ("gain", "noise"),
+    [(0.1, 0.0), (0.2, 0.0), (0.35, 0.0), (0.6, 0.0), (0.35, 0.003), (0.9, 0.003), (0.9, 0.006)],
+)
+def test_no_servo_is_told_to_copy(gain: float, noise: float) -> None:
+    assert told(EchoWatch(3, STEP), swings(100, gain=gain, noise=noise)) == set()
+
+
+def test_one_speed_is_no_evidence() -> None:
+    """A servo that follows at one speed, so many ticks late, lies on its commands for long."""
+    watch = EchoWatch(1, STEP)
+    for k in range(500):
+        watch.command([k * 0.01])
+        watch.take([max(k - 3, 0) * 0.01])
+        if k == 10:
+            watch.begin()
+    assert watch.echoing == set()
+
+
+def test_evidence_is_that_of_the_definition() -> None:
+    """Against a slow reference: every stretch of ticks, each lag, ranges of errors and steps."""
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        steps = rng.integers(-6, 7, 40)
+        desired = np.cumsum(steps) * STEP
+        # On a grid errors are whole steps, and a stretch is one of equal errors below one.
+        off = rng.choice([0, 0, 0, 0, 0, 0, 0, 3], 40) * STEP
+        watch = EchoWatch(1, STEP)
+        found = False
+        for command, reading in zip(desired, desired + off, strict=True):
+            watch.command([command])
+            watch.take([reading])
+            found |= bool(watch.echoing)
+        expected = False
+        for lag in range(ECHO_TICKS + 1):
+            error = (desired + off)[lag:] - desired[: 40 - lag]
+            for a in range(len(error)):
+                b = a
+                while b < len(error) and abs(error[b]) < 0.5 * STEP:
+                    b += 1
+                    inner = steps[a + 1 : b] if lag == 0 else np.diff(desired)[a : b - 1] / STEP
+                    inner = np.round(inner)
+                    moved = int(np.count_nonzero(inner))
+                    span = float(np.ptp(inner)) if len(inner) else 0.0
+                    expected |= moved >= 10 and span >= 3 and moved * span >= ECHO_EVIDENCE
+        assert found == expected
+
+
+def test_readings_that_did_not_come_are_no_evidence() -> None:
+    watch = EchoWatch(3, STEP)
+    for sample in echoed(swings(3), 0, 3 * PERIOD, lag=0):
+        watch.command(sample.desired)
+        watch.take(sample.measured, [True, False, True])
+    assert 1 not in watch.echoing
+    assert 2 in watch.echoing
+
+
+def test_a_copy_ends_with_three_ticks_that_are_none() -> None:
+    stream = swings(6)
+    made = echoed(stream, PERIOD, 3 * PERIOD, lag=0)
+    watch = EchoWatch(3, STEP)
+    assert told(watch, made[: 3 * PERIOD]) == {0, 1, 2}
+    told(watch, made[3 * PERIOD : 4 * PERIOD])
+    assert watch.echoing == set()
+
+
+@pytest.mark.parametrize("geometry", [True, False])
+def test_swapped_phases_are_told_and_end(robot: Robot, geometry: bool) -> None:
+    leg = robot.leg("rf") if geometry else without_lengths(robot)
+    stream = swapped(swings(14), 4 * PERIOD + 7, 9 * PERIOD + 3)
+    watch = Phases(robot, leg)
+    states = []
+    for sample in stream:
+        watch.take(sample)
+        states.append(watch.swapped)
+    assert not any(states[: 4 * PERIOD + 7])
+    # The first stance that is published as a swing, and where speed alone tells, the second.
+    first = 5 * PERIOD if geometry else 6 * PERIOD
+    assert states[first + 1]
+    assert all(states[first + 1 : 9 * PERIOD])
+    assert not any(states[10 * PERIOD + SWING :])
+
+
+def without_lengths(robot: Robot) -> Leg:
+    return msgspec.structs.replace(robot.leg("rf"), lengths_m=None)
+
+
+def test_a_leg_that_is_put_elsewhere_fast_is_not_swapped(robot: Robot) -> None:
+    """A stance that is faster than the swings beside it, whose foot comes down as far."""
+    watch = Phases(robot, robot.leg("rf"))
+    for k, sample in enumerate(swings(12)):
+        fast = 5 * PERIOD + SWING <= k < 6 * PERIOD
+        desired = [x + 0.4 * (k % 2) for x in sample.desired] if fast else sample.desired
+        watch.take(msgspec.structs.replace(sample, desired=desired))
+        assert not watch.swapped
+
+
+# -- the learner -----------------------------------------------------------------------------------
+
+
+def learner_of(
+    robot: Robot, baseline: Baseline, conduct: WhenAmbiguous = WhenAmbiguous.WITHHOLD
+) -> ContactLearner:
+    return Learner(robot, "rf", baseline, when_ambiguous=conduct)
+
+
+CASES = {
+    "all": {"lag": 0},
+    "three ticks late, to the nearest step": {"lag": 3, "rounding": ROUNDINGS["nearest"]},
+    "one joint, rounded down": {"lag": 1, "rounding": ROUNDINGS["down"], "joints": (1,)},
+    "one joint, as float32": {"lag": 2, "rounding": ROUNDINGS["float32"], "joints": (2,)},
+}
+
+
+@pytest.mark.parametrize("offset", [0, 4, 26])
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_a_copy_is_told_teaches_nothing_and_passes(
+    robot: Robot, baseline: Baseline, case: dict[str, object], offset: int
+) -> None:
+    begin, end = 30 * PERIOD + offset, 36 * PERIOD + offset
+    first = (30 if offset < 8 else 31) * PERIOD + SWING  # the end of the first swing
+    stream = echoed(swings(45), begin, end, **case)  # type: ignore[arg-type]
+    learner = learner_of(robot, baseline)
+    play(learner, stream[:begin])
+    assert learner.status.status == "valid"
+    # Rows of free swings before may still wait; they are this leg's.
+    before = learner.model
+    assert before is not None
+    version = learner.status.model_version
+    play(learner, stream[begin:first])
+    status = learner.status
+    assert (status.status, status.doubt) == ("ambiguous", "echo")
+    assert "measured copies desired" in (status.note or "")
+    learned = [at for at in learner.drain_confirmed() if at >= begin * 20_000_000]
+    assert play(learner, stream[first:end]) == []
+    assert learned == []
+    assert learner.drain_confirmed() == []
+    assert learner.status.model_version == version
+    two = (38 if offset < 8 else 39) * PERIOD
+    play(learner, stream[end:two])
+    assert learner.status.status == "valid", learner.status.note
+    assert play(learner, stream[two:]) == []
+
+
+def test_what_was_learned_of_a_copy_is_taken_back(robot: Robot, baseline: Baseline) -> None:
+    """The tibia stands while the lift is learned, and shows only afterwards that it copies."""
+    stream = swings(40)
+    learner = learner_of(robot, baseline)
+    play(learner, stream[: 30 * PERIOD])
+    adapter = learner._adapter
+    assert adapter is not None
+    good = adapter._active._good
+    assert good is not None
+    adapter._learned_ns = 31 * PERIOD * 20_000_000
+    adapter._active._rls.coefficients[:] += 0.01
+    adapter._active._moved = True
+    adapter.retract(30 * PERIOD * 20_000_000)
+    assert np.array_equal(adapter.model.coefficients, good.model.coefficients)
+
+
+@pytest.mark.parametrize("offset", [0, 9, 25])
+def test_swapped_phases_teach_nothing_and_pass(
+    robot: Robot, baseline: Baseline, offset: int
+) -> None:
+    begin, end = 30 * PERIOD + offset, 36 * PERIOD + offset
+    stream = swapped(swings(45), begin, end)
+    learner = learner_of(robot, baseline)
+    play(learner, stream[:begin])
+    learner.drain_confirmed()
+    model = learner.status.model_version
+    play(learner, stream[begin : 32 * PERIOD])
+    assert (learner.status.status, learner.status.doubt) == ("ambiguous", "phase")
+    assert "phase is swapped" in (learner.status.note or "")
+    assert play(learner, stream[32 * PERIOD : end]) == []
+    assert [at for at in learner.drain_confirmed() if at >= (begin + SWING) * 20_000_000] == []
+    assert learner.status.model_version == model
+    play(learner, stream[end : 39 * PERIOD])
+    assert learner.status.status == "valid", learner.status.note
+
+
+def test_touches_after_a_copy_are_reported(robot: Robot, baseline: Baseline) -> None:
+    stops = [17 if n >= 38 else None for n in range(48)]
+    measured, desired, swing, _ = FakeLeg(seed=5).run(48, touch=lambda n: stops[n])
+    stream = echoed(samples(measured, desired, swing), 30 * PERIOD, 36 * PERIOD, lag=1)
+    events = play(learner_of(robot, baseline), stream)
+    found = {e.seq // PERIOD for e in events if e.contact and not e.withheld}
+    assert found >= set(range(38, 48))
+
+
+# -- what is reported of an ambiguous leg ----------------------------------------------------------
+
+
+def touching(count: int, touches: range) -> list[ServoSample]:
+    measured, desired, swing, _ = FakeLeg(seed=5).run(
+        count, touch=lambda n: 17 if n in touches else None
+    )
+    return samples(measured, desired, swing)
+
+
+def ambiguous_from(
+    learner: ContactLearner,
+    stream: list[ServoSample],
+    begin: int,
+    end: int,
+    doubt: Doubt = "descents",
+) -> list[ContactEvent]:
+    """Play, with the leg ambiguous from one tick to another."""
+    events = play(learner, stream[:begin])
+    adapter = learner._adapter
+    assert adapter is not None
+    for sample in stream[begin:end]:
+        if doubt == "descents":
+            adapter._early.told = True
+        else:
+            adapter.monitor.status = "ambiguous"
+        learner._publish()  # what an assessed swing does
+        event = learner.update(sample)
+        events += [] if event is None else [event]
+    adapter._early.forget()
+    adapter.monitor.status = "valid"
+    learner._publish()
+    return events + play(learner, stream[end:])
+
+
+def test_contacts_of_an_ambiguous_leg_are_withheld(robot: Robot, baseline: Baseline) -> None:
+    stream = touching(40, range(20, 40))
+    learner = learner_of(robot, baseline)
+    events = ambiguous_from(learner, stream, 25 * PERIOD, 30 * PERIOD)
+    within = [e for e in events if 25 * PERIOD <= e.seq < 30 * PERIOD]
+    assert not any(e.contact for e in within)
+    held_back = [e for e in within if e.withheld and e.score > 1.0]
+    assert {e.seq // PERIOD for e in held_back} == set(range(25, 30))
+    assert {(e.status, e.doubt) for e in held_back} == {("ambiguous", "descents")}
+    after = {e.seq // PERIOD for e in events if e.contact and e.seq >= 30 * PERIOD}
+    assert after == set(range(30, 40))
+    status = learner.status
+    assert status.withheld == 5
+    assert status.contacts == sum(e.contact for e in events)
+    assert status.contact == events[-1].contact
+
+
+def test_a_contact_that_stands_ends_when_the_leg_becomes_ambiguous(
+    robot: Robot, baseline: Baseline
+) -> None:
+    stream = touching(30, range(20, 30))
+    learner = learner_of(robot, baseline)
+    begin = 24 * PERIOD + 25  # in the stance after a touch
+    events = ambiguous_from(learner, stream, begin, 26 * PERIOD)
+    before = [e for e in events if e.seq < begin][-1]
+    release = next(e for e in events if e.seq >= begin)
+    assert before.contact
+    assert not release.contact
+    assert release.seq <= begin + 1
+    assert release.withheld
+    assert release.score == 0.0
+
+
+def test_published_all_the_same_where_asked(robot: Robot, baseline: Baseline) -> None:
+    stream = touching(40, range(20, 40))
+    told = play(learner_of(robot, baseline), stream)
+    learner = learner_of(robot, baseline, WhenAmbiguous.PUBLISH)
+    events = ambiguous_from(learner, stream, 25 * PERIOD, 30 * PERIOD)
+    assert [(e.seq, e.contact) for e in events] == [(e.seq, e.contact) for e in told]
+    within = [e for e in events if 25 * PERIOD < e.seq < 30 * PERIOD]
+    assert {e.doubt for e in within} == {"descents"}
+    assert not any(e.withheld for e in within)
+
+
+@pytest.mark.parametrize("conduct", list(WhenAmbiguous))
+def test_a_leg_that_only_fits_badly_is_withheld_where_that_is_asked(
+    robot: Robot, baseline: Baseline, conduct: WhenAmbiguous
+) -> None:
+    stream = touching(40, range(20, 40))
+    learner = learner_of(robot, baseline, conduct)
+    events = ambiguous_from(learner, stream, 25 * PERIOD, 30 * PERIOD, "unsettled")
+    within = [e for e in events if 25 * PERIOD < e.seq < 30 * PERIOD and e.score > 1.0]
+    assert {e.doubt for e in within} == {"unsettled"}
+    assert {(e.contact, e.withheld) for e in within} == {
+        (conduct is not WhenAmbiguous.STRICT, conduct is WhenAmbiguous.STRICT)
+    }
+
+
+def test_a_leg_that_is_well_says_nothing_of_it() -> None:
+    event = ContactEvent(
+        leg="rf",
+        t_ns=1,
+        seq=1,
+        onset_ns=1,
+        contact=True,
+        status="valid",
+        score=2.0,
+        residual=[0.1],
+        model_version=0,
+    )
+    assert not {"withheld", "doubt"} & set(msgspec.to_builtins(event))
+
+
+def test_turned_readings_are_a_foot_that_does_not_rise(robot: Robot, baseline: Baseline) -> None:
+    stream = swings(40)
+    middle = np.median([s.measured for s in stream], axis=0)
+    made = [
+        s if k < 30 * PERIOD else msgspec.structs.replace(
+            s, measured=(2 * middle - np.array(s.measured)).tolist()
+        )
+        for k, s in enumerate(stream)
+    ]  # fmt: skip
+    learner = learner_of(robot, baseline)
+    play(learner, made[: 34 * PERIOD])
+    assert learner.status.status == "ambiguous"
+    assert learner.status.doubt in ("held", "far")

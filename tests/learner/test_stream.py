@@ -1,0 +1,527 @@
+"""The stream guard sorts samples into the next one, a restart, and the rejected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from adaptive_contact.detect.clock import vote_late
+from adaptive_contact.detect.stream import (
+    CONFIRM_SAMPLES,
+    LONGEST_GAP,
+    NOTED_SAMPLES,
+    RESET_SAMPLES,
+    SHORT_GAP,
+    SHORT_RUN_SAMPLES,
+    TAKE_BACK_SAMPLES,
+    Accepted,
+    RateWatch,
+    StreamGuard,
+)
+from adaptive_contact.wire import Reject, ServoSample
+
+STEP = 20_000_000
+
+
+def sample(k: int, *, run: int | None = 1, t0: int = 0, **other: object) -> ServoSample:
+    fields: dict[str, object] = {
+        "t_ns": t0 + k * STEP, "seq": k, "measured": [0.1, 0.2], "desired": [0.1, 0.2], "run": run,
+    }  # fmt: skip
+    return ServoSample(**{**fields, **other})  # type: ignore[arg-type]
+
+
+def feed(guard: StreamGuard, *stream: ServoSample) -> list[Accepted | Reject]:
+    return [guard.admit(s) for s in stream]
+
+
+def test_a_clean_stream_is_accepted() -> None:
+    results = feed(StreamGuard(2), *(sample(k) for k in range(5)))
+    assert results == [Accepted(0, True)] + [Accepted(0, False)] * 4
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"measured": [0.1]}, Reject.WRONG_JOINTS),
+        ({"desired": [0.1] * 3}, Reject.WRONG_JOINTS),
+        ({"preview": [[0.1]]}, Reject.WRONG_JOINTS),
+        ({"valid": [True]}, Reject.WRONG_JOINTS),
+        ({"measured": [math.nan, 0]}, Reject.NOT_FINITE),
+        ({"desired": [0, -math.inf]}, Reject.NOT_FINITE),
+        ({"preview": [[0, math.nan]]}, Reject.NOT_FINITE),
+        ({"measured": [1e9, 0]}, Reject.OUT_OF_RANGE),
+        ({"t_ns": -1}, Reject.OUT_OF_RANGE),
+        ({"t_ns": 2**63}, Reject.OUT_OF_RANGE),
+        ({"seq": -1}, Reject.OUT_OF_RANGE),
+        ({"seq": 2**62}, Reject.OUT_OF_RANGE),
+        ({"seq": 2 + LONGEST_GAP + 2}, Reject.OUT_OF_RANGE),
+        ({"run": 2**63}, Reject.OUT_OF_RANGE),
+        ({"run": -(2**70)}, Reject.OUT_OF_RANGE),
+        ({"t_ns": 2 * STEP}, Reject.TIME_BACKWARDS),
+        ({"t_ns": 0}, Reject.TIME_BACKWARDS),
+        ({"seq": 2}, Reject.DUPLICATE_SEQ),
+        ({"seq": 1}, Reject.DUPLICATE_SEQ),
+    ],
+)
+def test_a_bad_sample_is_refused_and_changes_nothing(
+    change: dict[str, object], reason: Reject
+) -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k) for k in range(3)))
+    assert guard.admit(sample(3, **change)) is reason
+    assert guard.admit(sample(3)) == Accepted(0, False)
+    assert guard.missed == 0
+
+
+def test_a_repeated_sample_is_a_duplicate() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1))
+    assert guard.admit(sample(1)) is Reject.DUPLICATE_SEQ
+
+
+def test_a_gap_is_counted() -> None:
+    guard = StreamGuard(2)
+    assert feed(guard, sample(0), sample(4))[1] == Accepted(3, False)
+    assert guard.missed == 3
+
+
+def test_a_new_run_restarts_even_with_an_older_clock() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(100), sample(101))
+    assert guard.admit(sample(0, run=2)) == Accepted(0, True)
+    assert guard.admit(sample(1, run=2)) == Accepted(0, False)
+    assert guard.missed == 0
+
+
+def test_of_two_publishers_the_newer_start_wins() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0, run=7), sample(1, run=7))
+    assert guard.admit(sample(0, run=3, t0=5)) == Accepted(0, True)
+    for k in range(2, 200):
+        assert guard.admit(sample(k, run=7)) is Reject.OTHER_PUBLISHER
+        assert guard.admit(sample(k - 1, run=3, t0=5)) == Accepted(0, False)
+
+
+def test_the_older_publisher_is_heard_again_once_the_newer_is_gone() -> None:
+    guard = StreamGuard(2)
+    for run in (7, 3):
+        feed(guard, *(sample(k, run=run) for k in range(SHORT_RUN_SAMPLES)))
+    results = feed(guard, *(sample(k, run=7) for k in range(50, 100)))
+    assert results[: TAKE_BACK_SAMPLES - 1] == [Reject.OTHER_PUBLISHER] * (TAKE_BACK_SAMPLES - 1)
+    assert results[TAKE_BACK_SAMPLES - 1] == Accepted(0, True)
+    assert results[-1] == Accepted(0, False)
+    # It had only paused: what started last is what is meant.
+    feed(guard, *(sample(k, run=7) for k in range(100, 150)))
+    assert guard.admit(sample(50, run=3)) == Accepted(0, True)
+    assert guard.admit(sample(150, run=7)) is Reject.OTHER_PUBLISHER
+    assert guard.older_runs == (7,)
+
+
+@pytest.mark.parametrize("times", [1, 26, 100])
+def test_a_superseded_publisher_that_floods_takes_nothing_back(times: int) -> None:
+    """More samples than are needed for it between two of the newer one."""
+    guard = StreamGuard(2)
+    feed(guard, sample(0, run=7), sample(0, run=3))
+    step = STEP // times
+    for k in range(1, 60):
+        flood = (sample(k * times + i, run=7, t_ns=k * STEP + i * step) for i in range(times))
+        assert set(feed(guard, *flood)) == {Reject.OTHER_PUBLISHER}
+        assert guard.admit(sample(k, run=3)) == Accepted(0, False)
+    alone = feed(
+        guard,
+        *(sample(60 * times + i, run=7, t_ns=60 * STEP + i * step) for i in range(30 * times)),
+    )
+    assert alone.count(Accepted(0, True)) == 1
+    assert alone[-1] == Accepted(0, False)
+
+
+@pytest.mark.parametrize("samples", [1, 10, SHORT_RUN_SAMPLES - 1])
+def test_a_source_that_starts_anew_again_and_again_is_told_of(samples: int) -> None:
+    guard = StreamGuard(2)
+    for k in range(10 * samples):
+        guard.admit(sample(k, run=k // samples))
+    assert "is to be one number" in str(guard.note)
+    again = feed(guard, *(sample(k, run=99) for k in range(48 + NOTED_SAMPLES)))
+    assert isinstance(again[48], Accepted), "one that lasts is believed in the end"
+    assert guard.note is None
+
+
+def test_restarts_are_counted_and_outlive_ours() -> None:
+    guard = StreamGuard(2)
+    for seq in range(5):
+        guard.admit(sample(seq, run=1))
+    assert guard.restarts == 0, "the first sample is none"
+    guard.admit(sample(0, run=2))
+    assert guard.restarts == 1
+    again = StreamGuard(2)
+    again.restore(guard.snapshot())
+    again.admit(sample(1, run=2))
+    assert again.restarts == 1, "the source went on while the service was away"
+    another = StreamGuard(2)
+    another.restore(guard.snapshot())
+    another.admit(sample(0, run=3))
+    assert another.restarts == 2, "it began anew meanwhile"
+
+
+def test_a_source_that_is_restarted_now_and_then_is_not() -> None:
+    guard = StreamGuard(2)
+    for k in range(10 * SHORT_RUN_SAMPLES):
+        guard.admit(sample(k, run=k // SHORT_RUN_SAMPLES))
+        assert guard.note is None
+
+
+def test_one_wild_time_stamp_does_not_lock_the_leg_out() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1, t_ns=2**62))
+    results = feed(guard, *(sample(k) for k in range(2, 40)))
+    assert results.index(Accepted(0, True)) == RESET_SAMPLES - 1
+    assert results[-1] == Accepted(0, False)
+
+
+def test_a_source_that_counts_anew_without_a_run_is_believed_after_ten() -> None:
+    """Its clock goes on, its numbers begin again from 0."""
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k, run=None) for k in range(180_000)))
+    results = feed(guard, *(sample(k, run=None, t0=200_000 * STEP) for k in range(50)))
+    assert results[: RESET_SAMPLES - 1] == [Reject.DUPLICATE_SEQ] * (RESET_SAMPLES - 1)
+    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
+    assert results[RESET_SAMPLES:] == [Accepted(0, False)] * (50 - RESET_SAMPLES)
+    assert guard.missed == 0
+
+
+@pytest.mark.parametrize("wild", [2**62, 2**63 - 1, LONGEST_GAP + 5])
+def test_one_wild_number_is_refused_and_locks_nobody_out(wild: int) -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1))
+    assert guard.admit(sample(2, seq=wild)) is Reject.OUT_OF_RANGE
+    assert feed(guard, *(sample(k) for k in range(3, 6))) == [
+        Accepted(1, False), Accepted(0, False), Accepted(0, False),
+    ]  # fmt: skip
+    assert guard.missed == 1
+
+
+@pytest.mark.parametrize("jump", [SHORT_GAP + 2, 1000, 9_000_000])
+@pytest.mark.parametrize("run", [None, 1])
+def test_a_jump_that_no_sample_follows_costs_and_counts_nothing(jump: int, run: int | None) -> None:
+    """One a second, each further ahead, between those of a source at 50 Hz."""
+    guard = StreamGuard(2)
+    for k in range(60 * 50):
+        assert guard.admit(sample(k, run=run)) == Accepted(0, k == 0)
+        if k % 50 == 25:
+            far = k + (k // 50 + 1) * jump
+            wild = guard.admit(sample(k, run=run, t_ns=k * STEP + 1, seq=far))
+            assert wild is (Reject.OUT_OF_RANGE if far - k > LONGEST_GAP else Reject.SEQ_JUMP)
+    assert (guard.missed, guard.restarts) == (0, 0)
+
+
+def test_jumps_alone_are_no_stream() -> None:
+    """The same without anybody else: there is nothing to lose, and nothing is missed."""
+    guard = StreamGuard(2)
+    feed(guard, sample(0))
+    told = feed(guard, *(sample(50 * k, seq=9_000_000 * k) for k in range(1, 51)))
+    assert set(told) <= {Reject.SEQ_JUMP, Reject.OUT_OF_RANGE}
+    assert (guard.missed, guard.restarts) == (0, 0)
+
+
+def test_jumps_that_samples_follow_are_taken_back_when_the_source_goes_on() -> None:
+    """Three samples in a row are a stream; that it was somebody else's shows afterwards."""
+    guard = StreamGuard(2)
+    used = 0
+    for k in range(50 * 50):
+        used += isinstance(guard.admit(sample(k)), Accepted)
+        if k % 50 == 25:
+            far = [
+                sample(k, t_ns=k * STEP + 1 + i, seq=k + 9_000_000 + i)
+                for i in range(CONFIRM_SAMPLES)
+            ]
+            assert isinstance(feed(guard, *far)[-1], Accepted)
+    # Of each, one sample was used, and those of the source until it was believed again were not.
+    assert guard.missed == 50 * (RESET_SAMPLES - 1)
+    assert used + guard.missed == 50 * 50
+    assert guard.restarts == 0
+
+
+@pytest.mark.parametrize("gap", [SHORT_GAP + 1, 180_000, 4 * 3600 * 100, LONGEST_GAP - 5])
+def test_a_long_gap_is_counted_once_three_samples_show_it(gap: int) -> None:
+    """A link that was away for hours: all is counted, those that showed it among it."""
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k) for k in range(10)))
+    results = feed(guard, *(sample(9 + gap + k) for k in range(1, 30)))
+    assert results[: CONFIRM_SAMPLES - 1] == [Reject.SEQ_JUMP] * (CONFIRM_SAMPLES - 1)
+    assert results[CONFIRM_SAMPLES - 1] == Accepted(gap + CONFIRM_SAMPLES - 1, False)
+    assert results[CONFIRM_SAMPLES:] == [Accepted(0, False)] * (29 - CONFIRM_SAMPLES)
+    assert guard.missed == gap + CONFIRM_SAMPLES - 1
+    assert guard.restarts == 0
+
+
+def test_a_long_gap_is_counted_though_samples_after_it_are_lost_too() -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k) for k in range(10)))
+    results = feed(guard, *(sample(1000 + 7 * k) for k in range(1, 4)))
+    assert results[-1] == Accepted(1021 - 10, False)
+
+
+def test_a_number_of_32_bits_that_wraps_is_a_restart() -> None:
+    """After 2.7 years at 50 Hz; its clock goes on."""
+    guard = StreamGuard(2)
+    first = 2**32 - 100
+    results = [
+        guard.admit(sample(first + k, run=None, seq=(first + k) % 2**32)) for k in range(200)
+    ]
+    assert results[100 : 100 + RESET_SAMPLES - 1] == [Reject.DUPLICATE_SEQ] * (RESET_SAMPLES - 1)
+    assert results[100 + RESET_SAMPLES - 1] == Accepted(0, True)
+    assert results[100 + RESET_SAMPLES :] == [Accepted(0, False)] * (100 - RESET_SAMPLES)
+    assert (guard.missed, guard.restarts) == (0, 1)
+
+
+@pytest.mark.parametrize("burst", [1, CONFIRM_SAMPLES])
+@pytest.mark.parametrize("every", [5, 20, 50])
+def test_new_runs_that_do_not_last_blind_a_leg_for_a_moment_only(burst: int, every: int) -> None:
+    """Somebody who may write the key makes up a run every 0.1 s, 0.4 s or 1 s, for two minutes."""
+    guard = StreamGuard(2)
+    refused = []
+    for k in range(120 * 50):
+        if isinstance(guard.admit(sample(k, run=1)), Reject):
+            refused.append(k)
+        if k % every == 3 and k > 200:
+            feed(guard, *(sample(i, run=1000 + k) for i in range(burst)))
+            if len(refused) > 3 * TAKE_BACK_SAMPLES:
+                assert "new runs came and did not last" in str(guard.note)
+    # One run is believed until it shows that it does not last; one more in each settled minute.
+    assert len(refused) <= 5 * TAKE_BACK_SAMPLES
+    assert refused[0] == 203 + (every - 203 % every + 3) % every + 1
+    # Afterwards the leg is as before, and a real restart is believed.
+    rest = feed(guard, *(sample(k, run=1) for k in range(6000, 6100)))
+    assert rest[50:] == [Accepted(0, False)] * 50
+    restart = feed(guard, *(sample(k, run=2) for k in range(100)))
+    assert restart[48 + 1 :] == [Accepted(0, False)] * (100 - 49)
+
+
+def test_a_real_restart_is_believed_while_somebody_makes_up_runs() -> None:
+    guard = StreamGuard(2)
+    rng = np.random.default_rng(5)
+    for k in range(20 * 50):
+        guard.admit(sample(k, run=1))
+        if k % 10 == 0:
+            guard.admit(sample(0, run=int(rng.integers(10, 2**60))))
+    results = []
+    for k in range(200):
+        results.append(guard.admit(sample(k, run=2)))
+        if k % 10 == 0:
+            guard.admit(sample(0, run=int(rng.integers(10, 2**60))))
+    assert results[60:] == [Accepted(0, False)] * 140
+
+
+def test_two_runs_that_alternate_are_two_publishers_also_after_ones_that_did_not_last() -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k, run=1) for k in range(100)))
+    guard.admit(sample(0, run=5))
+    feed(guard, *(sample(k, run=1) for k in range(100, 200)))
+    told = []
+    for k in range(200, 300):
+        guard.admit(sample(k, run=1))
+        told.append(guard.admit(sample(k, run=9)))
+    assert told[:2] == [Reject.OTHER_PUBLISHER] * 2
+    assert told[2] == Accepted(0, True)
+    assert told[3:] == [Accepted(0, False)] * 97
+
+
+def test_a_source_that_counts_on_from_far_ahead_is_a_restart_and_no_loss() -> None:
+    guard = StreamGuard(2)
+    feed(guard, *(sample(k, run=None) for k in range(5)))
+    far = [sample(k, run=None, seq=2**40 + k) for k in range(5, 30)]
+    results = feed(guard, *far)
+    assert results[: RESET_SAMPLES - 1] == [Reject.OUT_OF_RANGE] * (RESET_SAMPLES - 1)
+    assert results[RESET_SAMPLES - 1] == Accepted(0, True)
+    assert guard.missed == 0
+
+
+def test_of_two_publishers_without_runs_the_one_that_stays_is_heard() -> None:
+    """Same clock, other numbers: while both speak the higher numbers hold, then the one left."""
+    guard = StreamGuard(2)
+    for k in range(1, 200):
+        assert isinstance(guard.admit(sample(k, run=None, seq=5000 + k)), Accepted)
+        assert guard.admit(sample(k, run=None, t0=5, seq=k)) is Reject.DUPLICATE_SEQ
+    left = feed(guard, *(sample(k, run=None, t0=5) for k in range(200, 230)))
+    assert left.index(Accepted(0, True)) < RESET_SAMPLES
+    assert left[-1] == Accepted(0, False)
+
+
+def test_numbers_that_jump_about_are_no_stream() -> None:
+    guard = StreamGuard(2)
+    feed(guard, sample(0), sample(1))
+    wild = [sample(k, seq=(k % 7 + 1) * 2**50) for k in range(2, 100)]
+    assert set(feed(guard, *wild)) == {Reject.OUT_OF_RANGE}
+
+
+def test_two_interleaved_streams_without_runs_never_look_like_a_clock_reset() -> None:
+    guard = StreamGuard(2)
+    for k in range(200):
+        assert isinstance(guard.admit(sample(k + 1000, run=None)), Accepted)
+        assert guard.admit(sample(k, run=None)) is Reject.TIME_BACKWARDS
+
+
+@given(
+    st.lists(
+        st.builds(
+            sample,
+            st.integers(0, 60),
+            run=st.sampled_from([None, 1, 2]),
+            t0=st.integers(-STEP, 3 * STEP),
+            measured=st.lists(st.floats(), min_size=1, max_size=3),
+        ),
+        max_size=60,
+    )
+)
+def test_accepted_samples_are_in_order_whatever_comes(stream: list[ServoSample]) -> None:
+    guard = StreamGuard(2)
+    last: ServoSample | None = None
+    for s in stream:
+        result = guard.admit(s)
+        if isinstance(result, Reject):
+            continue
+        assert len(s.measured) == 2
+        assert all(map(math.isfinite, s.measured))
+        if not result.restart:
+            assert last is not None
+            assert s.t_ns > last.t_ns
+            assert s.seq == last.seq + 1 + result.missed
+            assert s.run == last.run
+        last = s
+
+
+def watch(
+    steps: list[int], *, numbers: list[int] | None = None
+) -> tuple[RateWatch, list[int | None]]:
+    """Feeds a 20 ms watch samples that are so many ms apart; the ticks missed at each."""
+    rate = RateWatch(20_000_000)
+    told: list[int | None] = []
+    t_ns = seq = 0
+    for step, number in zip(steps, numbers or [1] * len(steps), strict=True):
+        t_ns, seq = t_ns + step * 1_000_000, seq + number
+        told.append(rate.follow(t_ns, seq, restart=False))
+    return rate, told
+
+
+@pytest.mark.parametrize("step", [16, 24])
+def test_another_rate_shows_within_five_ticks(step: int) -> None:
+    for after, off in ((3, False), (5, True)):
+        rate, missed = watch([20] * 40 + [step] * after)
+        assert rate.off is off
+        assert not any(missed)
+    rate, _ = watch([20] * 40 + [step] * 60)
+    assert rate.found_ns == step * 1_000_000
+    assert not watch([step] * 40 + [20] * 8)[0].off
+
+
+def test_jitter_and_lost_samples_are_no_other_rate() -> None:
+    rng = np.random.default_rng(0)
+    times = 20.0 * np.arange(20_000) + rng.uniform(-5, 5, 20_000)
+    numbers = np.sort(rng.choice(20_000, 18_000, replace=False))
+    rate = RateWatch(20_000_000)
+    lost = 0
+    for number in numbers:
+        missed = rate.follow(round(times[number] * 1e6), int(number), restart=False)
+        assert missed is not None
+        assert not rate.off
+        lost += missed
+    assert lost == numbers[-1] - numbers[0] - len(numbers) + 1
+
+
+@pytest.mark.parametrize("step", [30, 33, 37, 41, 60])
+def test_one_tick_that_comes_late_is_no_other_rate(step: int) -> None:
+    """Nor is a sample lost: its number says so."""
+    for after in range(1, 20):
+        rate, told = watch([20] * 20 + [step] + [20] * after)
+        assert not rate.off
+        assert not any(told)
+    _, told = watch([20] * 20 + [60], numbers=[1] * 20 + [2])
+    assert told[-1] == 1
+
+
+@pytest.mark.parametrize(("step", "missed"), [(30, 0), (33, 1), (37, 1), (41, 1), (60, 2)])
+def test_where_readings_are_known_to_be_late_a_late_tick_is_one_that_nobody_read(
+    step: int, missed: int
+) -> None:
+    rate = RateWatch(STEP)
+    tell(rate, late=True)
+    for k in range(8):  # its schedule settles
+        rate.follow(k * STEP + 10**9, 100 + k, restart=k == 0)
+    assert rate.follow(7 * STEP + 10**9 + step * 1_000_000, 108, restart=False) == missed
+
+
+def tell(rate: RateWatch, *, late: bool, ticks: int = 60) -> None:
+    """Ticks late by up to a quarter of a period, and readings that are so, too, or are not."""
+    rng = np.random.default_rng(0)
+    moved, sigma, leg = np.array([0.08, -0.05]), np.array([0.004, 0.004]), rate._leg
+    for k in range(ticks):
+        rate.follow(k * STEP + round(rng.uniform(0, STEP / 4)), k, restart=k == 0)
+        stretch = float(leg["stretch"])
+        if stretch:
+            # Where readings are known to be late they are moved to their ticks, and leave nothing.
+            share = stretch if late else 0.0
+            moved_by = stretch if leg["late"] == 1 else 0.0
+            shown = (share - moved_by) * moved + rng.normal(size=2) * 0.004
+            vote_late(leg, shown, moved, sigma)
+    assert rate.late is late
+
+
+def test_readings_tell_whether_ticks_or_stamps_are_late() -> None:
+    rate = RateWatch(STEP)
+    assert rate.late is None
+    tell(rate, late=False)
+    tell(rate, late=True, ticks=600)  # the source is another, and its readings say so
+    tell(rate, late=False, ticks=600)
+
+
+@given(st.sampled_from([0.1, 0.4]), st.floats(-0.25, 0.25), st.integers(0, 20))
+def test_of_stamps_that_jitter_the_mean_tells_the_rate(
+    sigma: float, wrong: float, seed: int
+) -> None:
+    """Off by a tenth or not, within two seconds, and never while it is not."""
+    assume(not 0.05 < abs(wrong) < 0.13)
+    rng = np.random.default_rng(seed)
+    t_ns = np.round((np.arange(400) * (1.0 + wrong) + rng.normal(size=400) * sigma) * STEP)
+    t_ns = np.maximum.accumulate(t_ns + 10**9 + np.arange(400))
+    rate = RateWatch(STEP)
+    off = []
+    for k, stamp in enumerate(t_ns.astype(int).tolist()):
+        assert rate.follow(stamp, k, restart=k == 0) == 0
+        off.append(rate.off)
+    assert off[-1] is (abs(wrong) > 0.10)
+    if abs(wrong) < 0.10:
+        assert not any(off)
+        assert rate.jitter == pytest.approx(sigma, rel=0.35)
+    else:
+        assert np.mean(off[150:]) > 0.95
+
+
+@given(st.lists(st.floats(-0.45, 0.45), min_size=50, max_size=200))
+def test_the_schedule_follows_the_stamps_and_never_runs_back(off: list[float]) -> None:
+    rate = RateWatch(STEP)
+    before = 0
+    for k, by in enumerate(off):
+        assert rate.follow(round((k + 1 + by) * STEP), k, restart=k == 0) == 0
+        if k:
+            assert 0.8 * STEP < rate.at_ns - before < 1.2 * STEP
+        before = rate.at_ns
+        assert abs(rate.at_ns - (k + 1) * STEP) <= 0.45 * STEP + 2
+
+
+def test_a_pause_connects_nothing_whether_it_was_counted_or_not() -> None:
+    assert watch([20] * 10 + [5000] + [20] * 10)[1] == [0] * 10 + [None] + [0] * 10
+    # 200 ms with nine samples lost is what it says; a number that does not count it is a pause.
+    assert watch([20] * 10 + [200, 20], numbers=[1] * 10 + [10, 1])[1] == [0] * 10 + [9, 0]
+    assert watch([20] * 10 + [200])[1][-1] is None
+
+
+def test_a_restart_is_told_anew() -> None:
+    rate, _ = watch([24] * 20)
+    assert rate.off
+    rate.follow(0, 0, restart=True)
+    assert not rate.off
+    assert rate.found_ns is None

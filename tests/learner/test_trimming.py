@@ -1,0 +1,207 @@
+"""What touches among ticks that are only believed free is found without a word of when."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from adaptive_contact.fit.outliers import GUARD_TICKS, inliers, untouched
+from adaptive_contact.fit.train import Stretch, cautious, learn
+from adaptive_contact.learn.cold_start import ColdStart
+from adaptive_contact.model import leg_library
+from adaptive_contact.robot import Robot
+
+from .conftest import FakeLeg, samples
+
+Array = NDArray[np.float64]
+
+SWINGS, ROWS = 50, 12
+QUANTUM = 0.005
+NOISE = 0.003
+
+
+def leg(
+    seed: int, pushed: dict[int, range], terms: int = 60
+) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Swings of a linear leg; some of their ticks are pushed by ten deviations or more."""
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(SWINGS * ROWS, terms)) * rng.uniform(0.1, 10.0, terms)
+    true = rng.normal(size=(terms, 3)) * 0.02 / np.abs(theta).mean(axis=0)[:, None]
+    target = theta @ true + NOISE * rng.normal(size=(len(theta), 3))
+    touching = np.zeros(len(theta), dtype=bool)
+    for swing, ticks in pushed.items():
+        rows = swing * ROWS + np.array(ticks)
+        touching[rows] = True
+        # As ground does, the same way each time: what a fit can explain away.
+        target[rows] += np.array([0.01, 0.03, -0.03]) * rng.uniform(0.5, 2.0, (len(rows), 1))
+    position = np.arange(len(theta)) + 10 * (np.arange(len(theta)) // ROWS)
+    return theta, target, position, touching
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_touches_are_found_and_free_ticks_stay(seed: int) -> None:
+    pushed = {n: range(8, 12) for n in range(0, SWINGS, 4)}
+    pushed |= {n: range(3) for n in range(1, SWINGS, 10)}
+    theta, target, position, touching = leg(seed, pushed)
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
+    assert np.count_nonzero(keep & touching) <= 0.03 * touching.sum()
+    assert np.count_nonzero(~keep & ~touching) <= 0.08 * np.count_nonzero(~touching)
+
+
+def test_a_tick_that_stands_out_takes_its_side_of_the_swing_along() -> None:
+    theta, target, position, _ = leg(7, {})
+    late, early = 20 * ROWS, 30 * ROWS
+    target[late + 9] += 0.2
+    target[early + 2] += 0.2
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
+    assert keep[late : late + 9 - GUARD_TICKS].all()
+    assert not keep[late + 9 - GUARD_TICKS : late + ROWS].any()
+    assert not keep[early : early + 3 + GUARD_TICKS].any()
+    assert keep[early + 3 + GUARD_TICKS : early + ROWS].all()
+
+
+def test_without_touches_nearly_all_is_kept() -> None:
+    theta, target, position, _ = leg(8, {})
+    assert untouched(theta, target, position, QUANTUM, tail=False).keep.mean() > 0.93
+
+
+def test_without_touches_the_noise_keeps_its_tail() -> None:
+    theta, target, position, _ = leg(8, {})
+    found = untouched(theta, target, position, QUANTUM, tail=True)
+    assert found.keep.all()
+    assert found.touched == 0
+
+
+def test_one_touch_is_left_out_and_the_noise_keeps_its_tail() -> None:
+    theta, target, position, _ = leg(10, {})
+    wide = 30 * ROWS + 5
+    target[wide, 0] += 4.5 * NOISE  # noise, if rare; what always trims takes it for a touch
+    before = ~untouched(theta, target, position, QUANTUM, tail=False).keep
+    repeated = np.tile(theta, (3, 1)), np.tile(target, (3, 1))
+    position = np.concatenate([position + n * 10_000 for n in range(3)])
+    touch = 20 * ROWS + np.arange(8, 12)
+    repeated[1][touch] += np.array([0.02, 0.06, -0.06])
+    found = untouched(*repeated, position, QUANTUM, tail=True)
+    assert before[wide]
+    assert found.keep[wide]
+    assert not found.keep[touch].any()
+    assert found.touched == 1
+    assert np.count_nonzero(~found.keep) <= len(touch) + GUARD_TICKS
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_many_swings_touch_the_light_touches_go_with_them(seed: int) -> None:
+    pushed = {n: range(8, 12) for n in range(0, SWINGS, 4)}
+    theta, target, position, touching = leg(seed, pushed)
+    found = untouched(theta, target, position, QUANTUM, tail=True)
+    assert (found.keep == untouched(theta, target, position, QUANTUM, tail=False).keep).all()
+    assert abs(found.touched - len(pushed)) <= 2
+    assert np.count_nonzero(found.keep & touching) <= 0.03 * touching.sum()
+
+
+def test_a_leg_that_mostly_stands_keeps_the_ticks_in_which_it_moves() -> None:
+    """Readings that repeat go together best; a noise read off them would leave out all others."""
+    rng = np.random.default_rng(12)
+    theta = rng.normal(size=(SWINGS * ROWS, 20)) * (rng.random((SWINGS * ROWS, 1)) < 0.2)
+    moved = theta @ rng.normal(size=(20, 3)) * 0.01
+    target = np.round(moved / QUANTUM) * QUANTUM
+    position = np.arange(len(theta)) + 10 * (np.arange(len(theta)) // ROWS)
+    assert untouched(theta, target, position, QUANTUM, tail=False).keep.mean() > 0.93
+    assert inliers(theta, target, QUANTUM).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_model_may_err_more_where_the_leg_is_fast(seed: int) -> None:
+    theta, target, position, _ = leg(seed, {}, terms=20)
+    fast = np.arange(len(theta)) // ROWS % 5 == 0
+    speed = np.where(fast, 0.95, 0.05)
+    rng = np.random.default_rng(seed)
+    target += speed[:, None] + np.where(fast, 4.0 * NOISE, 0.0)[:, None] * rng.normal(
+        size=(len(fast), 3)
+    )
+    theta = np.column_stack([theta, speed])
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
+    assert keep[fast].mean() > 0.8
+    assert keep[~fast].mean() > 0.8
+
+
+def test_a_leg_that_was_stopped_is_not_among_the_slow() -> None:
+    """Where nothing else is slow, the ticks of touches would set the noise of slow ones."""
+    theta, target, position, _ = leg(14, {})
+    theta[:, 0] = 1.0
+    target += 0.1  # never slow of its own
+    touching = np.zeros(len(theta), dtype=bool)
+    for swing in range(0, SWINGS, 2):
+        touching[swing * ROWS + 8 : (swing + 1) * ROWS] = True
+    target[touching] = NOISE * np.random.default_rng(14).normal(size=(int(touching.sum()), 3))
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
+    assert np.count_nonzero(keep & touching) == 0
+    assert keep[~touching].mean() > 0.8
+
+
+def test_fewer_rows_than_terms_are_left_as_they_are() -> None:
+    theta, target, position, _ = leg(9, {})
+    assert untouched(theta[:40], target[:40], position[:40], QUANTUM, tail=False).keep.all()
+    assert untouched(theta[:0], target[:0], position[:0], QUANTUM, tail=False).keep.all()
+    assert untouched(theta[:0], target[:0], position[:0], QUANTUM, tail=True).touched == 0
+
+
+def test_a_column_of_zeros_harms_nothing() -> None:
+    theta, target, position, touching = leg(3, {n: range(8, 12) for n in range(0, SWINGS, 4)})
+    theta[:, 5] = 0.0
+    keep = untouched(theta, target, position, QUANTUM, tail=False).keep
+    assert np.count_nonzero(keep & touching) <= 0.1 * touching.sum()
+
+
+def test_a_baseline_of_swings_that_touched_is_as_good_as_one_of_free_swings(robot: Robot) -> None:
+    """Of the same leg, stopped in every other swing, with and without a word of when."""
+    measured, desired, swing, touching = FakeLeg(seed=5).run(
+        900, touch=lambda n: 15 if n % 2 else None
+    )
+    sound = np.ones(len(swing), dtype=bool)
+    pressed = touching.copy()
+    for later in (1, 2, 3):
+        pressed[later:] |= touching[:-later]
+    free = swing & ~pressed
+    told = learn(robot, {"rf": [Stretch(measured, desired, swing, free, sound)]}, origin="truth")
+    mask = cautious(swing)
+    assert np.count_nonzero(mask & touching) > 0.02 * np.count_nonzero(mask)
+    believed = Stretch(measured, desired, swing, mask, sound, certain=False)
+    found = learn(robot, {"rf": [believed]}, origin="no truth")
+    assert 350 <= found.figures["rf"].touched <= 550
+    assert (found.baseline.thresholds(1.0) < 2.0 * told.baseline.thresholds(1.0)).all()
+    worse = np.array(found.figures["rf"].held_out_rms) / told.figures["rf"].held_out_rms
+    assert worse.max() < 1.1
+    # As it would be if all were taken at their word.
+    taken = learn(robot, {"rf": [dataclasses.replace(believed, certain=True)]}, origin="all")
+    assert (taken.baseline.thresholds(1.0) > 3.0 * told.baseline.thresholds(1.0)).any()
+
+
+def test_a_first_model_holds_no_touch(robot: Robot) -> None:
+    """Of a leg that is stopped in every other swing, well before its last ticks."""
+    free = samples(*FakeLeg(seed=31).run(60)[:3])
+    touched = samples(*FakeLeg(seed=30).run(80, touch=lambda n: 15 if n % 2 else None)[:3])
+    described = robot.leg("rf")
+    cold = ColdStart(described, leg_library(robot, described), robot.quantum("rf"))
+    for sample in touched:
+        swing = sample.phase == "swing"
+        cold.add(sample.measured, sample.desired, swing=swing, sound=True)
+    job = cold.job()
+    assert job is not None
+    known = job.run().known
+    assert known is not None
+    off = []
+    window = known.model.library.window
+    measured, desired = (
+        np.array([getattr(s, name) for s in free]) for name in ("measured", "desired")
+    )
+    for tick in range(window.length, len(free) - 1):
+        if free[tick + 1].phase == "swing":
+            past = measured[tick - window.past_measured : tick + 1][::-1]
+            commands = desired[tick - window.past_desired : tick + 1][::-1]
+            theta = known.model.library.evaluate(past[None], commands[None], np.zeros((1, 0, 3)))[0]
+            off.append(measured[tick + 1] - measured[tick] - theta @ known.model.coefficients)
+    assert np.sqrt(np.square(off).mean(axis=0)).max() < 0.0065

@@ -1,0 +1,119 @@
+"""Refits to be tried: a leg of one term, answers that are given, and rows of a trial."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptive_contact.fit import FitStatus
+from adaptive_contact.fit.refit_job import RefitResult
+from adaptive_contact.learn.candidate import (
+    LOOK_AGAIN_ROWS,
+    REFIT_DUE_TICKS,
+    TRIAL_ROWS,
+    Candidate,
+    first_refit_after,
+)
+from adaptive_contact.learn.contact_store import Touch
+from adaptive_contact.learn.replay_buffer import ReplayBuffer
+from adaptive_contact.model import LegModel
+from adaptive_contact.model.labelled_swing import Row
+
+NOISE = np.array([0.01, 0.01, 0.01])
+
+
+class Given:
+    """Answers every job with the same candidate."""
+
+    def __init__(self, coefficients: np.ndarray) -> None:
+        self.coefficients = coefficients
+        self.asked = 0
+
+    def submit(self, job: object) -> None:
+        """Count it."""
+        self.asked += 1
+
+    def collect(self, leg: str, number: int) -> RefitResult:
+        """The candidate."""
+        return RefitResult(number, FitStatus.OK, self.coefficients, 0.1, 1.0)
+
+
+def row(rng: np.random.Generator, p: int, *, truth: float) -> Row:
+    """A free tick, in which only the first term is excited."""
+    theta = np.zeros(p)
+    theta[0] = rng.normal() + 2.0
+    target = theta[0] * truth + rng.normal(size=3) * NOISE
+    return Row(theta, target, 1.0, 1.0, 0, 0, lift=True, calm=True, cleared=True)
+
+
+def fill(
+    buffer: ReplayBuffer,
+    rng: np.random.Generator,
+    p: int,
+    segments: int = 60,
+    *,
+    truth: float = 0.05,
+) -> None:
+    """Lifts of a dozen free ticks, in three regions by turns; 60 are enough for a refit."""
+    for k in range(segments):
+        buffer.add([row(rng, p, truth=truth) for _ in range(12)], k % 3, 0)
+
+
+def stopped(model: LegModel) -> Touch:
+    """A leg that should move by 0.1 rad and stands; the second term is excited there only."""
+    theta = np.zeros((3, model.library.size))
+    theta[:, 0], theta[:, 1] = 2.0, 1.0
+    whiten = np.broadcast_to(np.eye(3) / NOISE, (3, 3, 3))
+    return Touch.of(theta, np.zeros((3, 3)), whiten, np.full(3, 30.0), 1)
+
+
+def ask(candidate: Candidate, model: LegModel, buffer: ReplayBuffer) -> None:
+    """As many swings as there are before the first refit, or between one and the next."""
+    for _ in range(first_refit_after("rf")[0]):
+        candidate.swing_done(model, buffer, 0)
+
+
+def answer(candidate: Candidate) -> None:
+    """The ticks until a refit's result is due."""
+    for _ in range(REFIT_DUE_TICKS + 1):
+        candidate.tick()
+
+
+def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Candidate, LegModel]:
+    """After a whole trial on ticks that the candidate fits."""
+    candidate = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate))
+    buffer = ReplayBuffer()
+    rng = np.random.default_rng(0)
+    p = model.library.size
+    fill(buffer, rng, p, truth=0.06)
+    for _ in range(contacts):
+        candidate.contacts.add([stopped(model)])
+    ask(candidate, model, buffer)
+    answer(candidate)
+    assert candidate.trying
+    promoted = None
+    for _ in range(2 * TRIAL_ROWS):
+        promoted = compared(candidate, row(rng, p, truth=0.06), model)
+        if promoted is not None or not candidate.trying:
+            break
+    return candidate, promoted or model
+
+
+def compared(
+    candidate: Candidate, new: Row, model: LegModel, *, known: bool = True
+) -> LegModel | None:
+    """A row of the trial, as the follower lets it be tried."""
+    off = (new.target - new.theta @ model.coefficients) / NOISE
+    return candidate.compare(new, off.tolist(), model, known=known)
+
+
+def looked_at(
+    candidate: Candidate, model: LegModel, *, known: bool = True, truth: float = 0.06
+) -> LegModel | None:
+    """The rows within which a candidate that waits is looked at again; what came of it."""
+    rng = np.random.default_rng(2)
+    for _ in range(LOOK_AGAIN_ROWS):
+        new = row(rng, model.library.size, truth=truth)
+        won = compared(candidate, new, model, known=known)
+        if won is not None or not candidate.trying:
+            return won
+    return None

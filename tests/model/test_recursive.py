@@ -1,0 +1,239 @@
+"""Recursive least squares against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
+
+P, J = 6, 2
+NOISE = np.array([0.5, 2.0])
+SUPPORT = np.array([[1, 1], [1, 0], [0, 1], [1, 1], [0, 0], [1, 1]], dtype=bool)
+SCALE = np.array([1.0, 10.0, 0.1, 2.0, 1.0, 5.0])
+
+
+def make(**settings: float) -> RecursiveLeastSquares:
+    start = np.where(SUPPORT, 0.3, 0.0)
+    return RecursiveLeastSquares(start, SUPPORT, SCALE, NOISE, RlsSettings(**settings))
+
+
+def data(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(n, P)) * SCALE
+    truth = np.where(SUPPORT, rng.normal(size=(P, J)), 0.0)
+    return theta, theta @ truth + rng.normal(size=(n, J)) * NOISE, truth
+
+
+def test_without_forgetting_one_by_one_equals_batch() -> None:
+    theta, target, _ = data(80)
+    rls = make(forgetting=1.0, prior=3.0, bound=1e9, huber=1e9)
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+    for j in range(J):
+        on = SUPPORT[:, j]
+        phi = theta[:, on]
+        prior = np.diag(np.square(SCALE[on] / (3.0 * NOISE[j])))
+        information = phi.T @ phi / NOISE[j] ** 2 + prior
+        start = np.full(on.sum(), 0.3)
+        expected = np.linalg.solve(
+            information, phi.T @ target[:, j] / NOISE[j] ** 2 + prior @ start
+        )
+        np.testing.assert_allclose(rls.coefficients[on, j], expected, rtol=1e-9)
+        kept = np.flatnonzero(on)
+        index = [int(np.flatnonzero(rls.terms == k)[0]) for k in kept]
+        ours = rls.covariance[j][np.ix_(index, index)] / np.outer(SCALE[on], SCALE[on])
+        np.testing.assert_allclose(ours, np.linalg.inv(information), rtol=1e-8)
+
+
+def test_a_recursion_that_doubts_its_fit_goes_on_as_that_fit_would() -> None:
+    """Batch of the first rows, then one by one, against the batch of all."""
+    theta, target, _ = data(60, seed=8)
+    phi = theta / SCALE
+    known = np.eye(P) / 20.0**2
+    start = np.zeros((P, J))
+    for j in range(J):
+        on = np.flatnonzero(SUPPORT[:, j])
+        gram = (phi[:25].T @ phi[:25] + known)[np.ix_(on, on)]
+        start[on, j] = np.linalg.solve(gram, phi[:25, on].T @ target[:25, j]) / SCALE[on]
+    settings = RlsSettings(forgetting=1.0, prior=1e-9, bound=1e9, huber=1e9)
+    rls = RecursiveLeastSquares(start, SUPPORT, SCALE, NOISE, settings)
+    rls.doubt(phi[:25].T @ phi[:25] + known)
+    for row, y in zip(theta[25:], target[25:], strict=True):
+        rls.update(row, y)
+    for j in range(J):
+        on = np.flatnonzero(SUPPORT[:, j])
+        gram = (phi.T @ phi + known)[np.ix_(on, on)]
+        whole = np.linalg.solve(gram, phi[:, on].T @ target[:, j]) / SCALE[on]
+        np.testing.assert_allclose(rls.coefficients[on, j], whole, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("huber", [1e9, 1.5])
+def test_forgetting_equals_the_dense_recursion(huber: float) -> None:
+    """Kulhavý's recursion on the covariance itself, written from the paper's formula.
+
+    A row that Huber's weight counts for less is one of that much noise.
+    """
+    lam = 0.97
+    theta, target, _ = data(300, seed=1)
+    target[::7] += 8.0 * NOISE
+    rls = make(forgetting=lam, prior=3.0, bound=1e9, huber=huber)
+    lighter = 0
+    j = 0
+    on = SUPPORT[:, j]
+    p = np.diag(np.square(3.0 * NOISE[j] / SCALE[on]))
+    xi = np.full(on.sum(), 0.3)
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+        phi = row[on] / NOISE[j]
+        off = y[j] / NOISE[j] - phi @ xi
+        weight = min(1.0, huber * np.sqrt(1 + phi @ p @ phi) / abs(off))
+        lighter += weight < 1.0
+        phi, off = np.sqrt(weight) * phi, np.sqrt(weight) * off
+        zeta = phi @ p @ phi
+        xi = xi + p @ phi / (1 + zeta) * off
+        eps = lam - (1 - lam) / zeta
+        p = p - np.outer(p @ phi, phi @ p) / (1 / eps + zeta)
+    np.testing.assert_allclose(rls.coefficients[on, j], xi, rtol=1e-7)
+    assert (lighter > 0) == (huber < 10)
+
+
+def test_terms_outside_the_support_never_move() -> None:
+    theta, target, _ = data(200)
+    rls = make()
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+    assert (rls.coefficients[~SUPPORT] == 0.0).all()
+
+
+def test_it_follows_a_change() -> None:
+    theta, target, truth = data(3000, seed=2)
+    moved = truth + np.where(SUPPORT, 0.5, 0.0)
+    target[1500:] += theta[1500:] @ (moved - truth)
+    rls = make(forgetting=0.98, prior=5.0)
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+    error = np.abs(rls.coefficients - moved) * SCALE[:, None] / NOISE
+    assert error[SUPPORT].max() < 0.6
+
+
+def test_standing_still_for_an_hour_changes_nothing_else() -> None:
+    """Full covariance and coefficients, before and after 180,000 ticks at 50 Hz.
+
+    A row moves both along P φ alone.  In coordinates in which the covariance was the identity, an
+    hour of two rows (a posture whose reading flickers by a step) must leave all but their plane.
+    """
+    theta, target, truth = data(500, seed=3)
+    rls = make(forgetting=0.998)
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+    xi, before = rls.coefficients, rls.covariance
+    still = np.array([[1.0, 4.0, -0.05, 1.0, 0.3, 2.0], [1.0, 4.0, -0.05, 1.1, 0.3, 2.0]])
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(50 * 3600, J)) * NOISE
+    which = (rng.random(len(noise)) < 0.3).astype(int)
+    for row, y in zip(still[which], still[which] @ truth + noise, strict=True):
+        rls.update(row, y)
+    assert rls.rows == 500 + 180_000
+    for j in range(J):
+        on = np.flatnonzero(SUPPORT[rls.terms, j])
+        kept = rls.terms[on]
+        root = np.linalg.cholesky(before[j][np.ix_(on, on)])
+        turned, _ = np.linalg.qr(root.T @ (still[:, kept] / SCALE[kept]).T, mode="complete")
+        back = np.linalg.inv(root) @ rls.covariance[j][np.ix_(on, on)] @ np.linalg.inv(root).T
+        back = turned.T @ back @ turned
+        np.testing.assert_allclose(back[2:, 2:], np.eye(len(on) - 2), atol=1e-6)
+        np.testing.assert_allclose(back[:2, 2:], 0.0, atol=1e-6)
+        moved = SCALE[kept] * (rls.coefficients - xi)[kept, j]
+        np.testing.assert_allclose((turned.T @ np.linalg.solve(root, moved))[2:], 0.0, atol=1e-6)
+    # In the plane it knows what 500 rows can tell, and no more: nothing has wound up or closed.
+    np.testing.assert_allclose(rls.uncertainty(still), 0.002, rtol=0.6)
+    off = still @ (rls.coefficients - truth) / NOISE
+    assert np.abs(off).max() < 4.0 * 0.002**0.5
+
+
+@pytest.mark.parametrize("rows", [50_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_the_covariance_stays_definite_and_bounded(rows: int) -> None:
+    """As large as a leg's, with regressors that hang together, idle spells and loosening."""
+    rng = np.random.default_rng(4)
+    p, joints, bound = 45, 3, 20.0
+    noise = np.array([0.004, 0.005, 0.006])
+    scale = 10.0 ** rng.uniform(-1.5, 1.5, p)
+    support = np.zeros((p, joints), dtype=bool)
+    for j, count in enumerate((28, 30, 32)):  # the short ones are filled up with zeros
+        support[rng.choice(p, count, replace=False), j] = True
+    truth = np.where(support, rng.normal(size=(p, joints)) * noise / scale[:, None], 0.0)
+    rls = RecursiveLeastSquares(truth, support, scale, noise, RlsSettings(bound=bound))
+    # A swing moves few variables, of which the terms are functions.
+    theta = rng.normal(size=(2048, 12)) @ rng.normal(size=(12, p)) / 12**0.5
+    theta = (theta + 0.03 * rng.normal(size=theta.shape)) * scale
+    target = theta @ truth + rng.normal(size=(len(theta), joints)) * noise
+    idle = False
+    # Whenever the bound has just been looked after: every 64 rows.
+    for first in range(0, rows, 64):
+        if first % 3200 == 0:
+            idle = rng.random() < 0.4
+        if first % 9600 == 0:
+            units = rng.exponential(10.0, size=(joints, 6, 1))  # beyond the bound, too
+            rls.inflate(units * noise[:, None, None] * rng.normal(size=(joints, 6, p)) / scale)
+        for k in range(first, first + 64):
+            n = first % len(theta) if idle else k % len(theta)
+            rls.update(theta[n], target[n])
+        if first % 6400 == 0 or first + 64 >= rows:
+            covariance = rls.covariance
+            for j in range(joints):
+                on = np.flatnonzero(support[rls.terms, j])
+                own = covariance[j][np.ix_(on, on)] / noise[j] ** 2
+                values = np.linalg.eigvalsh(own)
+                assert values.min() > 1e-12 * values.max(), first
+                assert np.sqrt(np.diag(own)).max() <= bound * (1.0 + 1e-9), first
+                off = np.flatnonzero(~support[rls.terms, j])
+                assert not covariance[j][off].any()
+    assert rls.rows >= rows
+    assert (rls.coefficients[~support] == 0.0).all()
+    # It has not only stayed finite: after a minute of swings it knows its leg.
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+    error = theta @ (rls.coefficients - truth) / noise
+    assert np.sqrt(np.square(error).mean()) < 0.5
+
+
+def test_an_outlier_moves_it_little() -> None:
+    theta, target, _ = data(500, seed=5)
+    rls = make(prior=5.0)
+    for row, y in zip(theta, target, strict=True):
+        rls.update(row, y)
+    before = rls.coefficients
+    rls.update(theta[0], target[0] + 1000.0 * NOISE)
+    moved = np.abs(rls.coefficients - before) * SCALE[:, None] / NOISE
+    assert moved.max() < 0.3
+
+
+def test_bad_rows_are_left_out() -> None:
+    rls = make()
+    before = rls.coefficients
+    rls.update(np.full(P, np.nan), np.zeros(J))
+    rls.update(np.ones(P), np.array([np.inf, 0.0]))
+    np.testing.assert_array_equal(rls.coefficients, before)
+    assert rls.rows == 0
+
+
+def test_uncertainty_is_the_variance_of_the_prediction() -> None:
+    theta, target, _ = data(60, seed=6)
+    rls = make()
+    for row, y in zip(theta[:30], target[:30], strict=True):
+        rls.update(row, y)
+    phi = theta[30:, rls.terms] / SCALE[rls.terms]
+    expected = np.einsum("nq,jqr,nr->nj", phi, rls.covariance, phi) / NOISE**2
+    np.testing.assert_allclose(rls.uncertainty(theta[30:]), expected, rtol=1e-9)
+
+
+def test_loosening_adds_covariance_along_the_directions() -> None:
+    rls = make(prior=0.5, bound=1e9)
+    before = rls.covariance.copy()
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(J, 3, P))
+    rls.inflate(directions)
+    for j in range(J):
+        moves = (directions[j] * SCALE * SUPPORT[:, j])[:, rls.terms]
+        np.testing.assert_allclose(rls.covariance[j], before[j] + moves.T @ moves, atol=1e-9)

@@ -1,0 +1,127 @@
+"""The compressed factor gives what the raw rows give."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pysindy as ps
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.model import Factor
+
+
+def rows(seed: int, n: int, p: int, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(n, p)) * 10.0 ** rng.uniform(-2, 2, size=p)
+    truth = rng.normal(size=(p, joints)) * (rng.random((p, joints)) < 0.4)
+    target = theta @ truth + 0.01 * rng.normal(size=(n, joints))
+    return theta, target, truth
+
+
+def factor_of(theta: np.ndarray, target: np.ndarray, pieces: int = 3) -> Factor:
+    factor = Factor(theta.shape[1], target.shape[1])
+    for part, out in zip(
+        np.array_split(theta, pieces), np.array_split(target, pieces), strict=True
+    ):
+        factor.add(part, out)
+    return factor
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 3), st.integers(1, 9))
+def test_least_squares_equals_that_of_the_raw_rows(
+    seed: int, p: int, joints: int, pieces: int
+) -> None:
+    theta, target, _ = rows(seed, 60, p, joints)
+    fit = fit_sparse(factor_of(theta, target, pieces), FitSettings(ridge=0.0))
+    expected = np.linalg.lstsq(theta, target, rcond=None)[0]
+    np.testing.assert_allclose(fit.coefficients, expected, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(
+        fit.rms, np.sqrt(np.square(target - theta @ expected).mean(axis=0)), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("threshold", [0.0, 0.05, 0.3, 1.0, 3.0])
+def test_stlsq_on_the_factor_equals_stlsq_on_the_rows(threshold: float) -> None:
+    theta, target, _ = rows(7, 400, 15, 3)
+    fit = fit_sparse(factor_of(theta, target), FitSettings(threshold=threshold, ridge=1e-9))
+    scale = np.sqrt(np.square(theta).mean(axis=0))
+    optimizer = ps.STLSQ(threshold=threshold, alpha=1e-9 * len(theta), unbias=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        optimizer.fit(theta / scale, target)
+    expected = optimizer.coef_.T / scale[:, None]
+    np.testing.assert_array_equal(fit.support, expected != 0)
+    np.testing.assert_allclose(fit.coefficients, expected, atol=1e-8)
+
+
+def test_known_terms_are_found() -> None:
+    theta, target, truth = rows(3, 2000, 20, 2)
+    fit = fit_sparse(factor_of(theta, target), FitSettings(threshold=0.05))
+    scale = np.sqrt(np.square(theta).mean(axis=0))
+    visible = np.abs(truth) * scale[:, None] > 0.1
+    assert (fit.support >= visible).all()
+    np.testing.assert_allclose(fit.coefficients[visible], truth[visible], rtol=0.1)
+
+
+def test_merging_equals_adding_and_order_does_not_matter() -> None:
+    theta, target, _ = rows(1, 90, 6, 2)
+    whole = factor_of(theta, target, 1)
+    parts = [factor_of(theta[i::3], target[i::3], 1) for i in range(3)]
+    merged = Factor.merged(reversed(parts), 6, 2)
+    a, b = fit_sparse(whole, FitSettings()), fit_sparse(merged, FitSettings())
+    np.testing.assert_allclose(a.coefficients, b.coefficients, atol=1e-9)
+    assert merged.rows == whole.rows == 90
+
+
+def test_weights_count_like_repeated_rows() -> None:
+    theta, target, _ = rows(5, 50, 4, 2)
+    weight = np.random.default_rng(0).integers(0, 4, size=50)
+    weighted, repeated = Factor(4, 2), Factor(4, 2)
+    weighted.add(theta, target, weight.astype(float))
+    repeated.add(np.repeat(theta, weight, axis=0), np.repeat(target, weight, axis=0))
+    a, b = fit_sparse(weighted, FitSettings()), fit_sparse(repeated, FitSettings())
+    np.testing.assert_allclose(a.coefficients, b.coefficients, atol=1e-9)
+    assert weighted.rows == repeated.rows
+
+
+def test_bad_rows_are_left_out_and_counted() -> None:
+    theta, target, _ = rows(2, 100, 5, 2)
+    clean = factor_of(theta[10:], target[10:])
+    theta[0, 2], theta[4, 1], target[9, 0] = np.nan, np.inf, -np.inf
+    theta[[1, 2, 3, 5, 6, 7, 8], 0] = np.nan
+    dirty = Factor(5, 2)
+    assert dirty.add(theta, target) == 10
+    np.testing.assert_allclose(dirty.rms(np.zeros((5, 2))), clean.rms(np.zeros((5, 2))))
+
+
+def test_too_few_rows() -> None:
+    theta, target, _ = rows(2, 7, 8, 2)
+    fit = fit_sparse(factor_of(theta, target), FitSettings())
+    assert fit.status is FitStatus.TOO_FEW_ROWS
+    assert not fit.coefficients.any()
+    assert fit_sparse(Factor(3, 1), FitSettings()).status is FitStatus.TOO_FEW_ROWS
+
+
+def test_a_threshold_that_removes_everything_says_so() -> None:
+    theta, target, _ = rows(2, 100, 5, 2)
+    fit = fit_sparse(factor_of(theta, target), FitSettings(threshold=1e9))
+    assert fit.status is FitStatus.EMPTIED
+    assert not fit.support.any()
+
+
+def test_constant_repeated_and_zero_columns() -> None:
+    theta, target, _ = rows(2, 200, 5, 2)
+    theta = np.concatenate([theta, theta[:, :1], np.ones((200, 2)), np.zeros((200, 1))], axis=1)
+    factor = factor_of(theta, target)
+    fit = fit_sparse(factor, FitSettings())
+    assert fit.status is FitStatus.OK
+    assert np.isfinite(fit.coefficients).all()
+    assert np.abs(fit.coefficients).max() < 1e3
+    assert fit.condition > 1e8
+    best = np.linalg.lstsq(theta, target, rcond=None)[0]
+    np.testing.assert_allclose(fit.rms, factor.rms(best), rtol=1e-4)
