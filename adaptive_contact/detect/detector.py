@@ -96,7 +96,7 @@ def note_hole(leg, rows):
 @compiled
 def break_off(leg):
     """What comes does not connect: the swing cannot be resolved, and is not learned."""
-    leg.flags |= BROKE_OFF
+    leg.found |= BROKE_OFF
     leg.whole = leg.stood = leg.touching = False
     begin_labels(leg)
     leg.broken = True
@@ -195,7 +195,7 @@ def release(leg, t_ns, score):
     if not leg.contact:
         return
     leg.contact = False
-    leg.flags |= DECIDED
+    leg.found |= DECIDED
     leg.onset_ns = leg.calm_since if leg.calm else t_ns
     leg.score = score
 
@@ -221,7 +221,7 @@ def swing_tick(leg, score, distance, onset_ns, past_lift):
     if score <= 1.0:
         return
     leg.contact, leg.calm = True, 0
-    leg.flags |= DECIDED | TOUCHED
+    leg.found |= DECIDED | TOUCHED
     leg.onset_ns, leg.score = onset_ns, score
 
 
@@ -270,7 +270,7 @@ def enter_row(
 ):  # fmt: skip
     """Hold a judged tick back until its swing is resolved."""
     joints = history.shape[2]
-    leg.flags |= ENTERED
+    leg.found |= ENTERED
     if not leg.gated:
         pass
     elif leg.broken or not (leg.topped or leg.rising or past_top):
@@ -358,7 +358,7 @@ def near(angles, origin):
 @compiled
 def restart_leg(leg, command, before, desired, doubts):
     """The source began again: what came before does not connect."""
-    leg.flags |= RESTARTED
+    leg.found |= RESTARTED
     let_go(leg)
     leg.whole = leg.stood = False
     leg.ticks = leg.after = 0
@@ -389,7 +389,7 @@ def follow_source(
     if cause == leg.cause:
         return
     leg.cause = cause
-    leg.flags |= SOURCE
+    leg.found |= SOURCE
     break_off(leg)
     if cause != NONE:
         let_go(leg)
@@ -417,7 +417,7 @@ def judge_tick(
         if not accepted[i]:
             continue
         leg = legs[i]
-        leg.flags = 0
+        leg.found = 0
         leg.t_ns, leg.seq = t_ns[i], seq[i]
         # The sample, as it connects to the stream.
         unwrap(leg, measured[i], desired[i], preview_in[i], seam[i], restart[i])
@@ -466,7 +466,7 @@ def judge_tick(
         )  # fmt: skip
         if (ends or leg.ticks == 0) and leg.open and leg.known:
             leg.open = False
-            leg.flags |= RESOLVED
+            leg.found |= RESOLVED
             leg.resolved_first, leg.resolved_last = leg.lift_n, leg.row_n
             leg.resolved_whole = whole
             if not ends:
@@ -474,7 +474,7 @@ def judge_tick(
             leg.row_n = leg.lift_n
             leg.closed = True
         if leg.ticks == 1:
-            leg.flags |= BEGAN
+            leg.found |= BEGAN
             if leg.began_count == 2:
                 leg.began_ns, leg.began_n = leg.began_next_ns, leg.began_next_n
             leg.began_next_ns, leg.began_next_n = leg.at_ns, leg.total_n
@@ -495,7 +495,7 @@ def judge_tick(
         void = leg.misread or leg.cause != NONE
         leg.release_pending |= leg.reported and (void or leg.withholds)
         if leg.release_pending:
-            leg.flags |= RELEASE_PENDING
+            leg.found |= RELEASE_PENDING
         if not leg.known:
             continue
         # The reading.
@@ -514,7 +514,7 @@ def judge_tick(
         if leg.rate_off:
             restart_history(leg, doubts[i])
             break_off(leg)
-            leg.flags |= RATE_OFF
+            leg.found |= RATE_OFF
             continue
         if void:  # what is high and low, or where the leg is, is not known
             break_off(leg)
@@ -585,7 +585,7 @@ def judge_tick(
         # What is learned from it, later.
         if leg.learning:
             if leg.touching:
-                leg.flags |= TOUCHING
+                leg.found |= TOUCHING
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
@@ -595,7 +595,7 @@ def judge_tick(
                 )  # fmt: skip
                 if leg.topped and not leg.broken and not leg.top_seen:
                     leg.top_seen = True
-                    leg.flags |= TOPPED
+                    leg.found |= TOPPED
 
 
 @compiled

@@ -164,7 +164,7 @@ LEG: Final = np.dtype(
         ("changed", b1),
         ("has_domain", b1),
         # What this tick found.
-        ("flags", i8),
+        ("found", i8),
         ("score", f8),
         ("onset_ns", i8),
         ("distance", f8),

@@ -135,7 +135,7 @@ class LegBatch:
     @property
     def flags(self) -> list[int]:
         """What the last tick of each leg has found."""
-        found: list[int] = self.legs["flags"].tolist()
+        found: list[int] = self.legs["found"].tolist()
         return found
 
     def judge(self) -> None:
@@ -283,7 +283,7 @@ class LegPlace:
     def drop_tick(self) -> None:
         """Go no further with the tick in hand."""
         self.batch.accepted[self.row] = self.batch.open[self.row] = False
-        self.leg["flags"] = 0
+        self.leg["found"] = 0
 
     def restart_swing(self) -> None:
         """Forget the swing in hand."""

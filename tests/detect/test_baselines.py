@@ -56,9 +56,9 @@ def reference_alarms(
         if swing[k] < 0:
             continue
         value = score[k] / threshold
-        legs[0].flags, legs[0].at_ns = 0, k
+        legs[0].found, legs[0].at_ns = 0, k
         swing_tick(legs[0], value, value, k, bool(descending[k]))
-        if legs[0].flags & DECIDED and legs[0].flags & TOUCHED:
+        if legs[0].found & DECIDED and legs[0].found & TOUCHED:
             found.append(k)
     return found
 

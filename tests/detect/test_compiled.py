@@ -84,7 +84,7 @@ def test_no_folder_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
 _RUN = """
 import json, sys
 sys.path.insert(0, {tests!r})
-from adapt import conftest as made
+from learner import conftest as made
 from adaptive_contact import ContactLearner
 from adaptive_contact.robot import parse_robot
 robot = parse_robot(made.TOML, source="test")

@@ -19,9 +19,10 @@ from adaptive_contact.detect.history import (
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.swing import follow_command, follow_foot, place_foot
 from adaptive_contact.detect.swing_judge import SwingJudge
+from adaptive_contact.detect.swing_labels import confirmed_before, confirmed_of, let_go_rows
 from adaptive_contact.learn.change_terms import ready_for_changes
 from adaptive_contact.model import Baseline, leg_library
-from adaptive_contact.model.labelled_swing import Row, confirmed_before, confirmed_of, let_go_rows
+from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.library import with_changes
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ServoSample
@@ -208,7 +209,7 @@ class Labels:
     def _rows(self, first: int, last: int) -> list[Row]:
         found = self.place.batch.rows[0, first:last]
         return [
-            row._replace(lift=bool(kept["lift"]), level=float(kept["level"]))
+            row._replace(lift=bool(kept["lift"]), nis=float(kept["nis"]))
             for row, kept in zip(self._seen[first:last], found, strict=True)
         ]
 

@@ -26,36 +26,36 @@ from .trials import NOISE, Given, answer, ask, compared, fill, row, stopped, tri
 
 def test_a_candidate_that_fits_better_and_sees_as_well_is_promoted(model: LegModel) -> None:
     candidate = model.coefficients * 1.2
-    candidate, after = tried(model, candidate, contacts=20)
+    trial, after = tried(model, candidate, contacts=20)
     assert after.version == 1
     np.testing.assert_array_equal(after.coefficients, candidate)
-    assert candidate.counts.promoted == 1
-    assert "noise variances better" in (candidate.counts.last_reason or "")
+    assert trial.counts.promoted == 1
+    assert "noise variances better" in (trial.counts.last_reason or "")
 
 
 def test_a_candidate_that_explains_contacts_away_is_refused(model: LegModel) -> None:
     candidate = model.coefficients * 1.2
     candidate[1] = -2.0 * candidate[0]  # so that a leg on the ground is expected to stand
-    candidate, after = tried(model, candidate, contacts=20)
+    trial, after = tried(model, candidate, contacts=20)
     assert after is model
-    assert candidate.counts.refused == 1
-    assert "misses 20 of 20 stored contacts" in (candidate.counts.last_reason or "")
+    assert trial.counts.refused == 1
+    assert "misses 20 of 20 stored contacts" in (trial.counts.last_reason or "")
 
 
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e6])
 def test_a_candidate_that_no_servo_can_be_is_refused_untried(model: LegModel, wild: float) -> None:
     candidate = model.coefficients.copy()
     candidate[3, 1] = wild
-    candidate = Candidate(
+    trial = Candidate(
         "rf", NOISE, np.ones(model.library.size), Given(candidate), plausible=_below_a_radian
     )
     buffer = ReplayBuffer()
     fill(buffer, np.random.default_rng(0), model.library.size)
-    ask(candidate, model, buffer)
-    answer(candidate)
-    assert not candidate.trying
-    assert candidate.counts.refused == 1
-    assert candidate.counts.last_reason == ("refused: a coefficient is not finite, or implausible")
+    ask(trial, model, buffer)
+    answer(trial)
+    assert not trial.trying
+    assert trial.counts.refused == 1
+    assert trial.counts.last_reason == ("refused: a coefficient is not finite, or implausible")
 
 
 def _below_a_radian(coefficients: np.ndarray) -> bool:
@@ -64,29 +64,29 @@ def _below_a_radian(coefficients: np.ndarray) -> bool:
 
 def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -> None:
     given = Given(model.coefficients)
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), given)
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
     buffer = ReplayBuffer()
     fill(buffer, np.random.default_rng(0), model.library.size)
     lost = RefitResult(1, FitStatus.LOST, np.zeros_like(model.coefficients), 0.0, float("nan"))
     given.collect = lambda leg, number: lost  # type: ignore[method-assign]
-    candidate.withdraw()
+    trial.withdraw()
     for asked in (1, 2, 2):
-        candidate.swing_done(model, buffer, 0)
+        trial.swing_done(model, buffer, 0)
         assert given.asked == asked
-        answer(candidate)
-    assert candidate.counts.refused == 2
+        answer(trial)
+    assert trial.counts.refused == 2
 
 
 def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
-    candidate._candidate = np.zeros_like(model.coefficients)
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
+    trial._candidate = np.zeros_like(model.coefficients)
     rng = np.random.default_rng(0)
-    while candidate.trying:
-        asked = candidate.deciding
+    while trial.trying:
+        asked = trial.deciding
         new = row(rng, model.library.size, truth=0.06)
-        assert candidate.compare(new, [float("nan")] * 3, model) is None
+        assert trial.compare(new, [float("nan")] * 3, model) is None
     assert asked, "for the model as it is, in the row that decides"
-    assert candidate.counts.refused == 1
+    assert trial.counts.refused == 1
 
 
 def test_in_line_one_job_of_a_leg_waits() -> None:
@@ -99,9 +99,9 @@ def test_in_line_one_job_of_a_leg_waits() -> None:
 
 
 def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:
-    candidate, after = tried(model, model.coefficients * 0.8, contacts=0)
+    trial, after = tried(model, model.coefficients * 0.8, contacts=0)
     assert after is model
-    assert candidate.counts.refused == 1
+    assert trial.counts.refused == 1
 
 
 def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_better(
@@ -111,63 +111,63 @@ def test_an_alarm_that_came_too_early_does_not_refuse_the_model_that_knows_bette
     candidate = model.coefficients * 0.5
     early = stopped(model)
     early = early._replace(target=np.array([early.theta[k] @ candidate for k in range(3)]))
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate))
-    candidate.contacts.add([early])
-    assert candidate.contacts.found(model.coefficients).tolist() == [True]
-    assert candidate.contacts.found(candidate).tolist() == [False]
-    candidate.contacts.clear()
-    candidate.contacts.add([early, stopped(model)])
-    candidate.contacts.add([early])
-    assert candidate.contacts.found(candidate).tolist() == [True, False]
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate))
+    trial.contacts.add([early])
+    assert trial.contacts.found(model.coefficients).tolist() == [True]
+    assert trial.contacts.found(candidate).tolist() == [False]
+    trial.contacts.clear()
+    trial.contacts.add([early, stopped(model)])
+    trial.contacts.add([early])
+    assert trial.contacts.found(candidate).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("restarted", [False, True])
 def test_a_promoted_model_that_does_worse_is_rolled_back(model: LegModel, restarted: bool) -> None:
     """Also where the service was killed right after the promotion, when all is saved."""
-    candidate, promoted = tried(model, model.coefficients * 1.2, contacts=20)
+    trial, promoted = tried(model, model.coefficients * 1.2, contacts=20)
     assert promoted.version == 1
     if restarted:
-        saved = candidate.snapshot()
-        candidate = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
-        candidate.restore(saved)
+        saved = trial.snapshot()
+        trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
+        trial.restore(saved)
     rng = np.random.default_rng(1)
     back = None
     for _ in range(PROBATION_ROWS):  # the leg is again what it was
-        back = compared(candidate, row(rng, model.library.size, truth=0.05), promoted)
+        back = compared(trial, row(rng, model.library.size, truth=0.05), promoted)
     assert back is not None
     np.testing.assert_array_equal(back.coefficients, model.coefficients)
     assert back.version == 2
-    assert candidate.counts.rolled_back == 1
-    assert "rolled back: the model before is" in (candidate.counts.last_reason or "")
-    assert not candidate.trying
+    assert trial.counts.rolled_back == 1
+    assert "rolled back: the model before is" in (trial.counts.last_reason or "")
+    assert not trial.trying
 
 
 def test_a_promoted_model_that_goes_on_well_stays(model: LegModel) -> None:
-    candidate, promoted = tried(model, model.coefficients * 1.2, contacts=20)
+    trial, promoted = tried(model, model.coefficients * 1.2, contacts=20)
     assert promoted.version == 1
     rng = np.random.default_rng(1)
     for _ in range(PROBATION_ROWS):
-        assert compared(candidate, row(rng, model.library.size, truth=0.06), promoted) is None
-    assert candidate.counts.rolled_back == 0
-    assert not candidate.trying
+        assert compared(trial, row(rng, model.library.size, truth=0.06), promoted) is None
+    assert trial.counts.rolled_back == 0
+    assert not trial.trying
 
 
 def test_only_swings_of_which_something_was_learned_count(model: LegModel) -> None:
     given = Given(model.coefficients)
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), given)
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
     buffer = ReplayBuffer()
     fill(buffer, np.random.default_rng(0), model.library.size)
     for _ in range(3 * REFIT_EVERY_SWINGS):
-        candidate.swing_done(model, buffer, 0, learned=False)
+        trial.swing_done(model, buffer, 0, learned=False)
     assert given.asked == 0
 
 
 def test_a_refit_that_waits_for_rows_says_so(model: LegModel) -> None:
     given = Given(model.coefficients)
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), given)
-    ask(candidate, model, ReplayBuffer())
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
+    ask(trial, model, ReplayBuffer())
     assert given.asked == 0
-    assert candidate.counts.last_reason == (
+    assert trial.counts.last_reason == (
         f"waiting: 0 free ticks of the leg as it is to fit to, {4 * model.library.size} are needed"
     )
 
@@ -176,7 +176,7 @@ def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
     model: LegModel,
 ) -> None:
     given = Given(model.coefficients)
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), given)
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
     rng = np.random.default_rng(0)
     p = model.library.size
     few, enough = ReplayBuffer(), ReplayBuffer()
@@ -185,9 +185,9 @@ def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
 
     def swing(buffer: ReplayBuffer, ticks: int) -> int:
         for _ in range(ticks):
-            candidate.tick()
-        candidate.swing_done(model, buffer, 0)
-        candidate._pending = None  # the result does not matter here
+            trial.tick()
+        trial.swing_done(model, buffer, 0)
+        trial._pending = None  # the result does not matter here
         return given.asked
 
     first, _ = first_refit_after("rf")
@@ -195,17 +195,17 @@ def test_a_refit_is_asked_for_after_swings_or_time_and_at_once_after_a_change(
     assert [swing(enough, 20) for _ in range(REFIT_EVERY_SWINGS)][-2:] == [1, 2]
     slow = round(REFIT_EVERY_S / model.library.period_s / 4) + 1
     assert [swing(enough, slow) for _ in range(4)] == [2, 2, 2, 3]
-    candidate.withdraw()
+    trial.withdraw()
     assert swing(few, 20) == 3, "there is too little of the changed leg"
     assert swing(enough, 20) == 4, "as soon as there is enough"
     assert swing(enough, 20) == 4
 
 
 def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
-    candidate.contacts.add(stopped(model))
-    candidate.withdraw()
-    assert len(candidate.contacts) == 0
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
+    trial.contacts.add(stopped(model))
+    trial.withdraw()
+    assert len(trial.contacts) == 0
 
 
 def test_the_newest_contacts_are_kept(model: LegModel) -> None:
@@ -231,8 +231,8 @@ def test_what_a_refit_holds_on_to_does_not_shift_its_threshold(
     seen.add(theta, np.zeros((3000, 3)))
     domain = Domain.of(seen, scale)
     for known, rows in ((None, PRIOR_ROWS), (domain, PRIOR_ROWS + DOMAIN_ROWS)):
-        candidate = Candidate("rf", NOISE, scale, Given(model.coefficients), known)
-        prior = candidate._prior(model)
+        trial = Candidate("rf", NOISE, scale, Given(model.coefficients), known)
+        prior = trial._prior(model)
         assert prior.rows == pytest.approx(rows)
         np.testing.assert_allclose(prior.scale()[1:], scale[1:], rtol=0.05)
         np.testing.assert_allclose(prior.rms(model.coefficients), 0.0, atol=1e-12)

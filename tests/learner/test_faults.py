@@ -184,7 +184,7 @@ def test_a_fault_while_restoring_leaves_the_leg_as_new(
     def fail(*_: object) -> None:
         raise np.linalg.LinAlgError("not positive definite")
 
-    monkeypatch.setattr("adaptive_contact.learn.adapter.Follower._refresh", fail)
+    monkeypatch.setattr("adaptive_contact.learn.adapter.Adapter._refresh", fail)
     why = fresh.restore(tree)
     assert why == "snapshot of leg 'rf' not used: LinAlgError: not positive definite"
     monkeypatch.undo()

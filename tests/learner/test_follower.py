@@ -21,7 +21,7 @@ from adaptive_contact.learn.adapter import (
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.model import Baseline, Domain, Factor
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Label, LabelledSwing, Row
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.robot import Leg, Robot, parse_robot
 from adaptive_contact.wire import DriftLevel
@@ -49,10 +49,10 @@ def rows_of(theta: Array, target: Array, *, level: float = 1.0, t_ns: int = 0) -
 def swing(adapter: Adapter, rows: list[Row], number: int) -> None:
     """One that has a lift alone, and the stance that follows."""
     adapter.monitor.begin_swing()
-    adapter.lift(rows, 0, number)
+    adapter.learn(LabelledSwing(Label.LIFT, rows, 0, number))
     for _ in range(28):
         adapter.tick(3)
-    adapter.swing_done()
+    adapter.learn(LabelledSwing(Label.END))
 
 
 def lifts(adapter: Adapter, swings: int, spoil: Callable[[Row], Row] = lambda row: row) -> None:
@@ -106,7 +106,7 @@ def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter) -> None:
     rng = np.random.default_rng(0)
 
     def jump(row: Row) -> Row:
-        return row._replace(target=rng.normal(size=3) * 50.0, level=300.0, value=900.0)
+        return row._replace(target=rng.normal(size=3) * 50.0, nis=300.0, value=900.0)
 
     lifts(adapter, 40, jump)
     moved = np.abs(adapter.model.coefficients * adapter._scale[:, None]).max()
@@ -161,7 +161,7 @@ def test_six_legs_make_their_covariances_anew_in_ticks_of_their_own(baseline: Ba
         recent = NoiseTracker(known.noise, baseline.tails, 1.0)
         adapter = Adapter(leg, known, recent, LearnerMode.RLS, InlineRefitter())
         for _ in range(REFRESH_SWINGS):
-            adapter.swing_done()
+            adapter.learn(LabelledSwing(Label.END))
         before = recent.revision
         for tick in range(REFRESH_TICKS):
             adapter.tick(3)
@@ -207,16 +207,16 @@ def test_the_descent_of_a_doubted_lift_waits_for_the_next(
     """It is learned with the change, is dropped where there was none, or its ticks were none."""
     for t_ns in range(1000, 1005):
         adapter.monitor.begin_swing()
-        adapter.lift(rows_at(adapter, 1.0, 100 * t_ns), 0, 0)
+        adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, 1.0, 100 * t_ns), 0, 0))
     before = len(adapter.confirmed_ns)
     adapter.monitor.begin_swing()
-    adapter.lift(rows_at(adapter, 20.0, 10_000_000), 0, 0)
-    adapter.descent(rows_at(adapter, 20.0, 11_000_000), 0)
+    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, 20.0, 10_000_000), 0, 0))
+    adapter.learn(LabelledSwing(Label.DESCENT, rows_at(adapter, 20.0, 11_000_000), 0))
     assert len(adapter.confirmed_ns) == before
     if distrusted:
         adapter.distrust(11_000_000)
     adapter.monitor.begin_swing()
-    adapter.lift(rows_at(adapter, second, 12_000_000), 0, 0)
+    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, second, 12_000_000), 0, 0))
     assert len(adapter.confirmed_ns) - before == learned
 
 

@@ -6,10 +6,29 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_contact.model.ground_reaction import push_of
+
+from adaptive_contact.compiled import records
+from adaptive_contact.detect.detector import push_from_ground
+from adaptive_contact.detect.layout import ROW, new_legs
+from adaptive_contact.model.labelled_swing import Push
+from adaptive_contact.model.noise import CONTEXTS
 
 GRADIENT = np.array([0.0, 0.15, 0.09])
 TARGET = np.array([0.01, -0.1, 0.06])
+
+
+def push_of(
+    residual: np.ndarray, target: np.ndarray, whitening: np.ndarray, gradient: np.ndarray
+) -> Push:
+    """As the tick splits it, with a variance scale of one."""
+    rows, aside = np.zeros(1, dtype=ROW), np.zeros(3)
+    whiten = np.zeros((CONTEXTS, 3, 3, 3))
+    whiten[0, 0] = whitening
+    push_from_ground(
+        records(new_legs(1))[0], records(rows)[0], aside, residual, target, whiten, np.ones(3),
+        gradient, np.zeros(3),
+    )  # fmt: skip
+    return Push(float(rows[0]["sigma"]), aside)
 
 
 @pytest.fixture

@@ -160,7 +160,7 @@ def test_what_creeps_up_lift_by_lift_is_a_change_too() -> None:
 def test_a_foot_that_does_not_rise_is_ambiguous_until_it_does() -> None:
     monitor = calmed()
     for _ in range(OBSTRUCTED_SWINGS):
-        monitor.note_travel(held=True, came=0.4)
+        monitor.note_travel(obstructed=True, travel_ratio=0.4)
     assert monitor.status == "ambiguous"
     assert monitor.note == (
         "the foot came 40 % of its command's way, 2 swings in a row: caught, or no strength"
@@ -177,7 +177,7 @@ def test_a_change_goes_on_when_the_foot_comes_free() -> None:
     for k in range(2):
         hear(monitor, 20.0, 30 + k)
     for _ in range(OBSTRUCTED_SWINGS):
-        monitor.note_travel(held=True, came=0.4)
+        monitor.note_travel(obstructed=True, travel_ratio=0.4)
     for k in range(RELEASE_SWINGS):
         rises(monitor, 20.0, 40 + k)
     assert monitor.status == "adapting"
@@ -186,7 +186,7 @@ def test_a_change_goes_on_when_the_foot_comes_free() -> None:
 def rises(monitor: DriftMonitor, level: float, swing: int) -> LiftAssessment:
     """A swing in which the foot came with its command."""
     monitor.begin_swing()
-    monitor.note_travel(held=False, came=1.0)
+    monitor.note_travel(obstructed=False, travel_ratio=1.0)
     return monitor.assess_lift(lift(level), swing * SWING_NS)
 
 
@@ -233,8 +233,8 @@ def test_the_level_of_a_first_model_may_come_down() -> None:
     for k in range(100):
         hear(hasty, 0.5, k)
         hear(known, 0.5, k)
-    assert hasty.level == pytest.approx(0.5, rel=0.01)
-    assert known.level == 1.0
+    assert hasty.variance_scale == pytest.approx(0.5, rel=0.01)
+    assert known.variance_scale == 1.0
 
 
 def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None:
@@ -268,7 +268,12 @@ def test_a_restart_does_not_make_a_wrong_baseline_right(at: int) -> None:
     for k in range(UNFIT_LIFTS):
         if k == at:
             before, monitor = monitor, DriftMonitor(3)
-            monitor.resume(before.level, before.status, held=before.held, heard=before.heard)
+            monitor.resume(
+                before.variance_scale,
+                before.status,
+                obstructed=before.obstructed,
+                heard=before.heard,
+            )
         assert not monitor.unfit
         hear(monitor, 99.0, k)
     assert monitor.unfit

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adaptive_contact.model.ground_reaction import Push
 
 from adaptive_contact.detect.detector import FREE_LIFT_TICKS, MAX_ROWS
-from adaptive_contact.detect.swing_labels import _Regions
-from adaptive_contact.learn.replay_buffer import MAX_SEGMENTS, MOST_ROWS, ReplayBuffer
-from adaptive_contact.model.labelled_swing import (
+from adaptive_contact.detect.swing_labels import (
     GUARD_TICKS,
     HOLE_TICKS,
     LAST_TICKS,
-    MISSED_LEVEL,
+    MISSED_NIS,
     PUSHED_SIGMA,
     TOUCHING_TICKS,
-    Row,
+    _Regions,
 )
+from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
+from adaptive_contact.model.labelled_swing import SEGMENTS, Push, Row
 from adaptive_contact.robot import Robot
 
 from .conftest import PERIOD
@@ -104,7 +103,7 @@ def test_of_a_changed_leg_what_no_ground_can_have_done_is_learned_too(
     robot: Robot,
 ) -> None:
     """Nearer to the onset than the guard, but for the last tick, and only aside from a push."""
-    book = descent(robot, levels={17: 0.9 * MISSED_LEVEL}, pushes={})
+    book = descent(robot, levels={17: 0.9 * MISSED_NIS}, pushes={})
     found = book.alarm(19 * PERIOD, PERIOD)
     assert ticks(found) == [*range(11, 19 - GUARD_TICKS + 1), 18]
     assert ticks(found)[-1] == 19 - TOUCHING_TICKS
@@ -273,7 +272,7 @@ def test_a_wild_command_does_not_make_all_places_one_for_good() -> None:
     assert places(60) == set(range(6))
     regions.of([40.0, 0.0, -40.0])
     assert len(places(60)) < 6, "beside that everything is near"
-    places(MAX_SEGMENTS)
+    places(SEGMENTS)
     assert places(60) == set(range(6))
 
 

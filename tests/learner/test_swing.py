@@ -71,12 +71,12 @@ def test_a_hold_of_which_nothing_can_be_told_any_more_is_forgotten(robot: Robot)
     for height in (0.06, *[0.01] * (FORGET_SWINGS + 1)):
         swing(watch, 0.2, height=height)
         watch.judge.judge_travel()
-        told.append(watch.judge.held)
+        told.append(watch.judge.obstructed)
     assert told == [True] * FORGET_SWINGS + [False] * 2
     swing(watch, 0.2)
     assert watch.judge.judge_travel()
     watch.place.restart_swing()
-    assert not watch.judge.held
+    assert not watch.judge.obstructed
 
 
 def test_samples_without_phase_are_told_of_while_they_come(robot: Robot) -> None:

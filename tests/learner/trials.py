@@ -13,10 +13,9 @@ from adaptive_contact.learn.candidate import (
     Candidate,
     first_refit_after,
 )
-from adaptive_contact.learn.contact_store import Touch
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.labelled_swing import Row, Touch
 
 NOISE = np.array([0.01, 0.01, 0.01])
 
@@ -66,54 +65,52 @@ def stopped(model: LegModel) -> Touch:
     return Touch.of(theta, np.zeros((3, 3)), whiten, np.full(3, 30.0), 1)
 
 
-def ask(candidate: Candidate, model: LegModel, buffer: ReplayBuffer) -> None:
+def ask(trial: Candidate, model: LegModel, buffer: ReplayBuffer) -> None:
     """As many swings as there are before the first refit, or between one and the next."""
     for _ in range(first_refit_after("rf")[0]):
-        candidate.swing_done(model, buffer, 0)
+        trial.swing_done(model, buffer, 0)
 
 
-def answer(candidate: Candidate) -> None:
+def answer(trial: Candidate) -> None:
     """The ticks until a refit's result is due."""
     for _ in range(REFIT_DUE_TICKS + 1):
-        candidate.tick()
+        trial.tick()
 
 
 def tried(model: LegModel, candidate: np.ndarray, contacts: int) -> tuple[Candidate, LegModel]:
     """After a whole trial on ticks that the candidate fits."""
-    candidate = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate))
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(candidate))
     buffer = ReplayBuffer()
     rng = np.random.default_rng(0)
     p = model.library.size
     fill(buffer, rng, p, truth=0.06)
     for _ in range(contacts):
-        candidate.contacts.add([stopped(model)])
-    ask(candidate, model, buffer)
-    answer(candidate)
-    assert candidate.trying
+        trial.contacts.add([stopped(model)])
+    ask(trial, model, buffer)
+    answer(trial)
+    assert trial.trying
     promoted = None
     for _ in range(2 * TRIAL_ROWS):
-        promoted = compared(candidate, row(rng, p, truth=0.06), model)
-        if promoted is not None or not candidate.trying:
+        promoted = compared(trial, row(rng, p, truth=0.06), model)
+        if promoted is not None or not trial.trying:
             break
-    return candidate, promoted or model
+    return trial, promoted or model
 
 
-def compared(
-    candidate: Candidate, new: Row, model: LegModel, *, known: bool = True
-) -> LegModel | None:
-    """A row of the trial, as the follower lets it be tried."""
+def compared(trial: Candidate, new: Row, model: LegModel, *, known: bool = True) -> LegModel | None:
+    """A row of the trial, as the adapter lets it be tried."""
     off = (new.target - new.theta @ model.coefficients) / NOISE
-    return candidate.compare(new, off.tolist(), model, known=known)
+    return trial.compare(new, off.tolist(), model, known=known)
 
 
 def looked_at(
-    candidate: Candidate, model: LegModel, *, known: bool = True, truth: float = 0.06
+    trial: Candidate, model: LegModel, *, known: bool = True, truth: float = 0.06
 ) -> LegModel | None:
     """The rows within which a candidate that waits is looked at again; what came of it."""
     rng = np.random.default_rng(2)
     for _ in range(LOOK_AGAIN_ROWS):
         new = row(rng, model.library.size, truth=truth)
-        won = compared(candidate, new, model, known=known)
-        if won is not None or not candidate.trying:
+        won = compared(trial, new, model, known=known)
+        if won is not None or not trial.trying:
             return won
     return None

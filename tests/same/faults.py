@@ -36,49 +36,48 @@ class Fault:
 
 FAULTS: Final = (
     Fault(
-        "threshold of a contact", "model/contact_state.py",
+        "threshold of a contact", "detect/detector.py",
         "if score <= 1.0:", "if score <= 1.02:", "pose-obstacles",
     ),
     Fault(
-        "calm ticks to rearm", "model/contact_state.py",
+        "calm ticks to rearm", "detect/detector.py",
         "REARM_TICKS: Final = 4", "REARM_TICKS: Final = 5", "pose-obstacles",
     ),
     Fault(
-        "sign of the onset's share", "model/contact_state.py",
-        "np.clip(-(residual @ increment)", "np.clip((residual @ increment)", "pose-obstacles",
+        "sign of the onset's share", "detect/detector.py",
+        "min(max(-along / power, 0.0)", "min(max(along / power, 0.0)", "pose-obstacles",
     ),
     Fault(
-        "a window that is not there yet", "adapt/block.py",
-        "math.nan if ticks > usable", "math.nan if ticks > usable + 1", "caught-foot",
+        "a window that is not there yet", "detect/detector.py",
+        "if width + 1 > leg.usable:", "if width > leg.usable:", "caught-foot",
     ),
     Fault(
-        "a row of a block is not predicted", "adapt/block.py",
-        "self.increment[rows] = increment[rows]",
-        "self.increment[rows[1:]] = increment[rows[1:]]", "walk-flat",
+        "the first tick of a swing is not predicted", "detect/detector.py",
+        "if ready and leg.ticks:", "if ready and leg.ticks > 4:", "walk-flat",
     ),
     Fault(
-        "ticks before an onset", "model/labelled_swing.py",
+        "ticks before an onset", "detect/swing_labels.py",
         "GUARD_TICKS: Final = 3", "GUARD_TICKS: Final = 2", "pose-obstacles",
     ),
     Fault(
-        "ticks at the end of a swing", "model/labelled_swing.py",
+        "ticks at the end of a swing", "detect/swing_labels.py",
         "LAST_TICKS: Final = 6", "LAST_TICKS: Final = 5", "pose-free",
     ),
     Fault(
-        "ticks around a hole", "model/labelled_swing.py",
+        "ticks around a hole", "detect/swing_labels.py",
         "HOLE_TICKS: Final = 8", "HOLE_TICKS: Final = 0", "lost-samples",
     ),
     Fault(
-        "a push from the ground", "model/labelled_swing.py",
+        "a push from the ground", "detect/swing_labels.py",
         "PUSHED_SIGMA: Final = 1.0", "PUSHED_SIGMA: Final = 1.2", "pose-joint6",
     ),
     Fault(
         "forgetting", "learn/rls.py",
-        "settings.forgetting * (1.0 + weight * m)", "1.0 + weight * m", "pose-free",
+        "(forgetting * (1.0 + weight * m))", "(1.0 + weight * m)", "pose-free",
     ),
     Fault(
         "lifts in doubt before a change", "learn/drift.py",
-        "DOUBTS: Final = 2", "DOUBTS: Final = 3", "pose-friction4",
+        "SUSPICIONS: Final = 2", "SUSPICIONS: Final = 3", "pose-friction4",
     ),
     Fault(
         "lifts until settled", "learn/drift.py",
@@ -110,15 +109,15 @@ FAULTS: Final = (
         "TAKE_BACK_SAMPLES: Final = 25", "TAKE_BACK_SAMPLES: Final = 24", "two-publishers",
     ),
     Fault(
-        "a rate that is off", "detect/stream.py",
+        "a rate that is off", "detect/clock.py",
         "MOST_OFF: Final = 0.10", "MOST_OFF: Final = 0.30", "other-rate",
     ),
     Fault(
-        "what a substitute is worth", "adapt/tracker.py",
+        "what a substitute is worth", "detect/history.py",
         "UNSURE_VARIANCE: Final = 2.5", "UNSURE_VARIANCE: Final = 2.4", "lost-samples",
     ),
     Fault(
-        "a foot that is held", "detect/swing_judge.py",
+        "a foot that is held", "detect/swing.py",
         "LIFTED_M: Final = 0.006", "LIFTED_M: Final = 0.012", "caught-foot",
     ),
     Fault(
