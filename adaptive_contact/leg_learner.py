@@ -7,6 +7,7 @@ six cost little more than one.  Recursive updates and refits come after the even
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -297,24 +298,28 @@ class ContactLearner:
         return True
 
     def event_of(self, flags: int) -> ContactEvent | None:
-        """The event of a judged tick, if there is one."""
-        leg = self.place.leg
+        """Make the event of a judged tick, if there is one."""
+        leg, event = self.place.leg, None
+        if flags & RELEASE_PENDING:
+            leg["release_pending"] = False
+            if flags & BEGAN:
+                self._assess(flags)
+            event = self._event(False, int(leg["at_ns"]), 0.0, [0.0] * len(self.leg.joints))
         if flags & DECIDED:
             # A lift whose top is past changes the status that the event carries.
             self._assess(flags)
             contact = bool(leg["contact"])
-            if not (contact or leg["reported"]):  # the end of one that was withheld
-                return None
-            residual = self.place.residuals[0].tolist()
-            return self._event(contact, int(leg["onset_ns"]), float(leg["score"]), residual)
-        if flags & RELEASE_PENDING:
-            leg["release_pending"] = False
-            return self._event(False, int(leg["at_ns"]), 0.0, [0.0] * len(self.leg.joints))
-        return None
+            if contact or leg["reported"]:  # else the end of one that was withheld
+                residual = self.place.residuals[0].tolist()
+                score, onset_ns = float(leg["score"]), int(leg["onset_ns"])
+                event = self._event(contact, onset_ns, score, residual)
+        return event
 
     def finish(self, flags: int) -> None:
         """What a tick leaves to be learned, before the next is predicted."""
         lifecycle, track = self._lifecycle, self._track
+        # A tick may take back by which variance the swing is judged.
+        watched = lifecycle.adapter is not None and lifecycle.adapter.monitor.watches
         if track is not None and not track.settled:
             if flags & RESTARTED:
                 track.restart()
@@ -360,7 +365,7 @@ class ContactLearner:
             self._let_go()
             self._begin()
             return
-        if moved or flags & ~ENTERED or adapter.monitor.watches:
+        if moved or watched or flags & ~ENTERED:
             self._publish()
 
     def settle(self) -> None:
@@ -403,7 +408,7 @@ class ContactLearner:
         free = adapter.free_motion(wanted=wanted or bool(leg["ticks"]))
         self.place.judge_by(free)
         leg["sure"] = adapter.status == "valid" and not free.changed
-        leg["withholds"] = self._withholds
+        leg["withholds"], leg["withholds_begun"] = self._withholds, self._withholds_at(math.inf)
 
     def _assess(self, flags: int) -> None:
         self._learn(self._labels.assess(flags))
@@ -485,6 +490,10 @@ class ContactLearner:
     @property
     def _withholds(self) -> bool:
         """Whether contacts are not reported, as the leg is ambiguous."""
+        return self._withholds_at(self._labels.lift_nis)
+
+    def _withholds_at(self, lift_nis: float) -> bool:
+        """The same, of a swing with such a lift."""
         if self._void:
             return True
         if self._when_ambiguous is WhenAmbiguous.PUBLISH:
@@ -493,7 +502,7 @@ class ContactLearner:
         if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
             return doubt is not None
         # A foot that comes short of its command in lifts that fit the model is slow, not held.
-        fits = doubt == "held" and self._labels.lift_nis <= UNFIT_LEVEL
+        fits = doubt == "held" and lift_nis <= UNFIT_LEVEL
         return not fits and doubt != "unsettled"
 
     @property

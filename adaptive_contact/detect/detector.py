@@ -482,6 +482,7 @@ def judge_tick(
             leg.open = True
             leg.touching = False
             begin_labels(leg)
+            leg.withholds = leg.withholds_begun
             leg.broken = not (leg.whole or leg.has_lengths)
             leg.loaded, leg.calm = True, 0
             leg.began_full = leg.known and leg.filled >= leg.length and preview == 0

@@ -155,7 +155,8 @@ LEG: Final = np.dtype(
         ("began_next_n", i8),
         ("began_count", i4),
         ("reported", b1),  # the contact by the last event
-        ("withholds", b1),
+        ("withholds", b1),  # contacts are not reported
+        ("withholds_begun", b1),  # nor those of a swing that has just begun
         ("began_full", b1),
         ("has_seam", b1),
         ("has_theta", b1),

@@ -297,9 +297,9 @@ class Adapter:
                 if not self._queue:  # a model that falls takes the rows that wait with it
                     break
                 self._learn(self._queue.popleft())
-        if self._candidate.tick():
-            moved = True
-            self._noise_tracker.domain = self._candidate.domain
+        moved |= self._candidate.tick()
+        if self._noise_tracker.domain is not self._candidate.domain:
+            self._noise_tracker.domain, moved = self._candidate.domain, True
         if self._noise_tracker.go_on():
             moved = True
         if self._refresh_in is not None:

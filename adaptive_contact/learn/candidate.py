@@ -114,7 +114,7 @@ class Candidate:
         self._probation = False  # the candidate is the active model of before
         # How far the active model (over the noise) and candidate were off in the rows of its trial.
         self._off: deque[tuple[Sequence[float], Array]] = deque(maxlen=TRIAL_ROWS)
-        self._counters = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
+        self._counts = dict.fromkeys(("promoted", "refused", "rolled_back"), 0)
         self._reason: str | None = None
         self._wait: str | None = None
         self._again = 0  # rows until a candidate that waits for contacts is looked at again
@@ -123,7 +123,7 @@ class Candidate:
     def counts(self) -> RefitCounts:
         """For the status."""
         reasons = "; ".join(filter(None, (self._reason, self._wait))) or None
-        return RefitCounts(**self._counters, last_reason=reasons)
+        return RefitCounts(**self._counts, last_reason=reasons)
 
     def swing_done(
         self, model: LegModel, buffer: ReplayBuffer, era: int, *, learned: bool = True
@@ -257,7 +257,7 @@ class Candidate:
             self._refuse(f"{words}, but misses {missed} of {found.sum()} stored contacts")
             return None
         self._pending = None  # a newer refit that was to take its place
-        self._counters["promoted"] += 1
+        self._counts["promoted"] += 1
         self._reason = f"promoted: {words}"
         self._try(model.coefficients, probation=True)
         return model.moved(coefficients, model.version + 1)
@@ -277,14 +277,14 @@ class Candidate:
 
     def rolled_back(self, why: str) -> None:
         """Count a return to an earlier model."""
-        self._counters["rolled_back"] += 1
+        self._counts["rolled_back"] += 1
         self._reason = f"rolled back: {why}"
 
     def snapshot(self) -> dict[str, object]:
         """Counts, and who stands by while a promoted model proves itself, for :meth:`restore`."""
         displaced = self._candidate if self._probation else None
         return {
-            **self._counters,
+            **self._counts,
             "reason": self._reason,
             "displaced": None if displaced is None else pack(displaced),
         }
@@ -293,9 +293,9 @@ class Candidate:
         """Take over what was saved; what is none is left."""
         if not isinstance(saved, dict):
             return
-        for name in self._counters:
+        for name in self._counts:
             if isinstance(saved.get(name), int):
-                self._counters[name] = saved[name]
+                self._counts[name] = saved[name]
         reason = saved.get("reason")
         self._reason = reason if isinstance(reason, str) else None
         shape = (len(self._scale), len(self._noise))
@@ -328,5 +328,5 @@ class Candidate:
         return prior
 
     def _refuse(self, why: str) -> None:
-        self._counters["refused"] += 1
+        self._counts["refused"] += 1
         self._reason = f"refused: {why}"
