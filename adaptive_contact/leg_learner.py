@@ -71,8 +71,6 @@ _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: n
 _MOVES: Final = (
     RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF | SOURCE
 )
-# What may have changed what is thought of the leg.
-_ASSESSED: Final = ~ENTERED
 
 
 class JudgedTick(NamedTuple):
@@ -322,13 +320,16 @@ class ContactLearner:
         """Learn what a tick leaves to be learned, before the next is predicted."""
         lifecycle = self._lifecycle
         adapter = lifecycle.adapter
-        # A tick may take back by which variance the swing is judged.
-        watched = bool(flags) and adapter is not None and adapter.monitor.watches
         if self._watching:
             self._watch(flags)
-        if flags & _MOVES:
+        # A tick may take back by which variance the swing is judged; elsewhere a row that was
+        # entered only waits, and so it is with most ticks.
+        assessed = flags and (
+            flags != ENTERED or adapter is None or adapter.monitor.watches or not adapter.gated
+        )
+        if assessed:
             self._hand_over(flags)
-        self._assessed = False
+            self._assessed = False
         if self._void:
             return
         if lifecycle.cold is not None:
@@ -338,14 +339,14 @@ class ContactLearner:
         if adapter is None or not adapter.learning or self._begun != lifecycle.begun:
             return
         moved = adapter.tick(ROWS_PER_TICK)
-        if watched or flags & _ASSESSED:
-            if adapter.monitor.unfit and self._swing.ticks:
+        if assessed:
+            if adapter.monitor.unfit and self.place.leg["ticks"]:
                 lifecycle.forget()
                 self._let_go()
                 self._begin()
                 return
             self._report_by()
-        elif not (moved and self._swing.ticks):  # no tick of a stance judges by it
+        elif not (moved and self.place.leg["ticks"]):  # no tick of a stance judges by it
             return
         self._publish()
 
