@@ -107,7 +107,7 @@ class LegBatch:
         self.xi0, self.coefficients = zeros(q, joints), zeros(p, joints)
         self.whiten = zeros(CONTEXTS, DEPTH, joints, joints)
         self.limits, self.limits_awaited = zeros(DEPTH), zeros(DEPTH)
-        self.sigma, self.unit = zeros(joints), zeros(joints)
+        self.sigma, self.unit = zeros(joints), np.ones((rows, joints))
         self.index = zeros(joints, n, dtype=i)
         self.per_scale, self.root = zeros(joints, n), zeros(joints, n, n)
         self.sizes = zeros(dtype=i)
