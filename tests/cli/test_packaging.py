@@ -7,12 +7,12 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
-import click
 import pytest
 from typer.main import get_command
 
-from adaptive_contact.cli.main import app
+from adaptive_contact.cli import main
 
 PACKAGING = Path(__file__).parents[2] / "packaging"
 UNITS = sorted(PACKAGING.glob("*.service"))
@@ -29,8 +29,10 @@ def exec_start(unit: Path) -> list[str]:
 def test_the_command_of_a_unit_has_its_options(unit: Path) -> None:
     program, *words = exec_start(unit)
     assert program == PROGRAM
-    command: click.Command = get_command(app)
-    while isinstance(command, click.Group):
+    if not main.app.registered_commands:
+        main._register()
+    command: Any = get_command(main.app)
+    while hasattr(command, "commands"):
         command = command.commands[words.pop(0)]
     options = {name for parameter in command.params for name in parameter.opts}
     assert {word for word in words if word.startswith("-")} <= options
