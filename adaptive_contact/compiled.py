@@ -39,13 +39,13 @@ _SOURCES: Final = ("detect", "learn", "model")
 
 
 def compiles() -> bool:
-    """Whether anything is compiled: not without numba, and not with ``NUMBA_DISABLE_JIT``."""
+    """Tell whether anything is compiled: not without numba, and not with ``NUMBA_DISABLE_JIT``."""
     return numba is not None and not _config.DISABLE_JIT
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder that keeps what was compiled, made if need be; None where there can be none.
+    """Return the folder that keeps what was compiled, made if need be; None where there is none.
 
     The first of these that can be used: the one that :data:`CACHE_VARIABLE` names, systemd's
     ``CacheDirectory=``, the user's cache, and one of this user in the folder for temporary files.
@@ -71,13 +71,13 @@ def cache_folder() -> Path | None:
 
 
 def is_cached() -> bool:
-    """True if this installation has been compiled before."""
+    """Tell whether this installation has been compiled before."""
     folder = cache_folder()
     return folder is not None and any(folder.rglob("*.nbi"))
 
 
 def records(scalars: Any) -> Any:
-    """Rows of scalars as compiled code takes them; uncompiled, with names that Python finds."""
+    """Return rows of scalars as compiled code takes them; as a recarray when uncompiled."""
     return scalars if compiles() else scalars.view(np.recarray)
 
 

@@ -1,4 +1,4 @@
-"""Several learners one sample further, their libraries and statistics evaluated together.
+"""Takes several learners one tick further, the arithmetic of all legs in one compiled call.
 
 This is what makes six legs cost little more than one.  A tick has two halves: what its samples say
 of contacts, and what no event needs to wait for: learning, and the prediction of the next.
@@ -28,7 +28,7 @@ OnFault = Callable[[str, Exception], None]
 
 
 class Member(Protocol):
-    """A learner of one leg, as a group takes it through a tick; in this order.
+    """Defines a learner of one leg, as a group takes it through a tick; in this order.
 
     Attributes:
         leg: its description.
@@ -48,14 +48,14 @@ class Member(Protocol):
         """Learn what the tick leaves to be learned."""
 
     def settle(self) -> None:
-        """Take up a model that has come."""
+        """Take up a model that has become ready."""
 
     def reset_after_fault(self, fault: Exception) -> None:
         """Go back to what was saved, after a step of its own raised."""
 
 
 def check_sample(sample: object) -> None:
-    """Refuse what is no sample; bad values in one are counted, never raised.
+    """Refuse what is not a sample; bad values in one are counted, never raised.
 
     Raises:
         TypeError: such as for the map of a payload.
@@ -69,7 +69,7 @@ def check_sample(sample: object) -> None:
 
 
 class LegGroup:
-    """Learners that go through time together.
+    """Takes several learners through time together.
 
     Args:
         learners: any, of one robot or of several.
@@ -98,7 +98,7 @@ class LegGroup:
         return events
 
     def judge(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
-        """The first half of a tick: whoever waits for its events need not wait for the second.
+        """Judge the samples: the first half of a tick, up to its events.
 
         A learner's status and state are whole only after :meth:`finish`, which its next sample
         calls where nobody has.
@@ -146,7 +146,7 @@ class LegGroup:
         return events
 
     def finish(self) -> None:
-        """The second half of what was judged: commands, learning, predictions.
+        """Finish what was judged: learning, then commands and predictions.
 
         Who has got, changed or lost a model takes its place among the others here, too: no event
         waits for that.

@@ -1,4 +1,4 @@
-"""The learner of one leg: samples in, contact events out.
+"""Composes the learner of one leg: samples in, contact events out.
 
 :class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
 state machine; a :class:`~adaptive_contact.leg_group.Team` takes several one tick further, so that
@@ -74,7 +74,7 @@ _MOVES: Final = (
 
 
 class JudgedTick(NamedTuple):
-    """How a tick was judged.
+    """Holds how a tick was judged.
 
     Attributes:
         residual: (J,) rad.
@@ -168,7 +168,7 @@ class ContactLearner:
         return event
 
     def reset_after_fault(self, fault: Exception) -> None:
-        """After a fault in its learning: go back to what was last saved of it, and say so."""
+        """Restore what was last saved of the leg after a fault in its learning, and report it."""
         self._counters.fault(fault)
         self.place.drop_tick()
         self._assessed = False
@@ -184,7 +184,7 @@ class ContactLearner:
         self._counters.rejects[reason] += times
 
     def request_release(self) -> None:
-        """Whoever listens may have heard from another process that the leg touches."""
+        """Request a release: another process may have reported that the leg touches."""
         self.place.leg["release_pending"] = True
 
     @property
@@ -198,7 +198,7 @@ class ContactLearner:
         return None if self._adapter is None else self._adapter.model
 
     def judged(self) -> JudgedTick | None:
-        """The last tick's residual and scores; None where it could not be judged."""
+        """Return the last tick's residual and scores; None where it could not be judged."""
         leg, recent = self.place.leg, self._lifecycle.recent
         usable = int(leg["usable"])
         if recent is None or not usable:
@@ -212,7 +212,7 @@ class ContactLearner:
         return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
 
     def drain_confirmed(self) -> list[int]:
-        """Times of the ticks confirmed as free since the last call, ns."""
+        """Return the times of the ticks confirmed as free since the last call, ns."""
         if self._adapter is None:
             return []
         times = list(self._adapter.confirmed_ns)
@@ -221,7 +221,7 @@ class ContactLearner:
 
     @property
     def status(self) -> LearnerStatus:
-        """How the learner is."""
+        """Status of the learner, as it is published."""
         adapter = self._adapter
         self._collect_counts()
         untouched_ns = int(self.place.leg["untouched_ns"])
@@ -259,7 +259,7 @@ class ContactLearner:
         return report_of(self.leg, adapter.model, threshold, self._lifecycle.origin)
 
     def snapshot(self) -> dict[str, Any]:
-        """What has been learned and counted, as a tree that msgpack can write."""
+        """Return what has been learned and counted, as a tree that msgpack can write."""
         self._collect_counts()
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
         return {**self._lifecycle.snapshot(), **self._counters.snapshot(), **stream}
@@ -316,7 +316,7 @@ class ContactLearner:
         return event
 
     def finish(self, flags: int) -> None:
-        """What a tick leaves to be learned, before the next is predicted."""
+        """Pass the tick's labelled swings to the learning, and publish the new free motion."""
         lifecycle, track = self._lifecycle, self._track
         # A tick may take back by which variance the swing is judged.
         watched = lifecycle.adapter is not None and lifecycle.adapter.monitor.watches
@@ -369,7 +369,7 @@ class ContactLearner:
             self._publish()
 
     def settle(self) -> None:
-        """After a tick: a model that has come is in force from the next one on."""
+        """Put a new model in force from the next tick on."""
         if self._begun != self._lifecycle.begun:
             self._begin()
 

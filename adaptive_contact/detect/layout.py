@@ -1,4 +1,4 @@
-"""The state of several legs' ticks: one row of every array is one leg.
+"""Lays out the state of several legs' ticks: one row of every array is one leg.
 
 Scalars stand in one structured array, so that compiled code names them; what has as many entries
 as a leg has joints, or as its library has terms, is an array of its own.
@@ -192,7 +192,7 @@ ROW: Final = np.dtype(
 
 
 def new_legs(count: int) -> NDArray[np.void]:
-    """Scalars of legs that have seen nothing."""
+    """Make the scalars of legs that have seen nothing."""
     legs = np.zeros(count, dtype=LEG)
     for name, value in _BEGINNING.items():
         legs[name] = value

@@ -73,11 +73,11 @@ class EchoWatch:
         return bool(self._legs[0]["suspected"])
 
     def begin(self) -> None:
-        """Count from here on: a swing begins, or what comes does not connect."""
+        """Restart the counts: a swing begins, or what comes does not connect."""
         begin_echo(self._runs)
 
     def restart(self) -> None:
-        """The commands before are not known."""
+        """Forget the commands before, which are not known."""
         self.begin()
         self._legs[0]["echo_n"] = 0
 
@@ -100,7 +100,7 @@ class EchoWatch:
 
 
 class SourceWatch:
-    """Says what is wrong with the source of one leg's samples.
+    """Reports what is wrong with the source of one leg's samples.
 
     Args:
         leg: its description.

@@ -1,4 +1,4 @@
-"""Is this sample the next one of its leg's stream?  Bad samples are counted, never raised.
+"""Checks whether a sample is the next one of its stream.  Bad ones are counted, never raised.
 
 One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the
 next one, the next one after a gap, the first one of a restart, and the rejected.  A
@@ -65,7 +65,7 @@ NOTED_JITTER: Final = 0.15
 
 
 class Accepted(NamedTuple):
-    """A sample that is in order.
+    """Holds how an accepted sample connects to its stream.
 
     Attributes:
         missed: samples lost between the last accepted one and this one.
@@ -117,7 +117,7 @@ class _Jump(NamedTuple):
 
 
 class StreamGuard:
-    """Follows one leg's stream.
+    """Admits or rejects the samples of one leg's stream.
 
     Attributes:
         joints: J, what a sample must bring.
@@ -169,12 +169,12 @@ class StreamGuard:
         )
 
     def snapshot(self) -> dict[str, Any]:
-        """Who publishes, and who did before, for :meth:`restore`."""
+        """Return who publishes, and who did before, for :meth:`restore`."""
         runs = {"run": self.run, "old_runs": list(self.older_runs)}
         return {"begun": self._begun, "restarts": self.restarts, **runs}
 
     def restore(self, saved: object) -> None:
-        """Take over who published, so that the newer still wins; what is none is left."""
+        """Take over who published, so that the newer still wins; what is not usable is left."""
         if not isinstance(saved, dict) or saved.get("begun") is not True:
             return
         if _is_count(saved.get("restarts")):
@@ -327,7 +327,7 @@ def _is_run(value: object) -> bool:
 
 
 class RateWatch:
-    """Reads what one leg's clock has shown: mean rate, jitter, whether ticks or stamps are late.
+    """Reports what one leg's clock shows: mean rate, jitter, whether ticks or stamps are late.
 
     Args:
         period_ns: what ticks should be apart.
@@ -343,7 +343,7 @@ class RateWatch:
 
     @classmethod
     def of(cls, place: LegPlace) -> RateWatch:
-        """Of a leg in a batch."""
+        """Make the watch of a leg in a batch."""
         return cls(int(place.leg["period_ns"]), place)
 
     @property
@@ -432,7 +432,7 @@ class RateWatch:
 
 
 class Seams:
-    """Takes the seam of an encoder out of one leg's angles, as a tick does.
+    """Removes the seam of an encoder from one leg's angles, as a tick does.
 
     Args:
         joints: J.
@@ -443,7 +443,7 @@ class Seams:
         self._last = np.zeros(joints)
 
     def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
-        """The sample with its angles in one turn; itself where they are, as nearly always."""
+        """Return the sample with its angles in one turn; itself where they already are."""
         measured, desired = np.array(sample.measured), np.array(sample.desired)
         preview = np.array(sample.preview or ()).reshape(-1, len(desired))
         leg = records(self._legs)[0]

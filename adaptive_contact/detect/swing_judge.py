@@ -1,4 +1,4 @@
-"""What one swing of a leg shows: whether its foot is obstructed, and how early it was stopped.
+"""Judges one swing of a leg: is its foot obstructed, how early was it stopped.
 
 The tick follows phase, heights and commands (:mod:`adaptive_contact.detect.swing`); the judgements
 here are made once a swing, from what it has kept.
@@ -46,13 +46,13 @@ LANDINGS: Final = 20
 
 
 class Landings:
-    """Counts how late the touches of one leg come."""
+    """Counts how late the contacts of one leg come."""
 
     def __init__(self) -> None:
         self._late: deque[int] = deque(maxlen=LANDINGS)  # ticks after the turn, 0 for before it
 
     def touched(self, after: int) -> None:
-        """A touch was reported that began so many ticks after the turn, 0 or less for before it."""
+        """Count a contact by its ticks after the turn to stance, 0 or less for before it."""
         self._late.append(max(after, 0))
 
     @property
@@ -68,7 +68,7 @@ class Landings:
 
 
 class SwingJudge:
-    """Judges the swings of one leg.
+    """Judges the travel of one leg's foot, swing by swing.
 
     Args:
         leg: its description.
@@ -92,7 +92,7 @@ class SwingJudge:
 
     @property
     def obstructed(self) -> bool:
-        """Whether the foot does not follow its command: held by something, or without strength."""
+        """Whether the foot does not follow its command: obstructed, or without strength."""
         return bool(self._place.leg["obstructed"])
 
     @property
@@ -102,7 +102,7 @@ class SwingJudge:
 
     @property
     def lifted(self) -> bool:
-        """Whether the foot has come up at all; without geometry, its command's word is taken."""
+        """Whether the foot has come up at all; assumed without geometry."""
         return self._leg.lengths_m is None or float(self._place.leg["rise"]) > LIFTED_M
 
     @property
@@ -134,7 +134,7 @@ class SwingJudge:
         )
 
     def judge_travel(self, rollout: Rollout | None = None) -> bool | None:
-        """Whether the foot is held, told at the top of a lift; None where little was asked of it.
+        """Judge at the top of a lift whether the foot is obstructed; None if little was asked.
 
         Counted from where the foot was: after a touch it starts higher than its command.
 
@@ -185,7 +185,7 @@ class SwingJudge:
         return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
 
     def touched(self, ticks: int) -> None:
-        """A touch was told, with its onset so many ticks ago."""
+        """Note the foot's height at a contact, whose onset was so many ticks ago."""
         leg = self._place.leg
         count = int(leg["heights_n"])
         if not count or not self.measures:
@@ -200,7 +200,7 @@ class SwingJudge:
             leg["fallen"] = leg["top"] - at
 
     def touched_early(self) -> bool | None:
-        """Whether the swing that has ended told a touch where its foot had hardly come down.
+        """Tell whether the last swing reported an early contact.
 
         Returns:
             None where it cannot be told; False also where no touch was told.
@@ -212,7 +212,7 @@ class SwingJudge:
         return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["resolved_rise"])
 
     def restart(self) -> None:
-        """The source started anew."""
+        """Forget past lifts: the source has started again."""
         self._unasked = 0
 
     def _foot(self, angles: Sequence[float]) -> _Point:

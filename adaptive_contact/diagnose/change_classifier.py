@@ -1,4 +1,4 @@
-"""What kind of change explains best what a leg has done since it was found changed.
+"""Classifies a change: which kind explains best how the leg has moved since.
 
 Every kind is a few shapes per joint, each with a free amplitude: what the change adds to the
 movements that the model of before foretells.  A kind with more shapes has to explain more
@@ -50,7 +50,7 @@ class _Shapes(NamedTuple):
 
 
 class ChangeClassifier:
-    """Ticks since a change, held against every kind; their number takes no memory.
+    """Compares the ticks since a change with every kind; their number takes no memory.
 
     Args:
         model: in force when the change was found.
@@ -87,7 +87,7 @@ class ChangeClassifier:
 
     @property
     def kind(self) -> str | None:
-        """The kind that explains best.
+        """Kind that explains the change best; None where none does.
 
         Returns:
             ``friction``, ``drive`` (supply, winding, compliance: the control law is weaker or
@@ -108,7 +108,7 @@ class ChangeClassifier:
         return best if told else None
 
     def unexplained(self, kind: str) -> float:
-        """Share of the squared residual, in noise units, that a kind leaves; 1 without ticks."""
+        """Compute the share of the squared residual that a kind leaves; 1 without ticks."""
         total = left = 0.0
         for products, (_, of) in zip(self._products, self._shapes, strict=True):
             y = float(products[-1, -1])

@@ -1,4 +1,4 @@
-"""From messages to stretches of samples to learn from.
+"""Cuts messages into stretches of samples to learn from.
 
 Samples go through the same stream guard as in the learner; a gap, a restart or a rejected sample
 ends a stretch.  What may be learned as free comes from the truth where a recording has it, and
@@ -126,7 +126,7 @@ class LegGatherer:
         self._heard.append(_Heard(truth, len(self._runs) - 1, came))
 
     def stretches(self, *, free: bool = False) -> list[Stretch]:
-        """What was collected.
+        """Return the stretches that were collected.
 
         Args:
             free: take every swing for contact-free in a run that has no truth.
@@ -143,12 +143,12 @@ class LegGatherer:
         ]
 
     def motion(self) -> LegMotion:
-        """All samples that were collected, in order of time."""
+        """Return all samples that were collected, in order of time."""
         rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
         return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
 
     def last_run(self) -> list[ServoSample]:
-        """Samples of the last start of the source, in order."""
+        """Return the samples of the last start of the source, in order."""
         return (
             [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
         )
@@ -243,7 +243,7 @@ def stray_readings(measured: NDArray[np.float64]) -> Mask:
 
 
 def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int) -> Mask:
-    """Ticks that no contact of the truth is near.
+    """Find the ticks that no contact of the truth is near.
 
     A touch that begins and ends between two readings leaves no tick in contact, but its mark on
     the reading after: ticks are excluded by time, not by state.
@@ -369,7 +369,7 @@ def _time(change: ContactTruth) -> int:
 def judge_conventions(
     robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
 ) -> Verdict:
-    """Whether the angles of what was gathered are counted as the robot's description says.
+    """Compare the angles of what was gathered with the robot's description.
 
     A recording is judged a minute at a time, as legs may move by turns.
 

@@ -61,7 +61,7 @@ REFRESH_TICKS: Final = 16
 
 
 class Adapter:
-    """The adapting part of one leg's learner.
+    """Adapts one leg's model: routes labelled swings to drift, recursion, buffer and candidate.
 
     Args:
         leg: its id.
@@ -120,22 +120,22 @@ class Adapter:
 
     @property
     def model(self) -> LegModel:
-        """In force."""
+        """Model in force."""
         return self._active.model
 
     @property
     def inflated(self) -> bool:
-        """Whether the recursion was let loose, so that a prediction has a doubt of its own."""
+        """Whether the recursion's covariance is inflated, so that predictions are uncertain."""
         return self._active.inflated
 
     @property
     def changed(self) -> bool:
-        """Whether the leg has changed since the model in force was fitted, by what is heard."""
+        """Whether the leg has changed since the model in force was fitted, by its lifts."""
         return self._active.inflated or self.variance_in_force > 1.0
 
     @property
     def variance_in_force(self) -> float:
-        """The level by which this swing is judged.
+        """Variance scale by which this swing is judged.
 
         That of a leg that has not changed strays by a tenth of itself; as it is not followed below
         the baseline's, what it strays upwards would make the detector duller on average.
@@ -147,7 +147,7 @@ class Adapter:
 
     @property
     def status(self) -> Status:
-        """What is thought of the leg."""
+        """Status of the leg: valid, adapting or ambiguous."""
         status = self.monitor.status
         return "ambiguous" if status == "valid" and self._early.told else status
 
@@ -159,16 +159,16 @@ class Adapter:
 
     @property
     def note(self) -> str | None:
-        """One line for a person on what is thought of the leg, None when all is well."""
+        """One line for a person on the state of the leg, None when all is well."""
         return self.monitor.note or self._early.note
 
     @property
     def refits(self) -> RefitCounts:
-        """For the status."""
+        """Counts of refits, for the status."""
         return self._candidate.counts
 
     def free_motion(self, *, wanted: bool) -> FreeMotion:
-        """What the next tick is to judge by.
+        """Publish what the next tick is judged by.
 
         Args:
             wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
@@ -230,7 +230,7 @@ class Adapter:
             self._suspected = rows
 
     def distrust(self, since_ns: int) -> None:
-        """The ticks from a time on were of another length: what was confirmed of them is dropped.
+        """Drop what was confirmed since a time: those ticks were of another length.
 
         A row or two of them may have been learned, which the next swings outweigh; the buffer
         would have kept them.
@@ -245,13 +245,13 @@ class Adapter:
         self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
 
     def retract(self, since_ns: int) -> None:
-        """The ticks from a time on were not of this leg: nothing of them stays learned."""
+        """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
         self.distrust(since_ns)
         if self._learned_ns >= since_ns:
             self._active.recall()
 
     def new_source(self) -> None:
-        """The source began anew: times from before do not compare with its own."""
+        """Follow a restart of the source: times from before do not compare with its own."""
         while self._queue:
             self._learn(self._queue.popleft())
         self._suspected.clear()
@@ -283,7 +283,7 @@ class Adapter:
             self._candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
 
     def tick(self, budget: int) -> bool:
-        """Once per control tick: learn a few rows, collect a result that is due.
+        """Learn a few rows and collect a refit that is due; once per control tick.
 
         Args:
             budget: rows at most.
@@ -317,7 +317,7 @@ class Adapter:
         return budget if self.monitor.status != "valid" or len(self._queue) > CALM_QUEUE else 1
 
     def snapshot(self) -> dict[str, Any]:
-        """What has been learned, for :meth:`restore`."""
+        """Return what has been learned, for :meth:`restore`."""
         return {
             "format": FORMAT,
             "library": library_key(self.model.library),

@@ -1,4 +1,4 @@
-"""Hears the lifts of one leg: is this still the leg that the model knows?
+"""Detects drift from the residuals of lift phases.
 
 The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
 the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
@@ -69,7 +69,7 @@ UNFIT_SHARE: Final = 0.9
 
 
 class LiftAssessment(NamedTuple):
-    """What a lift told.
+    """Holds the assessment of a lift.
 
     Attributes:
         rows: to learn from now; none where the lift is doubted.
@@ -83,7 +83,7 @@ class LiftAssessment(NamedTuple):
 
 
 class DriftMonitor:
-    """Follows the level of one leg's residuals, swing by swing.
+    """Follows one leg's variance scale and status, swing by swing.
 
     Args:
         joints: J.
@@ -119,12 +119,12 @@ class DriftMonitor:
 
     @property
     def variance_in_force(self) -> float:
-        """The level by which this swing is judged."""
+        """Variance scale by which this swing is judged."""
         return self.variance_scale if self._swing_level is None else self._swing_level
 
     @property
     def drift(self) -> DriftLevel:
-        """For the status."""
+        """Variance scale, time and kind of the newest change, for the status."""
         return DriftLevel(level=self.variance_scale, since_ns=self._since_ns, kind=self.kind)
 
     @property
@@ -167,7 +167,7 @@ class DriftMonitor:
         return None
 
     def begin_swing(self) -> None:
-        """A new swing: doubts of the last one's lift are not carried over."""
+        """Begin a swing: the suspicion of the last one's lift does not widen its threshold."""
         self._swing_level = None
         self._newest.clear()
         self._trusted = not self.obstructed
@@ -175,11 +175,11 @@ class DriftMonitor:
 
     @property
     def trusted(self) -> bool:
-        """Whether the descent of this swing may be learned: its lift was not, where it may not."""
+        """Whether the descent of this swing may be learned; not where its lift was not."""
         return self._trusted
 
     def assess_lift(self, rows: Sequence[Row], t_ns: int) -> LiftAssessment:
-        """Take in a lift, at its top.
+        """Assess a lift at its top, and update status and variance scale.
 
         Args:
             rows: its ticks, at least one, all free.
@@ -207,26 +207,26 @@ class DriftMonitor:
         return LiftAssessment(list(rows))
 
     def distrust(self, since_ns: int) -> None:
-        """A lift in doubt that was heard at or after a time speaks for no change."""
+        """Drop the suspicion if its lift was at or after a time."""
         if self._suspected_ns >= since_ns:
             self._drop_suspicions()
 
     def new_clock(self) -> None:
-        """Times from before do not compare with those to come."""
+        """Drop all times: those from before do not compare with those to come."""
         self._since_ns = None
         self._drop_suspicions()
 
     def mark_unchanged(self) -> None:
-        """The leg is again what it was before any change."""
+        """Mark the leg as what it was before any change."""
         self.variance_scale, self._since_ns, self.kind = 1.0, None, None
 
     @property
     def watches(self) -> bool:
-        """Whether the levels of this swing's ticks may change how it is judged."""
+        """Whether the NIS of this swing's ticks may change how it is judged."""
         return self._swing_level is not None or bool(self._swings_adapting)
 
     def look(self, level: float) -> None:
-        """Take in the level of a tick, which may belie what was told of this swing or the last.
+        """Take in the NIS of a tick, which may contradict the assessment of a lift.
 
         A doubt is taken back; a leg that has just changed may have been learned since, from that
         very lift, and is judged by how it fits now.
@@ -247,7 +247,7 @@ class DriftMonitor:
             self._trusted = True
 
     def note_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
-        """Tell whether the foot failed to rise with its command in the swing that ends.
+        """Note whether the foot followed its command in the lift.
 
         A foot that is caught and a leg that has lost its strength look alike; neither is learned.
 
@@ -277,7 +277,7 @@ class DriftMonitor:
         obstructed: bool = False,
         heard: tuple[int, int] = (1, 0),
     ) -> None:
-        """Go on from a saved state; since when is of another clock, perhaps.
+        """Resume a saved state; its times may be of another clock and are dropped.
 
         Args:
             level: followed.

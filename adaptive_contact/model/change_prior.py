@@ -1,4 +1,4 @@
-r"""Directions in which a leg's coefficients move when the leg itself changes.
+r"""Models how a leg's coefficients move when the leg itself changes.
 
 A hundred coefficients cannot be found again from two swings, but a leg that has changed has
 mostly changed in few ways, and each moves a joint's coefficients along a known direction: friction
@@ -43,7 +43,7 @@ OTHER_UNITS: Final = 0.1
 
 
 def core_support(model: LegModel) -> NDArray[np.bool_]:
-    """The model's support, and the terms a change of the leg may need.
+    """Return the terms that the recursion may move: the support, and what a change may need.
 
     Returns:
         (p, J) bool: what the recursion may move.
@@ -58,7 +58,7 @@ def core_support(model: LegModel) -> NDArray[np.bool_]:
 
 
 def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
-    """Likely changes of the coefficients.
+    """Compute the likely changes of the coefficients, a deviation along each direction.
 
     Args:
         model: in force.
@@ -95,7 +95,7 @@ def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
 
 
 def speaks_of(term: str, joint: str) -> bool:
-    """Whether a term is of a joint; one whose name begins alike is another."""
+    """Tell whether a term is of a joint; one whose name begins alike is another."""
     return re.search(rf"_{re.escape(joint)}(?!\w)", term) is not None
 
 
