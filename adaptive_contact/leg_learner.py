@@ -139,6 +139,7 @@ class ContactLearner:
         self._when_ambiguous = WhenAmbiguous(when_ambiguous)
         self._source = SourceWatch(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
+        self._watching = self._track is not None or self._ids is not None
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
@@ -317,56 +318,37 @@ class ContactLearner:
 
     def finish(self, flags: int) -> None:
         """Pass the tick's labelled swings to the learning, and publish the new free motion."""
-        lifecycle, track = self._lifecycle, self._track
-        # A tick may take back by which variance the swing is judged.
-        watched = lifecycle.adapter is not None and lifecycle.adapter.monitor.watches
-        if track is not None and not track.settled:
-            if flags & RESTARTED:
-                track.restart()
-            sample, (batch, row) = self._sample, self.place.at
-            assert sample is not None
-            measured, desired = batch.measured[row], batch.desired[row]
-            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
-        ids = self._ids
-        if ids is not None and ids.wants:
-            if flags & RESTARTED:
-                ids.restart()
-            assert self._sample is not None
-            ids.take(self.place.sample(self._sample))
-        if flags & RESTARTED:
-            self._swing.restart()
-            if lifecycle.adapter is not None:
-                lifecycle.adapter.new_source()
-        if flags & RESOLVED:
-            self._learn(self._labels.resolve())
-        if flags & _MOVES:
-            if not self._assessed:
-                self._assess(flags)
-            if flags & TOUCHED:
-                self._learn(self._labels.alarm())
-            if flags & RATE_OFF and lifecycle.adapter is not None:
-                lifecycle.adapter.distrust(self._rate.since_ns)
-            if flags & SOURCE and self._source.cause is not None:
-                self._retract()
-        self._assessed = False
+        lifecycle = self._lifecycle
+        adapter = lifecycle.adapter
+        if self._watching:
+            self._watch(flags)
+        # A tick may take back by which variance the swing is judged; elsewhere a row that was
+        # entered only waits, and so it is with most ticks.
+        assessed = flags and (
+            flags != ENTERED or adapter is None or adapter.monitor.watches or not adapter.gated
+        )
+        if assessed:
+            self._hand_over(flags)
+            self._assessed = False
         if self._void:
             return
         if lifecycle.cold is not None:
             self._collect(flags)
             lifecycle.try_cold()
-        adapter = lifecycle.adapter
+            adapter = lifecycle.adapter
         if adapter is None or not adapter.learning or self._begun != lifecycle.begun:
             return
         moved = adapter.tick(ROWS_PER_TICK)
-        if not (moved or flags & _MOVES):
+        if assessed:
+            if adapter.monitor.unfit and self.place.leg["ticks"]:
+                lifecycle.forget()
+                self._let_go()
+                self._begin()
+                return
+            self._report_by()
+        elif not (moved and self.place.leg["ticks"]):  # no tick of a stance judges by it
             return
-        if adapter.monitor.unfit and self._swing.ticks:
-            lifecycle.forget()
-            self._let_go()
-            self._begin()
-            return
-        if moved or watched or flags & ~ENTERED:
-            self._publish()
+        self._publish()
 
     def settle(self) -> None:
         """Put a new model in force from the next tick on."""
@@ -399,16 +381,59 @@ class ContactLearner:
         library = adapter.model.library
         assert isinstance(library, ChangeLibrary)
         place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
+        self._report_by()
         self._publish(wanted=True)
 
     def _publish(self, *, wanted: bool = False) -> None:
         """Put what is known of free motion into force, for the next tick to judge by."""
-        adapter, leg = self._lifecycle.adapter, self.place.leg
+        adapter = self._lifecycle.adapter
         assert adapter is not None
-        free = adapter.free_motion(wanted=wanted or bool(leg["ticks"]))
+        free = adapter.free_motion(wanted=wanted or self._swing.ticks > 0)
         self.place.judge_by(free)
-        leg["sure"] = adapter.status == "valid" and not free.changed
+        self.place.leg["sure"] = adapter.status == "valid" and not free.changed
+
+    def _report_by(self) -> None:
+        """Say whether contacts are reported."""
+        leg = self.place.leg
         leg["withholds"], leg["withholds_begun"] = self._withholds, self._withholds_at(math.inf)
+
+    def _watch(self, flags: int) -> None:
+        """Keep the sample for those who watch how angles are counted, and whose they are."""
+        track, ids, sample = self._track, self._ids, self._sample
+        assert sample is not None
+        counted = track is not None and not track.settled
+        if counted:
+            assert track is not None
+            if flags & RESTARTED:
+                track.restart()
+            batch, row = self.place.at
+            measured, desired = batch.measured[row], batch.desired[row]
+            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
+        named = ids is not None and ids.wants
+        if named:
+            assert ids is not None
+            if flags & RESTARTED:
+                ids.restart()
+            ids.take(self.place.sample(sample))
+        self._watching = counted or ids is not None
+
+    def _hand_over(self, flags: int) -> None:
+        """Let the adapter have what this tick has found."""
+        adapter = self._lifecycle.adapter
+        if flags & RESTARTED:
+            self._swing.restart()
+            if adapter is not None:
+                adapter.new_source()
+        if flags & RESOLVED:
+            self._learn(self._labels.resolve())
+        if not self._assessed:
+            self._assess(flags)
+        if flags & TOUCHED:
+            self._learn(self._labels.alarm())
+        if flags & RATE_OFF and adapter is not None:
+            adapter.distrust(self._rate.since_ns)
+        if flags & SOURCE and self._source.cause is not None:
+            self._retract()
 
     def _assess(self, flags: int) -> None:
         self._learn(self._labels.assess(flags))

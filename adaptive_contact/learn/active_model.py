@@ -76,7 +76,8 @@ class ActiveModel:
         self._scale = known.scale
         self._scale_column = known.scale[:, None]
         self._model = known.model
-        self._moved = False  # the recursion has, since the model was made
+        self._coefficients = known.model.coefficients
+        self._moved = False  # the recursion has, since they were made
         self._rls = self._recursion(known.model)
         # What a term may move a tick by, at most.
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
@@ -88,12 +89,22 @@ class ActiveModel:
     def model(self) -> LegModel:
         """Model in force; made on demand, as most rows are learned while the leg stands."""
         if self._moved:
-            self._publish()
-        return self._model
+            self._settle()
+        return self.as_made
+
+    @property
+    def coefficients(self) -> Array:
+        """(p, J) of the model in force; made on demand, as most rows are learned in stances."""
+        if self._moved:
+            self._settle()
+        return self._coefficients
 
     @property
     def as_made(self) -> LegModel:
         """Model as it was last asked for; rows learned since are not in it."""
+        if self._coefficients is not self._model.coefficients:
+            self._model = self._model.moved(self._coefficients, max(1, self._model.version))
+            self._coefficients = self._model.coefficients
         return self._model
 
     @property
@@ -120,12 +131,12 @@ class ActiveModel:
         good = self._good
         if good is None or good.model.version != self.model.version:
             return
-        self._model, self._moved = good.model, False
+        self._put(good.model)
         self._rls, self.inflated = good.rls.copy(), good.inflated
 
     def replace(self, model: LegModel) -> None:
         """Put another model in force; the recursion restarts from it."""
-        self._model, self._moved = model, False
+        self._put(model)
         self._rls, self.inflated = self._recursion(model), False
 
     def baseline_is_better(self, rows: Sequence[Row]) -> bool:
@@ -171,7 +182,7 @@ class ActiveModel:
         # A promoted model has a support of its own.
         rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
         rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
-        self._model, self._moved = self._model.moved(state.coefficients, state.version), False
+        self._put(self._model.moved(state.coefficients, state.version))
         self._rls, self.inflated = rls, state.inflated
 
     def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
@@ -190,14 +201,17 @@ class ActiveModel:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
         return bool(np.abs(coefficients * self._scale_column).max() <= self._most_rad)
 
-    def _publish(self) -> None:
-        version = max(1, self._model.version)
+    def _settle(self) -> None:
+        """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
         coefficients = self._rls.coefficients
         if self.plausible(coefficients):
-            self._model = self._model.moved(coefficients, version)
+            self._coefficients = coefficients
             return
         good = self._good or _Good(self.baseline, self._recursion(self.baseline), inflated=False)
-        self._model = self._model.moved(good.model.coefficients, version)
+        self._coefficients = good.model.coefficients.copy()
         self._rls, self.inflated = good.rls.copy(), good.inflated
         self._on_fall("the baseline" if self._good is None else "the last good model")
+
+    def _put(self, model: LegModel) -> None:
+        self._model, self._coefficients, self._moved = model, model.coefficients, False

@@ -176,7 +176,7 @@ class Adapter:
         """
         noise = self._noise_tracker
         return FreeMotion(
-            self.model.coefficients if wanted else None,
+            self._active.coefficients if wanted else None,
             self.variance_in_force,
             self._active.covariance,
             self.changed,
