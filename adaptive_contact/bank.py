@@ -31,8 +31,8 @@ class LearnerBank:
         robot: its description.
         baseline: what is known of its legs' free motion.
         refitter: does the sparse refits and cold starts; in line where absent.
-        on_fault: told of a fault in one leg's learning, which makes that leg begin anew; without,
-            faults are raised.
+        on_fault: called with a fault in one leg's learning, after which that leg is reset;
+            without it, faults are raised.
         when_ambiguous: whether contacts are reported while a leg is ambiguous.
 
     Raises:

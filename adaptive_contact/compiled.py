@@ -1,7 +1,7 @@
 """Compiles the arithmetic of a tick, once per installation, and keeps what was compiled.
 
 What is kept is machine code that later starts load: it lies in a folder that belongs to this user,
-that nobody else may write to, and whose name holds a digest of the sources it was made from.
+that no other user may write to, and whose name holds a digest of the sources it was made from.
 Without such a folder everything is compiled at each start; without numba nothing is, and the same
 code runs as plain Python.
 """
@@ -109,7 +109,7 @@ def _expanded(name: str | None) -> Path | None:
 
 
 def _owned(folder: Path) -> Path | None:
-    """The folder, made if need be, if it is this user's and nobody else may write to it."""
+    """The folder, made if need be, if it is this user's and no other may write to it."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         folder.mkdir(mode=0o700, exist_ok=True)

@@ -3,8 +3,7 @@
 This is what makes six legs cost little more than one.  A tick has two halves: what its samples say
 of contacts, and what no event needs to wait for: learning, and the prediction of the next.
 
-Whatever a step of one leg raises, of any kind, makes that leg begin anew and no other: each step
-stands in a `try` of its own, without a call around it, which costs more (decision 6).
+Whatever a step of one leg raises resets that leg and no other: each step is in a `try` of its own.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 
 __all__ = ["LegGroup", "Member", "OnFault", "check_sample", "compile_ahead"]
 
-# Is told the leg and what its learning raised.
+# Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
 
 
@@ -73,8 +72,8 @@ class LegGroup:
 
     Args:
         learners: any, of one robot or of several.
-        on_fault: told of a fault in one's learning, which makes that one begin anew and stands in
-            its status; without, faults are raised.
+        on_fault: called with a fault in one leg's learning, after which that leg is reset; the
+            status reports it.  Without it, faults are raised.
     """
 
     def __init__(self, learners: Sequence[Member], *, on_fault: OnFault | None = None) -> None:
@@ -101,7 +100,7 @@ class LegGroup:
         """Judge the samples: the first half of a tick, up to its events.
 
         A learner's status and state are whole only after :meth:`finish`, which its next sample
-        calls where nobody has.
+        calls if it was not called.
 
         Args:
             samples: the next of each learner, None where there is none.
@@ -148,8 +147,8 @@ class LegGroup:
     def finish(self) -> None:
         """Finish what was judged: learning, then commands and predictions.
 
-        Who has got, changed or lost a model takes its place among the others here, too: no event
-        waits for that.
+        A leg whose model appears, changes or goes is put into its batch here, too: no event waits
+        for that.
         """
         if self._open:
             for batch, members in self._batches:

@@ -1,8 +1,10 @@
 """Composes the learner of one leg: samples in, contact events out.
 
-:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
-state machine; a :class:`~adaptive_contact.leg_group.Team` takes several one tick further, so that
-six cost little more than one.  Recursive updates and refits come after the event.
+The only file that knows both detection and learning.  :class:`ContactLearner` passes labelled
+swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
+(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A
+:class:`~adaptive_contact.leg_group.LegGroup` takes several one tick further, so that six cost
+little more than one.  Recursive updates and refits come after the event.
 """
 
 from __future__ import annotations
@@ -281,7 +283,7 @@ class ContactLearner:
         self._guard.restore(saved.get("stream"))
         return None
 
-    # -- one tick, in the order `Team` calls it -------------------------------------------------
+    # -- one tick, in the order `LegGroup` calls it ---------------------------------------------
 
     def take(self, sample: ServoSample) -> bool:
         """Put a sample into the arrays, for the tick to judge; False if it is refused."""
@@ -366,7 +368,7 @@ class ContactLearner:
         )  # fmt: skip
 
     def _begin(self) -> None:
-        """What is known is another: the past under it is no past of the new."""
+        """Begin with the present model: forget the past under the one before."""
         self._collect_counts()
         lifecycle, place = self._lifecycle, self.place
         if lifecycle.library != place.batch.library:
@@ -465,7 +467,7 @@ class ContactLearner:
         self.place.leg["misread"] = self._misread
 
     def _let_go(self) -> None:
-        """Forget whether the leg touches: nobody can tell any more."""
+        """Forget whether the leg touches: it cannot be known any more."""
         leg = self.place.leg
         leg["release_pending"] |= leg["reported"]
         leg["contact"], leg["loaded"], leg["calm"] = False, True, 0

@@ -141,7 +141,7 @@ def follow_clock(leg, t_ns, seq, ring):
     """Take in time and number of an accepted sample.
 
     Returns:
-        Ticks that nobody read since the last one, or :data:`PAUSE`.
+        Ticks without a reading since the last one, or :data:`PAUSE`.
     """
     if leg.ring_n == 0:
         anchor(leg, t_ns, seq, ring)

@@ -51,7 +51,7 @@ LEG: Final = np.dtype(
         ("lacking", i4),  # samples for which the lack of a preview is still told
         ("missed", i8),  # ticks since the last sample; -1 after a pause
         ("accepted_n", i8),
-        ("total_n", i8),  # samples, never counted anew
+        ("total_n", i8),  # samples, never reset
         ("jitter_mean", f8),
         ("jitter_square", f8),
         ("spread", f8),

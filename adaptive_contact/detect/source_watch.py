@@ -48,7 +48,7 @@ class EchoWatch:
 
     Args:
         joints: J.
-        quantum_rad: position step of the servos; None where nobody says, then only copies without
+        quantum_rad: position step of the servos; None if not known, then only copies without
             rounding are found.
     """
 

@@ -26,15 +26,15 @@ __all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
 MAX_TIME_NS: Final = 2**63 - 1
 MIN_RUN: Final = -(2**63)
 MAX_RUN: Final = 2**63 - 1
-# A gap is believed up to a day of samples at 100 Hz; a number further ahead is wild, or counts
-# anew from somewhere else.  It also keeps every count of losses far inside 64 bits.
+# A gap is accepted up to a day of samples at 100 Hz; a number further ahead is wild, or counts
+# from somewhere else.  It also keeps every count of losses far inside 64 bits.
 LONGEST_GAP: Final = 10_000_000
-# A longer gap could be one sample of somebody who may write the key.  It is believed from the third
+# A longer gap could be one sample of another writer of the key.  It is accepted from the third
 # sample of a stream of its own on; the source before it is used meanwhile.  Losses of up to a
 # second at 50 Hz, as of a busy network, cost nothing.
 SHORT_GAP: Final = 50
 CONFIRM_SAMPLES: Final = 3
-# A new `run` is believed at once, until one has taken over that did not last.  Then the next one
+# A new `run` is accepted at once, until one has taken over that did not last.  Then the next one
 # needs three samples of its own that follow each other, and twice as many after each further one,
 # up to 48.  So many samples of one source make up for one that did not last: a minute at 50 Hz.
 MOST_DOUBTS: Final = 5
@@ -46,8 +46,8 @@ MAX_NEWCOMERS: Final = 8
 # New runs that did not last are in the note for so many accepted samples (10 s at 50 Hz).
 NOTED_SAMPLES: Final = 500
 # So many samples in a row that do not follow the last one accepted, but are in order among
-# themselves, mean that the source counts anew: its clock was set back, it was restarted without
-# telling so by `run`, or one wild time or number was taken for true.
+# themselves, mean that the source counts again: its clock was set back, it was restarted without
+# a new `run`, or one wild time or number was taken for true.
 RESET_SAMPLES: Final = 10
 # So many samples in a row from a superseded publisher over so long, by its own clock, with none
 # from the newer one between them, mean that the newer one is gone.  One that floods sends as many
@@ -56,7 +56,7 @@ TAKE_BACK_SAMPLES: Final = 25
 TAKE_BACK_NS: Final = 450_000_000
 # Publishers remembered as superseded; a bound on memory, not a tuning knob.
 MAX_OLD_RUNS: Final = 32
-# A source that starts anew so often has no start: its every sample says another `run`, or it is
+# A source that restarts so often has no start: its every sample has another `run`, or it is
 # restarted in a loop.  A window needs a tenth of that to fill.
 SHORT_RUN_SAMPLES: Final = 50
 SHORT_RUNS: Final = 3
@@ -69,7 +69,7 @@ class Accepted(NamedTuple):
 
     Attributes:
         missed: samples lost between the last accepted one and this one.
-        restart: the source started anew; what came before does not connect.
+        restart: the source has restarted; what came before does not connect.
     """
 
     missed: int
@@ -123,7 +123,7 @@ class StreamGuard:
         joints: J, what a sample must bring.
         run: of the publisher in force.
         missed: samples lost so far.
-        restarts: times the source began anew, what it lost at them being nobody's to count.
+        restarts: of the source; what is lost at them is not counted.
     """
 
     def __init__(self, joints: int) -> None:
@@ -140,7 +140,7 @@ class StreamGuard:
         self._doubts = 0  # runs that took over and did not last
         self._strays = 0  # new runs of late that are not believed
         self._stray_at = 0  # samples accepted when the newest came
-        # Publishers in the order in which they were first heard, the one in force among them.
+        # Publishers in the order in which they were first received, the one in force among them.
         self._runs: list[int | None] = []
         self._other_count = 0
         self._other: tuple[int | None, int] | None = None  # who it is, and since when, t_ns
@@ -155,7 +155,7 @@ class StreamGuard:
 
     @property
     def note(self) -> str | None:
-        """One line for a person while the source starts anew again and again."""
+        """One line for a person while the source restarts again and again."""
         if self._short_runs >= SHORT_RUNS:
             return (
                 "the source starts anew every few samples: nothing can be judged; `run` is to be "
@@ -191,7 +191,7 @@ class StreamGuard:
 
         Returns:
             How it connects to the stream, or why it is refused; a refusal changes nothing that
-            later samples are judged by, but for the detection of a source that counts anew.
+            later samples are judged by, but for the detection of a source that counts again.
         """
         fault = self._form(sample)
         if fault is not None:
@@ -260,7 +260,7 @@ class StreamGuard:
     def _restart(self, sample: ServoSample, now: _Place) -> Accepted:
         jump = self._jump if sample.run == self.run and self._since_jump < SETTLED_SAMPLES else None
         if jump is not None and jump.goes_on_at(now):
-            # Somebody else's samples were taken for a gap; the source itself never began anew.
+            # Another writer's samples were taken for a gap; the source itself never restarted.
             self.missed = jump.missed + now.seq - jump.before.seq - 1
         else:
             # The first sample after a start of our own is no restart of the source's.
@@ -413,7 +413,7 @@ class RateWatch:
         """Take in the time and number of an accepted sample.
 
         Returns:
-            Ticks that nobody read since the last one, by its number, and where readings are known
+            Ticks without a reading since the last one, by its number, and where readings are known
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """

@@ -1,7 +1,7 @@
 """Follows a leg through its swing, compiled: phase, direction, and the foot's heights.
 
 The functions follow the commands (:func:`follow_command`) and the readings (:func:`follow_foot`)
-of one leg; judgements that are made once a swing stand in ``learn``.
+of one leg; judgements that are made once a swing are in ``swing_judge.py``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, RISE_M, STILL_M, S
 # on soft.
 CLEARANCE_M: Final = 0.015
 # Ground that gives is felt late, and a foot rises out of it for long: where it begins its swing so
-# far below the onset that was told, it is off the ground only above where it was so many ticks
+# far below the reported onset, it is off the ground only above where it was so many ticks
 # before that onset (``swing_judge.py``).
 SUNK_M: Final = 0.006
 SOFT_TICKS: Final = 12  # by then it is, all the same

@@ -34,12 +34,12 @@ FREE_SHARE: Final = 0.9
 # Readings that fall by more than this share of their command's rise are turned around: what hangs
 # on a foot pulls it down by less.
 TURNED_SHARE: Final = 0.5
-# A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
-# model decides then, as it would have without.
+# An obstruction is forgotten after so many lifts in a row without evidence: their residuals
+# decide then, as it would have without.
 FORGET_SWINGS: Final = 5
-# Ground that gives is felt late: where it was, is told by the height so many ticks before an onset.
+# Soft ground is detected late: its height is that of the foot so many ticks before an onset.
 SURFACE_TICKS: Final = 3
-# A touch told where the foot has come down by less than this share of its rise is told early.
+# A contact reported where the foot has descended less than this share of its rise is early.
 EARLY_SHARE: Final = 1 / 3
 # Touches come late where most of the last so many begin after the turn.
 LANDINGS: Final = 20
@@ -146,7 +146,7 @@ class SwingJudge:
         count = int(leg["asked_n"])
         asked = float(batch.asked[row, (count - min(count, ASKED)) % ASKED])
         if asked <= LEAST_WAY_M:
-            # Of a gait of small steps nobody could ever tell that the foot is free again.
+            # In a gait of small steps nothing would ever show that the foot is free again.
             self._unasked += 1
             if self._unasked >= FORGET_SWINGS:
                 leg["obstructed"] = False

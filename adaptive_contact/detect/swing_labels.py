@@ -56,8 +56,8 @@ TOUCHING_TICKS: Final = 1
 MISSED_NIS: Final = 1.0
 # ...up to the first in which the foot is pushed up by more deviations than this.
 PUSHED_SIGMA: Final = 1.0
-# A touch that began before a hole in the readings is told after it, with an onset up to so many
-# ticks behind its end: the statistic's windows begin anew.
+# A touch that began before a hole in the readings is reported after it, with an onset up to so many
+# ticks behind its end: the statistic's windows begin again.
 HOLE_TICKS: Final = 8
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6

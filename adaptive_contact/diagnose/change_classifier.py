@@ -1,8 +1,8 @@
 """Classifies a change: which kind explains best how the leg has moved since.
 
 Every kind is a few shapes per joint, each with a free amplitude: what the change adds to the
-movements that the model of before foretells.  A kind with more shapes has to explain more
-(Schwarz's criterion).  Friction works against the movement that is *foretold*: a joint that stands
+movements that the model of before predicts.  A kind with more shapes has to explain more
+(Schwarz's criterion).  Friction works against the movement that is *predicted*: a joint that stands
 and should break away is held back like one that moves.  Taken against the movement before, a leg
 that rubs and a drive that is weak look alike (decision 20).
 """
@@ -61,7 +61,7 @@ class ChangeClassifier:
         self._model, self._noise = model, noise
         self._knee = KNEE_RAD_S * model.library.period_s
         self._shapes = [_shapes(model, joint) for joint in range(len(noise))]
-        # Where one kind alone has shapes, it would be told of every change.
+        # Where one kind alone has shapes, every change would be reported as that kind.
         self._comparable = all(any(of[kind] for _, of in self._shapes) for kind in KINDS)
         self._rows = 0
         # Per joint, products of its shapes and, last, of its residual in noise units.

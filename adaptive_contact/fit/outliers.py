@@ -1,6 +1,6 @@
 """Finds rows to leave out of a fit: wild readings, and ticks that may have touched.
 
-Where nobody knows when a leg touched, a tenth of the ticks may be of touches, and sixty terms
+Where it is not known when a leg touched, a tenth of the ticks may be of touches, and sixty terms
 fitted to four hundred ticks explain them away: residuals of ten deviations shrink to two or three,
 and no bound on the fit's own residuals finds them.  Least trimmed squares (Rousseeuw 1984, by the
 concentration steps of Rousseeuw and Van Driessen 1999) fits the ticks that go together best; the

@@ -5,7 +5,7 @@ ends a stretch.  What may be learned as free comes from the truth where a record
 from the cautious part of each swing where it has not.
 
 A change of the truth tells its time by its source's clock, not which start of the source it is of;
-the next may count the same times anew.  So every run has a truth of its own, and where a change may
+the next may count the same times again.  So every run has its own truth, and where a change may
 be of either of two runs, it makes no tick of either free.
 """
 
@@ -178,7 +178,7 @@ class LegGatherer:
         return list({*around, *holding})
 
     def _around(self, heard: _Heard) -> dict[int, int]:
-        """Runs that were being heard, a little before and after too; samples of each by then."""
+        """Runs that were received around a change; samples of each by then."""
         if heard.run < 0:
             return {0: 0}
         t_ns, n = self._runs[heard.run].t_ns, heard.run
@@ -194,7 +194,7 @@ class LegGatherer:
         joints = len(self.leg.joints)
         desired = np.array([s.desired for s in rows])
         swing = self._swing(rows, desired)
-        # A run that told of nothing may have touched nothing, or not know.
+        # A run without changes may have touched nothing, or not know.
         certain = bool(truth.sure) or free
         mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
         t_ns = _tick_times(rows, self._period_ns)
@@ -335,7 +335,7 @@ def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
 
 
 class _Heard(NamedTuple):
-    """A change of contact, and when it was heard.
+    """Holds a change of contact, and when it was received.
 
     Attributes:
         change: it.

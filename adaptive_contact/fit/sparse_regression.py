@@ -36,7 +36,7 @@ class FitStatus(enum.StrEnum):
     EMPTIED = "emptied"  # the threshold removed every term of at least one joint
     TOO_FEW_ROWS = "too_few_rows"
     NOT_FINITE = "not_finite"
-    # Nobody finished it.  A status is told to people as it is; this one is never computed with.
+    # Never finished.  A status is shown to people as it is; this one is never computed with.
     LOST = "lost: the process that fits died or took too long"
 
 

@@ -151,7 +151,7 @@ def learn(
         library: the terms to choose from.
         window: past and future to look at.
         threshold: λ, in units of the residual; chosen on held-out swings where absent.
-        progress: told of each leg as it begins.
+        progress: called with each leg as it begins.
 
     Returns:
         The baseline with its figures.

@@ -52,11 +52,11 @@ class ActiveModel:
         recent: knows where the model has been.
         provisional: the baseline is a first model, from a few swings: it may move by what these
             left open.
-        on_fall: told which model is in force again when one was implausible.
+        on_fall: called with the name of the model that replaces an implausible one.
 
     Attributes:
         baseline: the model at the start.
-        loosened: whether the recursion was, since it was begun.
+        inflated: whether the recursion's covariance was, since the recursion began.
     """
 
     def __init__(

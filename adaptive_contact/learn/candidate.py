@@ -301,7 +301,7 @@ class Candidate:
         shape = (len(self._scale), len(self._noise))
         try:
             displaced = array_of(saved.get("displaced"), shape, "the model before")
-        except ImplausibleError:  # nobody stood by
+        except ImplausibleError:  # there was none
             return
         if self._plausible(displaced):
             self._try(displaced, probation=True)

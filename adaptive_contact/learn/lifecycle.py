@@ -1,8 +1,8 @@
 """Decides which model a leg begins with: a baseline, its own first swings, or a saved state.
 
 A leg's model begins with a baseline, with the leg's own first swings where there is none or an
-unfit one, or with what was saved of it.  From then on a detector judges with it and a follower
-keeps it up to date; both are made here, together, and nowhere else.
+unfit one, or with what was saved of it.  From then on an adapter keeps
+it up to date; it is made here and nowhere else.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Lifecycle:
         refitter: does the sparse refits, and first fits.
 
     Attributes:
-        follower, recent: keep the model, covariances and thresholds; None while there is no model.
-        begun: raised whenever another follower takes over, or none does.
+        adapter, recent: keep the model, covariances and thresholds; None while there is no model.
+        begun: raised whenever another adapter takes over, or none does.
         cold: collects samples for a first model, None where there is one or none is wanted.
         origin: how the model began, for people.
         note: what is wrong with what is known, None when nothing is.

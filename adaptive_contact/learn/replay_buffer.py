@@ -2,7 +2,7 @@
 
 Newest segments first, with a quota per direction and region of the workspace, so that a
 monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows:
-covariances are made anew from residuals under the model in force.  Evicting is dropping.
+covariances are computed from residuals under the model in force.  Evicting is dropping.
 """
 
 from __future__ import annotations
@@ -138,8 +138,8 @@ class ReplayBuffer:
             every: each so-manyth segment is held out.
 
         Returns:
-            The factor of the rest, and of those held out; their rows are compressed by whoever
-            first asks something of them.
+            The factor of the rest, and of those held out; their rows are compressed on
+            first use.
         """
         fit, held_out = Factor(terms, joints), Factor(terms, joints)
         of_era = [s for s in self._segments if s.era == era]

@@ -100,8 +100,8 @@ class SavedState(NamedTuple):
         support: (p, J) of its recursion.
         segments: of the buffer, oldest first.
         version, era: of the model, and of the leg as it was.
-        level, status, held, heard, kind: of the monitor.
-        loosened: whether the recursion was.
+        level, status, held, heard, kind: of the drift monitor.
+        inflated: whether the recursion's covariance was.
     """
 
     coefficients: Array
@@ -121,7 +121,7 @@ def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> Save
     """Read an adapter's snapshot.
 
     Args:
-        saved: as :meth:`~adaptive_contact.learn.adapter.Follower.snapshot` gave it.
+        saved: as :meth:`~adaptive_contact.learn.adapter.Adapter.snapshot` gave it.
         baseline: from which it must have been learned.
         contexts: of covariances.
 

@@ -3,10 +3,10 @@ r"""Models how a leg's coefficients move when the leg itself changes.
 A hundred coefficients cannot be found again from two swings, but a leg that has changed has
 mostly changed in few ways, and each moves a joint's coefficients along a known direction: friction
 and softness have terms of their own (:class:`~adaptive_contact.model.ChangeLibrary`), a drive
-that is weaker scales the terms of its law, mud moves gravity and the speeds.  Loosening the
-recursion along these, and little elsewhere, lets one or two swings say what happened; and as soon
-as they have, the prediction is certain again everywhere, not only where the leg has been since
-(decision 21).
+that is weaker scales the terms of its law, mud moves gravity and the speeds.  The
+covariance of the recursion is inflated along these directions, and little elsewhere.  Then one or
+two swings identify the change, and the prediction is certain again everywhere, not only where the
+leg has been since (decision 21).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 # sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves the end of a descent,
 # where the law saturates, in doubt for ten swings.
 FAMILY_SHARE: Final = 0.1
-# Of the softness that the first model foretells: 1 is a servo half as stiff.
+# Of the softness that the first model predicts: 1 is a servo half as stiff.
 SOFT_SHARE: Final = 0.5
-# Of friction against the movement that the first model foretells, at each knee, in noise units:
+# Of friction against the movement that the first model predicts, at each knee, in noise units:
 # four times as much moves a prediction by 2 to 4 units, six times by up to 7.
 FRICTION_UNITS: Final = 2.0
 # Of what friction against the last movement and a joint's own speed add to that.

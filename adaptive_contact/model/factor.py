@@ -24,7 +24,7 @@ __all__ = ["Factor"]
 
 Array = NDArray[np.float64]
 
-# Raw rows wait until there are so many, or until somebody asks: a tick that hands its rows over
+# Raw rows wait until there are so many, or until they are needed: a tick that hands its rows over
 # does not pay for the factorisation, and one of a thousand rows costs less than ten of a hundred.
 COMPRESS_ROWS: Final = 4096
 

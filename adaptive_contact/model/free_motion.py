@@ -1,6 +1,6 @@
 """Defines what detection needs to know of a leg's free motion; the learning publishes it.
 
-One of the two values that pass between the two; the other is
+The value that passes the other way is
 :class:`~adaptive_contact.model.labelled_swing.LabelledSwing`.
 """
 

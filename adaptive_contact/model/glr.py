@@ -9,7 +9,7 @@ contact is
 
 for w = 1, 2, 3, so that a hard contact shows in one tick and a soft one adds up.  A contact holds
 the leg back: windows whose whitened sum does not oppose the predicted motion count as zero.  How
-far the last tick is from free motion in *any* direction is told beside it: a foot that is still
+far the last tick is from free motion in *any* direction is returned beside it: a foot that is still
 loaded after a stance is pushed along, not held back.
 """
 

@@ -1,6 +1,6 @@
 """Defines the parts of a swing, with labels, that detection passes to the learning.
 
-One of the two values that pass between the two; the other is
+Detection makes them, the learning learns from them.  The value that passes the other way is
 :class:`~adaptive_contact.model.free_motion.FreeMotion`.
 """
 
@@ -126,7 +126,7 @@ class LabelledSwing(NamedTuple):
         obstructed: the foot did not follow its command.
         travel_ratio: share of its command's way that the foot went.
         early: the swing's contact was reported before the foot had begun to come down; None where
-            nobody can tell.
+            that is not known.
     """
 
     label: Label

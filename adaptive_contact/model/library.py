@@ -48,8 +48,8 @@ LibraryName = Literal["servo", "paper", "linear"]
 # Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at
 # 0.1 to 0.3 rad/s (Rhoban/bam identifications); the readings do not resolve less.
 FRICTION_KNEE_RAD_S: Final = 0.5
-# Knees of friction against a movement foretold, rad per second: from what a joint must be asked for
-# to break away to what it does at its fastest.
+# Knees of friction against a predicted movement, rad per second: from the command that makes a
+# joint break away to its fastest movement.
 FORETOLD_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
@@ -263,7 +263,7 @@ class ChangeLibrary(Library):
     r"""Adds to a library the terms of a change, which its first model's prediction shapes.
 
     With :math:`\delta = \Xi_0^\top \Theta` the movement that the model of the leg as it was first
-    known foretells:
+    known predicts:
 
     - friction, :math:`\tanh(\delta_j / \kappa)` for several knees κ, as what stops a slow joint
       only slows a fast one.  Against the movement *before*, as in ``servo``, a joint that is about
