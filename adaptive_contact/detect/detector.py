@@ -57,9 +57,9 @@ ENTERED: Final = 16  # a row was entered
 TOPPED: Final = 32  # the top of the lift has just been passed
 DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
-TOUCHING: Final = 256  # a tick of a contact in hand
-RATE_OFF: Final = 512
-SOURCE: Final = 2048  # what the source sends says nothing of the leg, or does again
+TOUCHING: Final = 256  # one of the first ticks of a contact
+RATE_OFF: Final = 512  # ticks are not as far apart as described
+SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
 RELEASE_PENDING: Final = 1024  # a contact ended that no tick will decide
 
 # A tick is calm when its distance from the free model is below this share of the threshold: one
@@ -410,7 +410,13 @@ def judge_tick(
     limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows, row_thetas,
     row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
 ):  # fmt: skip
-    """Judge a sample of every leg that has one: the first half of a tick, up to its events."""
+    """Judge a sample of every leg that has one: the first half of a tick, up to its events.
+
+    Arguments are arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg;
+    ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`.  Scratch that passes between
+    steps: ``floats[6]`` the repaired reading, ``floats[2]`` the reciprocal deviations of this tick,
+    ``floats[3]`` the gradient of the foot's height.
+    """
     joints = measured.shape[1]
     table = (kind, first, entry, weight, knee, law)
     for i in range(len(legs)):
