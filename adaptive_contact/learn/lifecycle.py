@@ -1,8 +1,7 @@
 """Decides which model a leg begins with: a baseline, its own first swings, or a saved state.
 
-A leg's model begins with a baseline, with the leg's own first swings where there is none or an
-unfit one, or with what was saved of it.  From then on an adapter keeps
-it up to date; it is made here and nowhere else.
+The leg's own first swings are used where there is no baseline, or an unfit one.  From then on an
+adapter keeps the model up to date; it is made here and nowhere else.
 """
 
 from __future__ import annotations
