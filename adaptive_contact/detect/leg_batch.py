@@ -47,6 +47,19 @@ class LegBatch:
         quantum_rad: position step of each leg's servos.
         period_ns: control tick.
         capacity: rows of a swing held back at first; grows.
+
+    Attributes:
+        legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
+        window: measured positions, then commands, then preview, newest first, rad.
+        history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
+        theta, thetas: (p,) and (3, p), regressors of the next tick and of the last ones.
+        unit: (J,) variance of this tick's residuals over the baseline's.
+        limits, limits_awaited: (windows,) thresholds, in a swing and after the turn to stance.
+        domain: (p, p) matrix whose product with regressors has the leverage as squared length.
+        index, per_scale, root, sizes: covariance of the coefficients while it is inflated.
+        rows, row_thetas, row_targets, row_asides: rows of the swing until it is resolved.
+        scores: (windows,) test ratios of this tick.
+        free_ring: residuals of the newest free ticks, rad.
     """
 
     def __init__(
