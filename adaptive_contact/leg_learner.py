@@ -506,7 +506,7 @@ class ContactLearner:
         )
 
     def _retract(self) -> None:
-        """What the source has sent says nothing of the leg: nothing of it stays learned."""
+        """Retract what was learned from a faulty source."""
         leg, lifecycle = self.place.leg, self._lifecycle
         # It may have begun in the swing before, too late in it to be found.
         if lifecycle.adapter is not None:

@@ -38,7 +38,7 @@ from adaptive_contact.wire import Doubt
 __all__ = ["EchoWatch", "SourceWatch"]
 
 # Step of the coarsest servo known here (AX-12A), by which movements are counted where a servo's own
-# is not known; copies are then told by equality, to the precision of a 32-bit float.
+# is not known; copies are then detected by equality, to the precision of a 32-bit float.
 UNKNOWN_STEP_RAD: Final = 0.005118
 EQUAL_RAD: Final = 2e-6
 

@@ -2,7 +2,7 @@
 
 One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the
 next one, the next one after a gap, the first one of a restart, and the rejected.  A
-:class:`RateWatch` tells whether ticks are as far apart as the leg's model takes them to be.
+:class:`RateWatch` reports whether ticks are as far apart as the leg's model takes them to be.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ CONFIRM_SAMPLES: Final = 3
 # up to 48.  So many samples of one source make up for one that did not last: a minute at 50 Hz.
 MOST_DOUBTS: Final = 5
 SETTLED_SAMPLES: Final = 3000
-# Such a run speaks at least once in so many samples of the one in force.
+# Such a run sends at least once in so many samples of the one in force.
 PACE: Final = 5
-# New runs that may be on their way to be believed; a bound on memory.
+# New runs that may yet be accepted; a bound on memory.
 MAX_NEWCOMERS: Final = 8
 # New runs that did not last are in the note for so many accepted samples (10 s at 50 Hz).
 NOTED_SAMPLES: Final = 500
@@ -91,7 +91,7 @@ class _Place(NamedTuple):
 
 
 class _Newcomer(NamedTuple):
-    """A run that is not believed yet.
+    """Holds a run that is not accepted yet.
 
     Attributes:
         place: of its newest sample.
@@ -105,7 +105,7 @@ class _Newcomer(NamedTuple):
 
 
 class _Jump(NamedTuple):
-    """A gap that was believed: where the stream was, what was missed by then, where it went on."""
+    """Holds an accepted gap: where the stream was, what was missed, where it went on."""
 
     before: _Place
     missed: int

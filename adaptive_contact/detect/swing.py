@@ -24,7 +24,7 @@ CLEARANCE_M: Final = 0.015
 # before that onset (``swing_judge.py``).
 SUNK_M: Final = 0.006
 SOFT_TICKS: Final = 12  # by then it is, all the same
-# A lift in which the foot has risen by less says nothing of the leg: it may never have left the
+# A lift in which the foot has risen by less is no evidence: it may never have left the
 # ground.
 LIFTED_M: Final = 0.006
 # A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
@@ -40,7 +40,7 @@ AFTER_TICKS: Final = 16
 # Samples in a row after which a leg whose command and readings all stay as they are is not on its
 # way any more: a foot that comes down moves at least one joint's reading by a step.
 SAME_TICKS: Final = 2
-# A swing is told to have ended without a touch where no tick after its turn reaches this share of
+# A swing counts as one without a touch where no tick after its turn reaches this share of
 # the threshold: of 200 such swings two had a touch that lasted 40 ms (decision 27).
 QUIET_SCORE: Final = 0.3
 

@@ -24,7 +24,7 @@ __all__ = ["Landings", "Rollout", "SwingJudge"]
 _Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Rollout = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 
-# A command that takes the foot no further says nothing of whether it follows.
+# A command that takes the foot no further does not show whether the foot follows.
 LEAST_WAY_M: Final = 0.015
 # A foot that has come less than this share of its command's way by the top of the lift is held:
 # caught ones 95 times in 100; free ones, those of tired legs among them, 1 to 4 times.  It is taken
@@ -75,7 +75,7 @@ class SwingJudge:
         place: its arrays.
 
     Attributes:
-        travel_ratio: share of its command's way that the foot went in the last lift that told; of
+        travel_ratio: share of its command's way that the foot went in the last lift judged; of
             a leg that does not go all of it, of the way that its model predicts.
     """
 
@@ -203,7 +203,7 @@ class SwingJudge:
         """Tell whether the last swing reported an early contact.
 
         Returns:
-            None where it cannot be told; False also where no touch was told.
+            None where that is not known; False also where no contact was reported.
         """
         leg = self._place.leg
         if not (self.measures and leg["resolved_whole"] and self.had_lifted) or leg["obstructed"]:

@@ -30,7 +30,7 @@ __all__ = ["ConventionJob", "ConventionWatch", "MotionTrack"]
 Array = NDArray[np.float64]
 
 # When the motion is judged, s of samples; a tripod's 20 swings take 28 s.  After the last, it is
-# every LATER_S, and with no leg left that could be told, or after ENOUGH_S, never.
+# every LATER_S, and with no leg left to judge, or after ENOUGH_S, never.
 TIMES_S: Final = (4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 24.0, 28.0, 34.0, 40.0, 50.0, 60.0)
 LATER_S: Final = 60.0
 ENOUGH_S: Final = 600.0

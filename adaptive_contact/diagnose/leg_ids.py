@@ -1,6 +1,6 @@
 r"""Finds legs whose samples come under another leg's name.
 
-Two facts tell it, each where it can:
+Two facts show it:
 
 1. *A leg's servos are its own.*  With a baseline of every leg, the residuals of one leg's free
    motion are least under its own model.  Legs i and k are named where each fits the other's better
@@ -8,7 +8,7 @@ Two facts tell it, each where it can:
 2. *Feet that stand do not move against each other.*  With mounts and lengths, the legs' places on
    the body are permuted until the distances of standing feet stay constant.
 
-Neither tells everything.  Legs of equal servos have equal models, and a body that looks the same
+Neither is complete.  Legs of equal servos have equal models, and a body that looks the same
 turned by half a turn keeps all distances when its legs are named so.  In straight walking, a swap
 of a left leg with its mirror image looks like a yaw of the wrong sign: both are said.
 """

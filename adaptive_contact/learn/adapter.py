@@ -49,8 +49,8 @@ Array = NDArray[np.float64]
 CALM_QUEUE: Final = 24
 # Confirmed ticks whose times are kept for `drain_confirmed`: some 150 swings.
 CONFIRMED_TICKS: Final = 2048
-# A level up to this says nothing of a leg that has not changed; from twice as far on it counts in
-# full.
+# A variance scale up to this counts as 1 for a leg that has not changed; from twice as far on it
+# counts in full.
 STRAY: Final = 1.2
 STEEP: Final = 2.0
 # Covariances and thresholds are recomputed after so many swings.

@@ -1,6 +1,6 @@
 """Learns the first model of a leg that has no baseline.
 
-Until there is a model there is no alarm to tell a contact by, so only the cautious part of each
+Until there is a model there is no alarm to detect a contact, so only the cautious part of each
 swing is taken (not its first ticks, not its last), and what touches there all the same is trimmed
 (:mod:`adaptive_contact.fit.outliers`).  As soon as there are enough, and then with every few
 swings more, a fit is tried; it is taken when its error on held-out swings is a small part of the

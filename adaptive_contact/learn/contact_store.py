@@ -1,7 +1,7 @@
 """Stores contacts that were reported, to try new models on.
 
 A sparse refit is chosen on free ticks, which say nothing about what it would make of a touch: one
-that explains how legs stop on the ground would win there, and be blind.
+that explains how legs stop on the ground would win there, and detect no contact.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ Least squares on rows :math:`\varphi_i` knows its prediction at :math:`\varphi` 
 
 times the noise variance (the leverage), so that a residual there has variance :math:`1 + h`.
 Where the leg has been, h is a few hundredths; in a motion that no swing of a short recording held,
-it is 10 or 100, and a residual there speaks of the model, not of the ground.  ρ is what is known of
-a term beforehand, and keeps h finite for one that was never excited.
+it is 10 or 100, and a residual there is evidence on the model, not on the ground.  ρ is the prior of
+a term, and keeps h finite for one that was never excited.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["Domain"]
 
 Array = NDArray[np.float64]
 
-# A term of typical size that was never seen is believed to move a tick by less than twenty times
+# A term of typical size that was never seen is assumed to move a tick by less than twenty times
 # the noise (6 degrees for an AX-12A's leg).
 PRIOR_DEVIATIONS: Final = 20.0
 # And one that was no part of the fit to move it by nothing.
