@@ -8,8 +8,8 @@ Least squares on rows :math:`\varphi_i` knows its prediction at :math:`\varphi` 
 
 times the noise variance (the leverage), so that a residual there has variance :math:`1 + h`.
 Where the leg has been, h is a few hundredths; in a motion that no swing of a short recording held,
-it is 10 or 100, and a residual there is evidence on the model, not on the ground.  ρ is the prior of
-a term, and keeps h finite for one that was never excited.
+it is 10 or 100, and a residual there is evidence on the model, not on the ground.  ρ is the prior
+of a term, and keeps h finite for one that was never excited.
 """
 
 from __future__ import annotations
