@@ -1,8 +1,10 @@
-"""The learner of one leg: samples in, contact events out.
+"""Composes the learner of one leg: samples in, contact events out.
 
-:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
-state machine; a :class:`~adaptive_contact.leg_group.Team` takes several one tick further, so that
-six cost little more than one.  Recursive updates and refits come after the event.
+The only file that knows both detection and learning.  :class:`ContactLearner` passes labelled
+swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
+(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A
+:class:`~adaptive_contact.leg_group.LegGroup` takes several one tick further, so that six cost
+little more than one.  Recursive updates and refits come after the event.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ _MOVES: Final = (
 
 
 class JudgedTick(NamedTuple):
-    """How a tick was judged.
+    """Holds how a tick was judged.
 
     Attributes:
         residual: (J,) rad.
@@ -169,7 +171,7 @@ class ContactLearner:
         return event
 
     def reset_after_fault(self, fault: Exception) -> None:
-        """After a fault in its learning: go back to what was last saved of it, and say so."""
+        """Restore what was last saved of the leg after a fault in its learning, and report it."""
         self._counters.fault(fault)
         self.place.drop_tick()
         self._assessed = False
@@ -185,7 +187,7 @@ class ContactLearner:
         self._counters.rejects[reason] += times
 
     def request_release(self) -> None:
-        """Whoever listens may have heard from another process that the leg touches."""
+        """Request a release: another process may have reported that the leg touches."""
         self.place.leg["release_pending"] = True
 
     @property
@@ -199,7 +201,7 @@ class ContactLearner:
         return None if self._adapter is None else self._adapter.model
 
     def judged(self) -> JudgedTick | None:
-        """The last tick's residual and scores; None where it could not be judged."""
+        """Return the last tick's residual and scores; None where it could not be judged."""
         leg, recent = self.place.leg, self._lifecycle.recent
         usable = int(leg["usable"])
         if recent is None or not usable:
@@ -213,7 +215,7 @@ class ContactLearner:
         return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
 
     def drain_confirmed(self) -> list[int]:
-        """Times of the ticks confirmed as free since the last call, ns."""
+        """Return the times of the ticks confirmed as free since the last call, ns."""
         if self._adapter is None:
             return []
         times = list(self._adapter.confirmed_ns)
@@ -222,7 +224,7 @@ class ContactLearner:
 
     @property
     def status(self) -> LearnerStatus:
-        """How the learner is."""
+        """Status of the learner, as it is published."""
         adapter = self._adapter
         self._collect_counts()
         untouched_ns = int(self.place.leg["untouched_ns"])
@@ -260,7 +262,7 @@ class ContactLearner:
         return report_of(self.leg, adapter.model, threshold, self._lifecycle.origin)
 
     def snapshot(self) -> dict[str, Any]:
-        """What has been learned and counted, as a tree that msgpack can write."""
+        """Return what has been learned and counted, as a tree that msgpack can write."""
         self._collect_counts()
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
         return {**self._lifecycle.snapshot(), **self._counters.snapshot(), **stream}
@@ -281,7 +283,7 @@ class ContactLearner:
         self._guard.restore(saved.get("stream"))
         return None
 
-    # -- one tick, in the order `Team` calls it -------------------------------------------------
+    # -- one tick, in the order `LegGroup` calls it ---------------------------------------------
 
     def take(self, sample: ServoSample) -> bool:
         """Put a sample into the arrays, for the tick to judge; False if it is refused."""
@@ -317,7 +319,7 @@ class ContactLearner:
         return event
 
     def finish(self, flags: int) -> None:
-        """Learn what a tick leaves to be learned, before the next is predicted."""
+        """Pass the tick's labelled swings to the learning, and publish the new free motion."""
         lifecycle = self._lifecycle
         adapter = lifecycle.adapter
         if self._watching:
@@ -351,7 +353,7 @@ class ContactLearner:
         self._publish()
 
     def settle(self) -> None:
-        """After a tick: a model that has come is in force from the next one on."""
+        """Put a new model in force from the next tick on."""
         if self._begun != self._lifecycle.begun:
             self._begin()
 
@@ -366,7 +368,7 @@ class ContactLearner:
         )  # fmt: skip
 
     def _begin(self) -> None:
-        """What is known is another: the past under it is no past of the new."""
+        """Begin with the present model: forget the past under the one before."""
         self._collect_counts()
         lifecycle, place = self._lifecycle, self.place
         if lifecycle.library != place.batch.library:
@@ -465,7 +467,7 @@ class ContactLearner:
         self.place.leg["misread"] = self._misread
 
     def _let_go(self) -> None:
-        """Forget whether the leg touches: nobody can tell any more."""
+        """Forget whether the leg touches: it cannot be known any more."""
         leg = self.place.leg
         leg["release_pending"] |= leg["reported"]
         leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
@@ -504,7 +506,7 @@ class ContactLearner:
         )
 
     def _retract(self) -> None:
-        """What the source has sent says nothing of the leg: nothing of it stays learned."""
+        """Retract what was learned from a faulty source."""
         leg, lifecycle = self.place.leg, self._lifecycle
         # It may have begun in the swing before, too late in it to be found.
         if lifecycle.adapter is not None:
