@@ -81,13 +81,19 @@ class Reading(NamedTuple):
 
 
 class Pong(NamedTuple):
-    """A servo that answered a ping: its model number; ``doubled`` if several seem to answer.
+    """A servo that answered a ping.
 
-    The model number is None where the servo answers to pings, but not to reads.
+    Attributes:
+        model_number: None where neither a ping (of protocol 2.0) nor a read tells it.
+        doubled: several seem to answer.
+        reads: it answers reads; at a status return level of 0 it does not.
+        brand: what it is in words, where that is no Dynamixel.
     """
 
     model_number: int | None
     doubled: bool = False
+    reads: bool = True
+    brand: str | None = None
 
 
 class Bus:
@@ -148,6 +154,15 @@ class Bus:
             PortLostError: the port is gone.
         """
         return self._guarded(lambda: self._ping(servo))
+
+    def answers(self, servo: int) -> bool:
+        """Whether a servo answers a ping, without asking who it is.
+
+        Raises:
+            PortLostError: the port is gone.
+        """
+        result, _ = self._guarded(lambda: self._ping_alone(servo))
+        return result == int(COMM_SUCCESS)
 
     def read(
         self,
@@ -261,8 +276,12 @@ class Bus:
         return None
 
     def put(self, servo: int, register: Register, value: int) -> bool:
-        """Write one register; True when the servo has confirmed it."""
+        """Write one register; True when the servo has confirmed it, or holds the value after.
+
+        At a status return level of 0 or 1 a servo does not confirm; at 1 it can be asked.
+        """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
+        block = Block(register.address, register.size)
         for _ in range(_TRIES):
             result, error = self._guarded(
                 lambda: self._packets.writeTxRx(
@@ -271,6 +290,9 @@ class Bus:
             )
             if result == COMM_SUCCESS:
                 return (int(error) & ~_ALERT) == 0
+            now = self._guarded(lambda: self._read_one(servo, block)).data
+            if now is not None and block.part(now, register) == value:
+                return True
         return False
 
     def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
@@ -320,12 +342,12 @@ class Bus:
             raise self._port.lost(error) from error
 
     def _ping(self, servo: int) -> Pong | None:
-        result = self._ping_alone(servo)
+        result, number = self._ping_alone(servo)
         if result not in (COMM_SUCCESS, _TIMEOUT, COMM_TX_FAIL):
             # Two servos that talk at once garble each other; once may be noise.
-            result = self._ping_alone(servo)
+            result, number = self._ping_alone(servo)
             if result not in (COMM_SUCCESS, _TIMEOUT):
-                return Pong(None, doubled=True)
+                return Pong(None, doubled=True, reads=False)
         if result != COMM_SUCCESS:
             return None
         doubled = self._second_answer()
@@ -333,7 +355,7 @@ class Bus:
             data = self._read_one(servo, MODEL_NUMBER).data
             if data is not None:
                 return Pong(int.from_bytes(data, "little"), doubled)
-        return Pong(None, doubled)
+        return Pong(number, doubled, reads=False)
 
     def _drain(self) -> None:
         """Throw away what arrived too late, and count whose it was."""
@@ -349,8 +371,12 @@ class Bus:
     def _note(self, servo: int, *, answered: bool) -> None:
         (self._unanswered.discard if answered else self._unanswered.add)(servo)
 
-    def _ping_alone(self, servo: int) -> int:
-        """Ping and nothing else: the SDK's own reads the model too, and hides what failed."""
+    def _ping_alone(self, servo: int) -> tuple[int, int | None]:
+        """Ping and nothing else: the SDK's own reads the model too, and hides what failed.
+
+        Returns:
+            The SDK's result, and the model number where the answer holds it (protocol 2.0).
+        """
         self._drain()
         if self.protocol == 1:
             packet = [0, 0, servo, 2, Instruction.PING, 0]
@@ -361,7 +387,9 @@ class Bus:
         if self._port.received - before > len(answer or ()):
             self._count_late()
         self._note(servo, answered=result != _TIMEOUT)
-        return int(result)
+        told = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
+        number = told[0] + (told[1] << 8) if len(told) >= MODEL_NUMBER.size else None
+        return int(result), number
 
     def _second_answer(self) -> bool:
         """Whether bytes follow an answer: another servo of the same id, a little slower."""

@@ -462,13 +462,15 @@ def model_of_number(number: int) -> ServoModel | None:
 
 
 def number_name(number: int) -> str:
-    """What a servo of this model number is, in words: of one without a table here, why not."""
+    """What a servo of this model number is, in words, as far as that is public."""
     model = model_of_number(number)
     if model is not None:
         return model.name
-    if number in _OTHERS:
-        return f"{_OTHERS[number]} (model number {number}), which has no control table here"
-    return f"of model number {number}, which is unknown here"
+    return (
+        f"{_OTHERS[number]}, model number {number}"
+        if number in _OTHERS
+        else (f"model number {number}")
+    )
 
 
 def feetech_name(data: bytes, servo: int) -> str | None:
@@ -482,8 +484,7 @@ def feetech_name(data: bytes, servo: int) -> str | None:
     known = next((_FEETECH[n] for n in numbers if n in _FEETECH), None)
     if data[2] != servo or (known is None and data[0] == servo):
         return None
-    what = f"Feetech {known}" if known else f"Feetech servo (its model number is {numbers[0]})"
-    return f"a {what}: no Dynamixel, and none of its registers is where this bridge looks"
+    return f"Feetech {known or f'number {numbers[0]}'}, no Dynamixel"
 
 
 def models_named(name: str) -> tuple[ServoModel, ...]:
