@@ -1,6 +1,6 @@
 """A Dynamixel bus over the real DynamixelSDK: ping, read, write, with a result per servo.
 
-What the SDK's packet handlers get wrong (4.1.0) is worked around here:
+What the SDK's packet handlers get wrong (4.1.0; 3.8.4 and 3.7.31 alike) is worked around here:
 
 - ``read2ByteTxRx`` raises IndexError on an error status without data, and ``readTxRx`` takes the
   check bytes for data, or cuts off what is too long: the length in the packet is checked here.
@@ -17,6 +17,7 @@ import termios
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from typing import Any, Final, NamedTuple, TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
@@ -26,6 +27,7 @@ from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.protocol1 import ERROR_BITS
 from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, split_fast_sync
 from adaptive_contact.bridge.tables import Block, Register
+from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 __all__ = ["MODEL_NUMBER", "Bus", "Fault", "Pong", "Reading"]
@@ -113,6 +115,8 @@ class Bus:
         self._fast = port.fast
         self._port = SdkPort(name, port)
         self._packets: Any = PacketHandler(float(port.protocol))
+        # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
+        self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
         self.late: Counter[int] = Counter()
         self._unanswered: set[int] = set()
 
@@ -141,6 +145,11 @@ class Bus:
         Raises:
             BusError: it cannot be opened; one line, with what to do.
         """
+        if self._fast and not self._knows_fast:
+            raise BusError(
+                f"port {self.name}: fast needs dynamixel-sdk 3.8 or newer; update it, or "
+                f"remove fast from [port.{self.name}]"
+            )
         self._port.open()
 
     def close(self) -> None:
@@ -441,7 +450,12 @@ class Bus:
         self._drain()
         at_s = time.monotonic()
         result = self._packets.syncReadTx(
-            self._port, block.address, block.size, list(servos), len(servos), self._fast
+            self._port,
+            block.address,
+            block.size,
+            list(servos),
+            len(servos),
+            *((self._fast,) if self._knows_fast else ()),
         )
         if result != COMM_SUCCESS:
             return found, False
@@ -458,7 +472,9 @@ class Bus:
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
             return found, self._port.received - before > understood
         while len(found) < len(servos):
-            packet, result = self._packets.rxPacket(self._port, False)
+            packet, result = self._packets.rxPacket(
+                self._port, *((False,) if self._knows_fast else ())
+            )
             if result == _TIMEOUT:
                 break
             if result != COMM_SUCCESS:
