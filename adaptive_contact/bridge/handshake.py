@@ -96,8 +96,8 @@ class Findings:
         if len(self.errors) == 1:
             raise BusError(self.errors[0])
         if self.errors:
-            lines = "".join(f"\n  - {line}" for line in self.errors)
-            raise BusError(f"{len(self.errors)} things stand in the way of the bridge:{lines}")
+            count = len(self.errors)
+            raise BusError(f"{count} things stand in the way of the bridge:", self.errors)
 
 
 def crowd(servos: int) -> int:

@@ -6,6 +6,7 @@ The real DynamixelSDK over pseudo-terminals, as everywhere here.
 from __future__ import annotations
 
 import contextlib
+import subprocess
 import sys
 import threading
 import time
@@ -286,6 +287,18 @@ def test_a_servo_that_confirms_no_writes_is_configured(bus: Serve) -> None:
     assert all(servo.answers == 1 for servo in servos)
 
 
+def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
+    device, _ = bus("1-2:AX-12A", "1:AX-12A:at=0.4", "20:AX-12A")
+    path = write(device.parent / "robot.toml", robot(device, ((1, 2, 3), "AX-12A")))
+    words = [sys.executable, "-m", "adaptive_contact", "robot", "check", "--config", str(path)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=100)
+    assert ended.returncode == 2
+    first, *others = ended.stderr.splitlines()
+    assert first == "adaptive-contact: 3 things stand in the way of the bridge:"
+    assert [line[:4] for line in others] == ["  - "] * 3
+    assert "missing servo 3 (l0 j2)" in others[0]
+
+
 # -- models ------------------------------------------------------------------------------------
 
 
@@ -436,6 +449,47 @@ def test_what_is_said_of_registers(servos: list[Servo], lines: list[str]) -> Non
     assert len(said) == len(lines), said
     for line, part in zip(said, lines, strict=True):
         assert part in line
+
+
+TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial.md"
+REPLACED = [
+    ["1:AX-12A:at=0.4"],
+    ["9:AX-12A:baud=57600"],
+    ["9:AX-18A"],
+    ["9:AX-12A:return_delay=250:moving_speed=300:lower_slope=64"],
+]
+
+
+def test_the_tutorial_says_of_a_replaced_servo_what_the_commands_say(bus: Serve) -> None:
+    text = TUTORIAL.read_text(encoding="utf-8").split("## When a servo or a horn was replaced")[1]
+    lines = [
+        line.removeprefix("adaptive-contact: ").removeprefix("  - ")
+        for line in text.split("\n## ")[0].splitlines()
+        if line.startswith(("adaptive-contact: port", "adaptive-contact: CW", "  - port"))
+        or (line.startswith("adaptive-contact: ") and " servo 9 " in line)
+    ]
+    assert len(lines) == 8
+    names = ("lf", "lm", "lr", "rf", "rm", "rr")
+    said = []
+    for i, new in enumerate(REPLACED):
+        device, _ = bus("1-8:AX-12A", "10-18:AX-12A", *new, where=f"bus{i}")
+        legs = [
+            f'[[leg]]\nid = "{name}"\njoints = ["coxa", "femur", "tibia"]\n'
+            f"servos = {{ ids = [{3 * j + 1}, {3 * j + 2}, {3 * j + 3}] }}\n"
+            for j, name in enumerate(names)
+        ]
+        described = parse_robot(
+            '[robot]\nname = "t"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
+            f'[port.main]\ndevice = "{device}"\n' + "".join(legs),
+            source="t",
+        )
+        findings = check_ports(plan_ports(described), full=False)
+        found = findings.errors + findings.advice
+        if not findings.errors:
+            found += compare(read_servos(plan_ports(described)))
+        said += [line.replace(str(device), "/home/you/bus/port0") for line in found]
+    for line in lines:
+        assert line in said, said
 
 
 # -- bad input ---------------------------------------------------------------------------------
