@@ -11,6 +11,7 @@
 
 #define _POSIX_C_SOURCE 200809L
 
+#include <ctype.h>
 #include <inttypes.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -19,6 +20,7 @@
 #include <zenoh-pico.h>
 
 #define MOST_LEGS 64
+#define MOST_NAME 32
 #define MOST_BYTES 1024 /* of an event; one of eight joints has some 250 */
 #define MOST_DEPTH 8
 
@@ -28,7 +30,7 @@ typedef struct {
 } reader_t;
 
 typedef struct {
-    char leg[33];
+    char leg[MOST_NAME + 1];
     int64_t t_ns;
     double score;
     bool contact, withheld;
@@ -117,6 +119,14 @@ static bool is(value_t key, const char *name) {
            memcmp(key.text, name, strlen(name)) == 0;
 }
 
+/* What a leg is called: nothing that a terminal could obey. */
+static bool is_name(value_t text) {
+    for (int64_t i = 0; i < text.integer; i++) {
+        if (!isalnum(text.text[i]) && !strchr("_.-", text.text[i])) return false;
+    }
+    return text.integer > 0 && text.integer <= MOST_NAME && text.text[0] != 0;
+}
+
 /* Fields that are unknown are left out, as docs/messages.md wants it. */
 static bool read_event(const uint8_t *data, size_t size, event_t *event) {
     reader_t reader = {data, data + size, true};
@@ -126,7 +136,7 @@ static bool read_event(const uint8_t *data, size_t size, event_t *event) {
     if (map.kind != MAP) return false;
     for (int64_t i = 0; i < map.integer && reader.good; i++) {
         value_t key = next(&reader), value = next(&reader);
-        if (is(key, "leg") && value.kind == TEXT && (size_t)value.integer < sizeof event->leg) {
+        if (is(key, "leg") && value.kind == TEXT && is_name(value)) {
             memcpy(event->leg, value.text, (size_t)value.integer);
             found |= 1;
         } else if (is(key, "t_ns") && value.kind == INTEGER) {

@@ -4,11 +4,12 @@ Addresses, sizes, units and model numbers were compared, register by register, w
 
 - the ROBOTIS e-manual: each model's page is its :attr:`ServoModel.manual`;
 - ``param/dxl_model/*.model`` of github ROBOTIS-GIT/dynamixel_hardware_interface, commit db2b9038,
-  for protocol 2.0 (``startup`` is in none of them: the e-manual's; XL330: the ``_fw52`` files);
+  for protocol 2.0 (XL330, XC330: the ``_fw52`` files; ``startup`` is in none of them);
 - ``dynamixel_item.cpp`` of github ROBOTIS-GIT/dynamixel-workbench, commit 2eb370f1.
 
-Where they differ the e-manual's counts: the workbench has XL-320's torque limit at 34, the other
-two have it at 35.  A model not listed here is refused by name, never guessed.
+A test holds them to these.  Where they differ the e-manual's counts: the workbench has XL-320's
+torque limit at 34, the other two have it at 35.  A model not listed here is refused by name, never
+guessed.
 """
 
 from __future__ import annotations

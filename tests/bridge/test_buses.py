@@ -6,6 +6,7 @@ The real DynamixelSDK over pseudo-terminals, as everywhere here.
 from __future__ import annotations
 
 import contextlib
+import json
 import subprocess
 import sys
 import threading
@@ -313,6 +314,22 @@ def test_every_model_has_a_number_of_its_own_and_a_manual() -> None:
 def test_registers_of_a_model_do_not_overlap(model: ServoModel) -> None:
     taken = [at for r in model.registers.values() for at in range(r.address, r.address + r.size)]
     assert len(taken) == len(set(taken))
+
+
+def test_every_register_is_where_others_tools_have_it() -> None:
+    """Each register of each model, against tables that nobody here has typed."""
+    path = Path(__file__).parent / "control_tables.json"
+    told = json.loads(path.read_text(encoding="utf-8"))["tables"]
+    for model in MODELS:
+        compared: set[str] = set()
+        for table in told:
+            if model.number not in table["models"]:
+                continue
+            for name, place in table["registers"].items():
+                register = model.registers[name]
+                assert [register.address, register.size] == place, (model.name, name, table)
+                compared.add(name)
+        assert compared == set(model.registers), model.name
 
 
 def test_a_family_of_two_control_tables_is_none() -> None:
