@@ -39,6 +39,7 @@ __all__ = [
     "BUSY",
     "USUAL_BAUDS",
     "Findings",
+    "Place",
     "check_ports",
     "crowd",
     "let_answer",
@@ -47,6 +48,9 @@ __all__ = [
     "scan",
     "scan_again",
 ]
+
+# A baud rate, and a protocol.
+Place = tuple[int, Literal[1, 2]]
 
 # Rates that servos are delivered with, and those set most; then others that they can have.
 USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
@@ -184,7 +188,7 @@ def named(pong: Pong) -> str:
 
 def look_elsewhere(
     name: str, port: Port, ids: Sequence[int], bauds: Sequence[int] = USUAL_BAUDS
-) -> dict[tuple[int, int], list[int]]:
+) -> dict[Place, list[int]]:
     """Look for servos that do not answer as the port is set; writes nothing.
 
     Args:
@@ -196,7 +200,7 @@ def look_elsewhere(
     Returns:
         Ids by the baud rate and the protocol at which they answer.
     """
-    found: dict[tuple[int, int], list[int]] = {}
+    found: dict[Place, list[int]] = {}
     left = list(ids)
     other: Literal[1, 2] = 2 if port.protocol == 1 else 1
     for protocol in (port.protocol, other):
@@ -286,7 +290,7 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         for servo in mute if configure else ():
             _let_answer(plan, bus, found, expected[servo], findings)
         missing = [servo for servo in expected if servo not in found]
-        elsewhere = {}
+        elsewhere: dict[Place, list[int]] = {}
         if missing:
             bus.settle()  # were they late?
             if not _many_late(plan, bus, missing):
@@ -331,7 +335,7 @@ def _compare(
     bus: Bus,
     expected: dict[int, JointPlan],
     found: dict[int, Pong],
-    elsewhere: dict[tuple[int, int], list[int]],
+    elsewhere: dict[Place, list[int]],
     findings: Findings,
 ) -> None:
     where = f"port {plan.name} ({bus.device})"
@@ -391,7 +395,7 @@ def _compare(
             )
 
 
-def _elsewhere(plan: PortPlan, place: tuple[int, int], ids: Sequence[int]) -> str:
+def _elsewhere(plan: PortPlan, place: Place, ids: Sequence[int]) -> str:
     """What to say of servos that answer at another rate, or in the other protocol."""
     baud, protocol = place
     own = f"{plan.port.baud} baud, protocol {plan.port.protocol}"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 
 from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.handshake import (
     USUAL_BAUDS,
+    Place,
     let_answer,
     look_elsewhere,
     named,
@@ -35,6 +36,7 @@ __all__ = [
     "write_robot",
 ]
 
+_PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last heard, all are asked again.
 _BEYOND: Final = 8
 
@@ -60,7 +62,7 @@ class Found:
     names: dict[int, str]
     slopes_rad: dict[int, float] = dataclasses.field(default_factory=dict)
     mute: tuple[int, ...] = ()
-    elsewhere: dict[tuple[int, int], list[int]] = dataclasses.field(default_factory=dict)
+    elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
     done: tuple[str, ...] = ()
 
 
@@ -125,25 +127,56 @@ def find_servos(
     Raises:
         BusError: the port cannot be opened, or nobody answers.
     """
-    for baud in bauds:
-        for protocol in (1, 2):
-            port = Port(device=device, baud=baud, protocol=1 if protocol == 1 else 2)
-            bus = Bus(name, port)
-            bus.open()
-            try:
-                pongs = scan(bus)
-                if not pongs:
-                    continue
-                row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)
-                found = _found(bus, port, scan_again(bus, pongs, row), configure)
-            finally:
-                bus.close()
-            missing = [servo for servo in ids or row[1:] if servo not in found.servos]
-            return dataclasses.replace(found, elsewhere=look_elsewhere(name, port, missing))
-    raise BusError(
-        f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; check "
-        "power and cable, or give the rate with --baud"
-    )
+    places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
+    found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
+    if found is None:
+        raise BusError(
+            f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
+            "check power and cable, or give the rate with --baud"
+        )
+    place = found.port.baud, found.port.protocol
+    others = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
+    most = max(others, key=lambda at: others[at], default=place)
+    if others.get(most, 0) > len(found.servos):  # the one that was found first is the odd one
+        place = most
+    elif not (configure and found.mute):
+        return found
+    return _ask(name, device, place, ids, configure=configure) or found
+
+
+def _ask(
+    name: str,
+    device: str,
+    place: Place,
+    ids: Sequence[int],
+    *,
+    configure: bool = False,
+) -> Found | None:
+    """Ask a port at one baud rate and protocol who is there; None where nobody is."""
+    port = Port(device=device, baud=place[0], protocol=place[1])
+    bus = Bus(name, port)
+    bus.open()
+    try:
+        pongs = scan(bus)
+        if not pongs:
+            return None
+        row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)
+        pongs = scan_again(bus, pongs, row)
+        mute = [servo for servo, pong in pongs.items() if not pong.reads and not pong.doubled]
+        done = []
+        for servo in mute if configure else ():
+            if ids and servo not in ids:
+                continue
+            trouble = let_answer(bus, servo, pongs[servo], None)
+            done.append(f"servo {servo}: " + (trouble or "status return level set to 2"))
+            again = None if trouble else bus.ping(servo)
+            if again is not None:
+                pongs |= scan_again(bus, {servo: again}, ())
+        found = dataclasses.replace(_found(bus, port, pongs), done=tuple(done))
+    finally:
+        bus.close()
+    missing = [servo for servo in ids or row[1:] if servo not in found.servos]
+    return dataclasses.replace(found, elsewhere=look_elsewhere(name, port, missing))
 
 
 def steepness(found: Iterable[Found], robot: Robot) -> dict[str, float]:
@@ -352,16 +385,7 @@ def describe(found: Iterable[Found]) -> list[str]:
 # -- private -----------------------------------------------------------------------------------
 
 
-def _found(bus: Bus, port: Port, pongs: dict[int, Pong], configure: bool) -> Found:
-    done = []
-    for servo in [s for s, pong in pongs.items() if not pong.reads and not pong.doubled]:
-        if not configure:
-            continue
-        trouble = let_answer(bus, servo, pongs[servo], None)
-        done.append(f"servo {servo}: " + (trouble or "status return level set to 2"))
-        again = None if trouble else bus.ping(servo)
-        if again is not None:
-            pongs |= scan_again(bus, {servo: again}, ())
+def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
     doubled = [servo for servo, pong in pongs.items() if pong.doubled]
     if doubled:
         raise BusError(
@@ -384,7 +408,6 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong], configure: bool) -> Fou
         {servo: named(pong) for servo, pong in pongs.items()},
         {servo: slope for servo, slope in slopes.items() if slope is not None},
         tuple(servo for servo, pong in pongs.items() if not pong.reads),
-        done=tuple(done),
     )
 
 

@@ -82,7 +82,7 @@ def init(
         typer.Option(
             "--legs",
             metavar="ID,ID,...",
-            help="Names, in the order of the servos' ids.",
+            help="Names, in the order of the servos' ids, or of --ids.",
             show_default=False,
         ),
     ] = None,

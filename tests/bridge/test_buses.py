@@ -23,7 +23,7 @@ from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.compare import Servo, compare, read_servos
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.bridge.survey import find_servos, wanted_legs
+from adaptive_contact.bridge.survey import find_servos, group, wanted_legs
 from adaptive_contact.bridge.tables import (
     MODELS,
     ServoModel,
@@ -87,7 +87,8 @@ def init(device: Path, *words: str) -> tuple[str, Robot]:
 
 
 def robot(device: Path, *legs: tuple[Sequence[int], object], **port: object) -> Robot:
-    """A description of legs with these ids and models."""
+    """A description of legs with these ids and models; its bus waits, as this computer is busy."""
+    port = {"timeout_ms": 60, **port}
     settings = "".join(f"{name} = {_toml(value)}\n" for name, value in port.items())
     text = (
         '[robot]\nname = "t"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
@@ -109,26 +110,24 @@ def _toml(value: object) -> str:
 
 def test_a_head_is_ignored_where_the_port_says_so(bus: Serve) -> None:
     device, servos = bus("1-3:AX-12A", "20-21:AX-12A")
-    [one, other] = check_ports(plan_ports(robot(device, ((1, 2, 3), "AX-12A")))).errors
+    legs = ((1, 2, 3), "AX-12A")
+    [one, other] = check_ports(plan_ports(robot(device, legs, timeout_ms=10))).errors
     assert "unexpected servo 20 (AX-12A); add it to a leg" in one
     assert "unexpected servo 21" in other
     assert "ignore = [20, 21] in [port.main]" in one
-    aside = robot(device, ((1, 2, 3), "AX-12A"), ignore=[20, 21])
+    aside = robot(device, legs, timeout_ms=10, ignore=[20, 21])
     assert check_ports(plan_ports(aside)).errors == []
-    one_only = robot(device, ((1, 2, 3), "AX-12A"), ignore=[20])
-    [line] = check_ports(plan_ports(one_only)).errors
-    assert "ignore = [20, 21]" in line
     assert all(servo.writes == 0 for servo in servos)
 
 
 def test_legs_of_any_ids_and_the_rest_ignored(bus: Serve) -> None:
-    device, _ = bus("1-12:AX-12A", "20:MX-28", "21:AX-12A:number=999")
+    device, _ = bus("1-12:AX-12A", "13:MX-28", "14:AX-12A:number=999")
     said, found = init(device, "--ids", "2,4,6/8,10,12", "--legs", "right,left")
-    assert "servo 1, 3, 5, 7, 9, 11, 20, 21 is no leg's: ignored" in said
+    assert "servo 1, 3, 5, 7, 9, 11, 13, 14 is no leg's: ignored" in said
     assert [leg.servos.ids for leg in found.legs] == [(2, 4, 6), (8, 10, 12)]
     assert found.leg_ids == ("right", "left")
-    assert found.ports["main"].ignore == (1, 3, 5, 7, 9, 11, 20, 21)
-    assert check_ports(plan_ports(found)).errors == []
+    assert found.ports["main"].ignore == (1, 3, 5, 7, 9, 11, 13, 14)
+    assert check_ports(plan_ports(found), full=False).errors == []
 
 
 def test_legs_of_several_sizes(bus: Serve) -> None:
@@ -161,6 +160,7 @@ def test_ids_that_cannot_be(bus: Serve, words: tuple[str, ...], message: str) ->
     assert not (device.parent / "robot.toml").exists()
 
 
+@pytest.mark.slow
 def test_ids_that_two_ports_have(bus: Serve) -> None:
     left, _ = bus("1-3:AX-12A", where="left")
     right, _ = bus("1-3:AX-12A", where="right")
@@ -181,9 +181,10 @@ def test_an_ax18_in_a_leg_of_ax12(bus: Serve) -> None:
     said, found = init(device)
     assert "2 x AX-12A, ids 1-2; 1 x AX-18A, ids 3" in said
     assert found.legs[0].servos.models == ("AX-12A", "AX-12A", "AX-18A")
-    assert check_ports(plan_ports(found)).errors == []
+    right = robot(device, ((1, 2, 3), ["AX-12A", "AX-12A", "AX-18A"]))
+    assert check_ports(plan_ports(right), full=False).errors == []
     wrong = robot(device, ((1, 2, 3), ["AX-12A", "AX-18A", "AX-18A"]))
-    [line] = check_ports(plan_ports(wrong)).errors
+    [line] = check_ports(plan_ports(wrong), full=False).errors
     assert "servo 2 (l0 j1) is AX-12A, expected AX-18A" in line
     with pytest.raises(ConfigurationError, match=r"servos\.model has 2 values for 3 joints"):
         robot(device, ((1, 2, 3), ["AX-12A", "AX-18A"]))
@@ -228,18 +229,32 @@ def test_a_servo_at_another_rate_is_looked_for_and_told(bus: Serve) -> None:
         )
         assert why in str(ended.exception)
         assert "servo 6 answers at 57600 baud, protocol 1" in ended.output
-    [line] = check_ports(
-        plan_ports(robot(device, ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A")))
-    ).errors
+    described = robot(device, ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A"), timeout_ms=20)
+    [line] = check_ports(plan_ports(described), full=False).errors
     assert "servo 6 answers at 57600 baud, protocol 1, not at 1000000 baud, protocol 1" in line
     assert "set its baud rate with DYNAMIXEL Wizard" in line
     assert "missing" not in line
     assert all(servo.writes == 0 for servo in servos)
 
 
+def test_the_rate_of_most_servos_is_the_ports(bus: Serve) -> None:
+    """A new servo at its own rate is the odd one, though it is heard first."""
+    device, _ = bus("1:AX-12A:at=0.2", "2-4:AX-12A:baud=115200")
+    out = device.parent / "robot.toml"
+    ended = CliRunner().invoke(
+        cli.app, ["robot", "init", "--device", str(device), "--out", str(out)]
+    )
+    assert "ids 2-4; 115200 baud, protocol 1" in ended.output
+    assert "servo 1 answers at 1000000 baud, protocol 1" in ended.output
+    assert load_robot(out).ports["main"].baud == 115200
+    found = find_servos("main", str(device), (1_000_000,))
+    assert sorted(found.servos) == [1]
+
+
 def test_all_servos_at_another_rate_and_protocol(bus: Serve) -> None:
     device, _ = bus("1-3:XL430-W250:baud=57600")
-    [line] = check_ports(plan_ports(robot(device, ((1, 2, 3), "AX-12A")))).errors
+    described = robot(device, ((1, 2, 3), "AX-12A"), timeout_ms=20)
+    [line] = check_ports(plan_ports(described), full=False).errors
     assert "no servo answers at 1000000 baud, protocol 1" in line
     assert "set baud = 57600 and protocol = 2 in [port.main]" in line
 
@@ -251,8 +266,6 @@ def test_a_servo_that_answers_pings_only_is_told_and_put_right(bus: Serve, model
     [line] = check_ports(plan_ports(described), full=False).errors
     assert "servo 3 answers to pings but not to reads" in line
     assert "--configure" in line
-    with pytest.raises(BusError, match="servo 3 answers to pings but not to reads"):
-        init(device)
     assert servos[2].value("status_return") == 0
     findings = check_ports(plan_ports(described), full=False, configure=True)
     assert findings.errors == []
@@ -267,6 +280,14 @@ def test_init_lets_a_mute_servo_answer(bus: Serve) -> None:
     assert "port main: servo 3: status return level set to 2" in said
     assert found.legs[0].servos.ids == (1, 2, 3)
     assert servos[2].answers == 2
+
+
+@pytest.mark.slow
+def test_init_leaves_a_mute_head_alone(bus: Serve) -> None:
+    device, servos = bus("1-2:AX-12A", "3,20:AX-12A:status_return=0")
+    _, found = init(device, "--configure", "--ids", "1,2,3")
+    assert [servo.answers for servo in servos] == [2, 2, 2, 0]
+    assert found.ports["main"].ignore == (20,)
 
 
 def test_a_locked_register_is_told(bus: Serve) -> None:
@@ -290,7 +311,7 @@ def test_a_servo_that_confirms_no_writes_is_configured(bus: Serve) -> None:
 
 def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
     device, _ = bus("1-2:AX-12A", "1:AX-12A:at=0.4", "20:AX-12A")
-    path = write(device.parent / "robot.toml", robot(device, ((1, 2, 3), "AX-12A")))
+    path = write(device.parent / "robot.toml", robot(device, ((1, 2, 3), "AX-12A"), timeout_ms=10))
     words = [sys.executable, "-m", "adaptive_contact", "robot", "check", "--config", str(path)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=100)
     assert ended.returncode == 2
@@ -396,7 +417,8 @@ def test_a_dynamixel_is_no_feetech() -> None:
 
 def test_check_tells_what_differs_and_what_shapes_the_motion(bus: Serve) -> None:
     device, servos = bus("1-5:AX-12A", "6:AX-12A:upper_slope=64:moving_speed=200")
-    described = robot(device, ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A"))
+    legs = ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A")
+    described = robot(device, *legs, timeout_ms=10)
     path = device.parent / "robot.toml"
     said = CliRunner().invoke(cli.app, ["robot", "check", "--config", str(write(path, described))])
     assert said.exit_code == 0
@@ -499,6 +521,9 @@ def test_the_tutorial_says_of_a_replaced_servo_what_the_commands_say(bus: Serve)
             '[robot]\nname = "t"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
             f'[port.main]\ndevice = "{device}"\n' + "".join(legs),
             source="t",
+        )
+        described = msgspec.structs.replace(
+            described, ports={"main": Port(device=str(device), timeout_ms=20)}
         )
         findings = check_ports(plan_ports(described), full=False)
         found = findings.errors + findings.advice
@@ -669,4 +694,6 @@ def test_find_servos_names_what_it_wrote_nothing_to(bus: Serve) -> None:
     found = find_servos("main", str(device))
     assert found.mute == (1, 2, 3)
     assert found.done == ()
+    with pytest.raises(BusError, match="servo 1, 2, 3 answers to pings but not to reads"):
+        group([found], 3)
     assert all(servo.writes == 0 for servo in servos)
