@@ -505,10 +505,19 @@ def models_named(name: str) -> tuple[ServoModel, ...]:
         )
     if found:
         return found
-    near = difflib.get_close_matches(name, [m.name for m in MODELS], n=1)
-    hint = f"did you mean '{near[0]}'?" if near else "see docs/bridge.md"
-    known = ", ".join(m.name for m in MODELS)
-    raise ConfigurationError(f"unknown servo model '{name}'; known are {known}; {hint}")
+    if wanted in map(_plain, _OTHERS.values()):
+        raise ConfigurationError(
+            f"servo model '{name}' has no control table here; those that have are in docs/bridge.md"
+        )
+    near = difflib.get_close_matches(wanted, [_plain(m.name) for m in MODELS], n=3)
+    likely = [m.name for plain in near for m in MODELS if _plain(m.name) == plain]
+    hint = (
+        f"did you mean '{likely[0]}'?" if likely else "expected one such as AX-12A or XL430-W250;"
+    )
+    also = f" ({', '.join(likely[1:])} are like it, too)" if likely[1:] else ""
+    raise ConfigurationError(
+        f"unknown servo model '{name}'; {hint}{also} all that are known are in docs/bridge.md"
+    )
 
 
 def _plain(name: str) -> str:

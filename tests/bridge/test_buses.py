@@ -359,6 +359,23 @@ def test_a_family_of_two_control_tables_is_none() -> None:
         models_named("MX-10")
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("xc430w250", "did you mean '2XC430-W250'?"),
+        ("AX-12B", "did you mean 'AX-12"),
+        ("foo", "expected one such as AX-12A or XL430-W250; all that are known are in docs"),
+        ("", "expected one such as"),
+        ("EX-106+", "servo model 'EX-106+' has no control table here"),
+    ],
+)
+def test_a_name_of_no_model(name: str, message: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        models_named(name)
+    assert message in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
 def test_models_that_are_named_though_there_is_no_table() -> None:
     assert number_name(107) == "EX-106+, model number 107"
     assert number_name(35073) == "RH-P12-RN, model number 35073"
