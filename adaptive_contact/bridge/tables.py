@@ -511,12 +511,11 @@ def models_named(name: str) -> tuple[ServoModel, ...]:
         )
     near = difflib.get_close_matches(wanted, [_plain(m.name) for m in MODELS], n=3)
     likely = [m.name for plain in near for m in MODELS if _plain(m.name) == plain]
-    hint = (
-        f"did you mean '{likely[0]}'?" if likely else "expected one such as AX-12A or XL430-W250;"
-    )
-    also = f" ({', '.join(likely[1:])} are like it, too)" if likely[1:] else ""
+    hint = "expected one such as AX-12A or XL430-W250;"
+    if likely:
+        hint = f"did you mean {', '.join(map(repr, likely))}?"
     raise ConfigurationError(
-        f"unknown servo model '{name}'; {hint}{also} all that are known are in docs/bridge.md"
+        f"unknown servo model '{name}'; {hint} all that are known are in docs/bridge.md"
     )
 
 
