@@ -383,12 +383,14 @@ def test_models_that_are_named_though_there_is_no_table() -> None:
 
 
 def test_the_other_firmware_of_an_mx(bus: Serve) -> None:
-    device, _ = bus("1:MX-28(2.0)")
+    device, _ = bus("1-3:MX-28(2.0)")
     with pytest.raises(ConfigurationError, match=r'or model = "MX-28\(2\.0\)" if it has that'):
         plan_ports(robot(device, ((1,), "MX-28"), protocol=2))
-    said, found = init(device, "--joints", "1")
-    assert "1 x MX-28(2.0), ids 1" in said
-    assert check_ports(plan_ports(found), drive=True).errors == []
+    said, found = init(device)
+    assert "3 x MX-28(2.0), ids 1-3" in said
+    assert found.legs[0].servos.model == "MX-28(2.0)"
+    described = robot(device, ((1, 2, 3), "MX-28(2.0)"), protocol=2)
+    assert check_ports(plan_ports(described), full=False, drive=True).errors == []
 
 
 def test_fast_sync_read_is_not_for_an_xl320() -> None:
