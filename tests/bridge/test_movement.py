@@ -317,3 +317,52 @@ def test_nothing_moves_that_was_not_asked_to_move(
     stays = last - step < start < bounds[0] or bounds[1] < start < last + step
     assert moved or there or why or stays, "neither moved, nor said why"
     event("moved" if moved else "there" if there else why.split(" (")[-1][:30])
+
+
+kinds = {p: [m for m in KINDS if models_named(m)[0].protocol == p] for p in (1, 2)}
+pair = st.sampled_from((1, 2)).flatmap(lambda p: st.tuples(*[st.sampled_from(kinds[p])] * 2))
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    names=pair,
+    at=st.tuples(*[st.floats(-2.0, 2.0)] * 2),
+    torque=st.tuples(*[st.integers(0, 1)] * 2),
+    wanted=st.tuples(*[st.floats(-2.0, 2.0)] * 2),
+    max_step=st.floats(0.05, 0.6),
+)
+def test_servos_of_different_control_tables_share_a_leg(
+    lines: dict[int, Line],
+    names: tuple[str, str],
+    at: tuple[float, float],
+    torque: tuple[int, int],
+    wanted: tuple[float, float],
+    max_step: float,
+) -> None:
+    models = [models_named(name)[0] for name in names]
+    line, horns, servos, joints = lines[models[0].protocol], Horns(2), [], []
+    for i, model in enumerate(models):
+        horns.place(i, at[i])
+        goal = model.centre + round(at[i] / model.step_rad)
+        registers = {"goal_position": goal, "torque_enable": torque[i]}
+        servos.append(any_servo(i + 1, model.name, horns, i, registers))
+        joints.append(JointPlan(i + 1, f"j{i}", (model,), 1, 0.0, -2.5, 2.5))
+    line.port.servos = tuple(servos)
+    mailbox = Mailbox()
+    plan = dataclasses.replace(line.plan, legs=(LegPlan("l", tuple(joints), max_step),))
+    cycle = Cycle(plan, line.bus, "drive", mailbox, 1)
+    for tick in range(SETTLED_TICKS + round(4.0 / (EASY_SHARE * max_step))):
+        before = list(horns.angles)
+        mailbox.put("l", encode(Command(desired=list(wanted))), MSGPACK, time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        cycle.tick(0, tick, now_ns, now_ns)
+        for was, now, model in zip(before, horns.angles, models, strict=True):
+            assert abs(now - was) <= max_step + model.step_rad
+        if all(
+            abs(now - want) <= 2 * model.step_rad
+            for now, want, model in zip(horns.angles, wanted, models, strict=True)
+        ):
+            return
+    raise AssertionError(f"stand at {horns.angles}, not at {wanted}: {cycle.lacking}")
