@@ -135,7 +135,11 @@ def dynamixel(
     ] = False,
     configure: Annotated[
         bool,
-        typer.Option("--configure", help="Set return delays to 0 (in the servos' EEPROM)."),
+        typer.Option(
+            "--configure",
+            help="Set return delays to 0, and let servos answer that answer pings only (status "
+            "return level 2), in the servos' EEPROM.",
+        ),
     ] = False,
     realtime: RealtimeOption = False,
     device: DeviceOption = None,

@@ -44,6 +44,7 @@ __all__ = ["app"]
 
 app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
+_JOINTS: Final = 3
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
 _PIPE_WIDTH: Final = 110
@@ -60,13 +61,28 @@ def init(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="Description to write.")
     ] = Path("robot.toml"),
-    joints: Annotated[int, typer.Option("--joints", min=1, max=16, help="Per leg.")] = 3,
+    joints: Annotated[
+        int | None,
+        typer.Option(
+            "--joints", min=1, max=16, help="Per leg; 3 unless given.", show_default=False
+        ),
+    ] = None,
+    ids: Annotated[
+        str | None,
+        typer.Option(
+            "--ids",
+            metavar="ID,ID,.../ID,...",
+            help="Servos of each leg, from the body outwards, such as 2,4,6/8,10,12; all others, "
+            "such as a head's, are ignored.  Without it, all are taken in the order of their ids.",
+            show_default=False,
+        ),
+    ] = None,
     legs: Annotated[
         str | None,
         typer.Option(
             "--legs",
             metavar="ID,ID,...",
-            help="Names, in the order of the servos' ids.",
+            help="Names, in the order of the servos' ids, or of --ids.",
             show_default=False,
         ),
     ] = None,
@@ -84,9 +100,20 @@ def init(
         int | None,
         typer.Option("--baud", help="Otherwise the usual ones are tried.", show_default=False),
     ] = None,
+    configure: Annotated[
+        bool,
+        typer.Option(
+            "--configure",
+            help="Let servos that answer pings only answer reads (status return level 2, in the "
+            "EEPROM of AX, RX, MX and XL-320).",
+        ),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
-    """Ask the bus who is there, and write a robot.toml to fill in.  Moves and sets nothing."""
+    """Ask the bus who is there, and write a robot.toml to fill in.  Moves nothing.
+
+    Without --configure it sets nothing either.
+    """
     import msgspec
 
     with needs_sdk():
@@ -95,6 +122,7 @@ def init(
             find_servos,
             group,
             steepness,
+            wanted_legs,
             write_robot,
         )
         from adaptive_contact.bridge.tables import BAUDS
@@ -109,24 +137,56 @@ def init(
     if holds_content(out) and not force:
         raise ConfigurationError(f"{out} is there already; give another --out, or --force")
     check_output(out, "--out")
-    ids = _names(legs, name, devices)
+    names = _names(legs, name, devices)
+    wanted = () if ids is None else wanted_legs(ids)
+    odd = next((leg.ids for leg in wanted if len(leg.ids) != (joints or len(leg.ids))), None)
+    if odd is not None:
+        raise ConfigurationError(
+            f"--ids has a leg of {len(odd)} servos ({','.join(map(str, odd))}), --joints says "
+            f"{joints}; leave --joints out, or correct --ids"
+        )
+    for leg in wanted:
+        if leg.port is not None and leg.port not in devices:
+            raise ConfigurationError(
+                f"--ids names port '{leg.port}'; --device gives {', '.join(devices)}"
+            )
     if baud is not None and baud not in BAUDS:
         raise ConfigurationError(
             f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
         )
     bauds = () if baud is None else (baud,)
+    measured = None
+    if lengths is not None:
+        numbers = {len(leg.ids) for leg in wanted} or {joints or _JOINTS}
+        if len(numbers) > 1:
+            raise ConfigurationError(
+                "--lengths is for legs that are alike, and --ids has legs of "
+                f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
+            )
+        measured = _lengths(lengths, numbers.pop())
     found = [
-        find_servos(port, path, *((bauds,) if bauds else ())) for port, path in devices.items()
+        find_servos(
+            port,
+            path,
+            *((bauds,) if bauds else ()),
+            ids=[s for leg in wanted if leg.port in (port, None) for s in leg.ids]
+            if len(devices) == 1 or all(leg.port for leg in wanted)
+            else (),
+            configure=configure,
+        )
+        for port, path in devices.items()
     ]
     for line in describe(found):
         say(line)
-    robot = group(found, joints, ids)
+    robot = group(found, joints or _JOINTS, names, wanted=wanted)
     robot = msgspec.structs.replace(robot, name=name)
-    if lengths is not None:
-        measured = _lengths(lengths, joints)
+    for port, settings in robot.ports.items():
+        if settings.ignore:
+            say(f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored")
+    if measured is not None:
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
-    slopes = steepness(found)
+    slopes = steepness(found, robot)
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
         told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
         say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
@@ -134,8 +194,9 @@ def init(
     parse_robot(text, source=f"{out} would not be read back, so it is not written")
     write_file(out, text, advice="give another --out")
     todo = "" if lengths is not None else "fill in lengths_m, then "
+    sizes = " and ".join(map(str, sorted({len(leg.joints) for leg in robot.legs})))
     say(
-        f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
+        f"wrote {out}: {len(robot.legs)} legs of {sizes} joints; {todo}run "
         f"`adaptive-contact robot check --config {out}`"
     )
 
@@ -261,6 +322,7 @@ def _check_bus(
 ) -> None:
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
+        from adaptive_contact.bridge.compare import compare, read_servos
 
     from rich.live import Live
 
@@ -268,6 +330,8 @@ def _check_bus(
 
     robot, plans = _planned(config, device)
     _shake_hands(plans)
+    for line in compare(read_servos(plans)):
+        _say(line)
     console = table_console(pipe_width=_PIPE_WIDTH)
     with Live(console=console, refresh_per_second=10, transient=True) as table:
 

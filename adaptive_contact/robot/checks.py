@@ -14,6 +14,8 @@ __all__ = ["check"]
 
 # What one service has been tried with (`make many`).
 MAX_LEGS: Final = 64
+# A Dynamixel bus: 253 is reserved, 254 is everybody.
+MAX_SERVO_ID: Final = 252
 
 _Fail = Callable[[str], NoReturn]
 
@@ -68,6 +70,9 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
             fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
         if not 0.5 <= port.timeout_ms <= 100.0:
             fail(f"[port.{name}] timeout_ms is {port.timeout_ms}; expected 0.5 to 100 (usual: 5)")
+        for servo in port.ignore:
+            if not 0 <= servo <= MAX_SERVO_ID:
+                fail(f"[port.{name}] ignore has {servo}; ids are 0 to {MAX_SERVO_ID}")
     owner: dict[tuple[str | None, int], str] = {}
     for leg in robot.legs:
         servos = leg.servos
@@ -82,8 +87,14 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
         if not 1e-3 <= servos.max_step_rad <= 1.0:
             fail(f"{where}: servos.max_step_rad is {servos.max_step_rad}; expected 0.001 to 1 rad")
         for servo in servos.ids:
-            if not 0 <= servo <= 252:
-                fail(f"{where}: servo id {servo}; ids are 0 to 252")
+            if not 0 <= servo <= MAX_SERVO_ID:
+                fail(f"{where}: servo id {servo}; ids are 0 to {MAX_SERVO_ID}")
+            for name, port in robot.ports.items():
+                if servos.port in (name, None) and servo in port.ignore:
+                    fail(
+                        f"{where}: servo id {servo} is in ignore of [port.{name}], too; take it "
+                        "out of one of them"
+                    )
             before = owner.setdefault((servos.port, servo), leg.id)
             if before != leg.id or servos.ids.count(servo) > 1:
                 fail(
@@ -107,6 +118,7 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
         ("limits.lower_rad", leg.limits.lower_rad if leg.limits else None),
         ("limits.upper_rad", leg.limits.upper_rad if leg.limits else None),
         ("servos.ids", leg.servos.ids if leg.servos else None),
+        ("servos.model", leg.servos.models if leg.servos else None),
         ("servos.directions", leg.servos.directions if leg.servos else None),
         ("servos.offsets_rad", leg.servos.offsets_rad if leg.servos else None),
         ("angles.directions", leg.angles.directions if leg.angles else None),

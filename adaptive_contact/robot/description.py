@@ -66,7 +66,7 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         ids: (J,) on the bus.
-        model: of all of them, or their family, such as ``XL-330``.
+        model: of all of them, or their family, such as ``XL-330``; or (J,), one of each.
         directions: (J,) 1 or -1.
         offsets_rad: (J,) angle of the joint with the horn in its centre.
         port: name of a ``[port.NAME]``; may be left out where there is one.
@@ -74,11 +74,16 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     ids: tuple[int, ...]
-    model: str = "AX-12A"
+    model: str | tuple[str, ...] = "AX-12A"
     directions: tuple[int, ...] | None = None
     offsets_rad: tuple[float, ...] | None = None
     port: str | None = None
     max_step_rad: float = 0.15
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """(J,) the model of each servo."""
+        return (self.model,) * len(self.ids) if isinstance(self.model, str) else self.model
 
 
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -132,9 +137,10 @@ class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         device: such as ``/dev/ttyUSB0``.
         baud: bits per second.
-        protocol: Dynamixel protocol, 1 (AX, MX) or 2 (X-series).
+        protocol: Dynamixel protocol, 1 (AX, RX, MX) or 2 (X-series, MX with that firmware).
         fast: read with fast sync read (X-series, firmware 45 or newer).
         timeout_ms: how long an answer may take beyond its bytes.
+        ignore: ids of servos that are no joint of a leg, such as a head's: they are left alone.
     """
 
     device: str
@@ -142,6 +148,7 @@ class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     protocol: Literal[1, 2] = 1
     fast: bool = False
     timeout_ms: float = 5.0
+    ignore: tuple[int, ...] = ()
 
 
 class Robot(msgspec.Struct, frozen=True):
