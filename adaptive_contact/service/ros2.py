@@ -148,6 +148,8 @@ class Gateway:
         self._contacts: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
         self._learners: dict[str, Received] = {}
         self._heard_s: float | None = None
+        self._numbers = itertools.count(1)
+        self._shown: set[str] = set()
         self._samples = {leg: service.publisher(servo_key(leg)) for leg in self.intake.legs}
 
     @property
@@ -197,7 +199,7 @@ class Gateway:
     def _declare(self) -> None:
         node, ros, report = self._node, self._ros, self._report
         ros.token(node.token)
-        numbers = itertools.count(1)
+        numbers = self._numbers
         self._of_leg = {
             leg: _RosPublisher(ros, node, next(numbers), address)
             for leg, address in report.contacts.items()
@@ -208,11 +210,17 @@ class Gateway:
             ros.subscribe(
                 rmw.any_type(node.domain, topic), functools.partial(self._inbox.put, topic)
             )
-            for type_name in types:
-                address = rmw.Address(topic, type_name, self._types.hash_of(type_name))
-                ros.token(node.endpoint_token("MS", next(numbers), address, rmw.STREAM))
+            if len(types) == 1:
+                self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
         self._service.subscribe(ALL_CONTACT, self._contacts.put, history=True)
         self._service.subscribe(ALL_LEARNER, self._note_learner)
+
+    def _show(self, address: rmw.Address) -> None:
+        """Let the graph see what is subscribed to; of several types, the one that comes."""
+        if address.topic not in self._shown:
+            self._shown.add(address.topic)
+            number = next(self._numbers)
+            self._ros.token(self._node.endpoint_token("MS", number, address, rmw.STREAM))
 
     def _note_learner(self, received: Received) -> None:
         if received.key in self._learners or len(self._learners) < len(self._legs):
@@ -265,6 +273,7 @@ class Gateway:
                 )
             )
             return
+        self._show(address)
         attached = rmw.decode_attachment(received.attachment)
         if attached is None:
             origin = Origin(b"", None, received.published_ns or time.time_ns())

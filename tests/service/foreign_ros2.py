@@ -3,8 +3,8 @@
     python tests/service/foreign_ros2.py PORT
 
 Prints a line of JSON per message.  Publishes a controller's state of two legs at 50 Hz, ten ticks
-in contact and ten free, until standard input says "quiet"; a listener that joins then gets the
-latched value.  Ends with standard input.
+in contact and ten free, until standard input says "quiet"; then tells what it sees of the graph.
+Ends with standard input.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, get_topic_names_and_types
-from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 STATE = "control_msgs/msg/JointTrajectoryControllerState"
 VALUES = "control_msgs/msg/DynamicJointState"
@@ -63,11 +62,10 @@ def main(port: int) -> None:
     def say(**line: object) -> None:
         print(json.dumps(line), flush=True)
 
-    def listen(topic: str, name: str, tell: Any, quality: QosProfile | None = None) -> Any:
-        return ROS2Subscriber(topic=topic, callback=tell, qos=quality, **definition(name))
+    def listen(topic: str, name: str, tell: Any) -> Any:
+        return ROS2Subscriber(topic=topic, callback=tell, **definition(name))
 
-    latched = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=1)
-    kept = [
+    _kept = [
         listen(
             "/adaptive_contact/rf/contact", BOOL, lambda m: say(topic="rf", contact=bool(m.data))
         ),
@@ -125,14 +123,6 @@ def main(port: int) -> None:
         due += 0.02
         quiet.wait(max(0.0, due - time.monotonic()))
     say(topic="graph", topics=dict(get_topic_names_and_types(router_port=port, domain_id=0)))
-    kept.append(
-        listen(
-            "/adaptive_contact/rf/contact",
-            BOOL,
-            lambda m: say(topic="late", contact=bool(m.data)),
-            latched,
-        )
-    )
     say(topic="sent", ticks=tick)
     sys.stdin.read()
 
