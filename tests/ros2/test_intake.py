@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -74,7 +75,7 @@ def test_feedback_is_measured_and_reference_desired(rig, messages, joints, kind)
 def test_lost_messages_are_gaps_of_seq(rig, made, joints) -> None:
     used = rig()
     seqs = [state(used, made, joints, seq)["rf"].seq for seq in (5, 6, 9, 10)]
-    assert [b - a for a, b in zip(seqs, seqs[1:], strict=False)] == [1, 3, 1]
+    assert [b - a for a, b in itertools.pairwise(seqs)] == [1, 3, 1]
 
 
 def test_a_message_twice_is_used_once(rig, made, joints) -> None:

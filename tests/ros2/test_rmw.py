@@ -1,4 +1,4 @@
-"""Keys, tokens and attachments, against the examples of rmw_zenoh's design and Zenoh's own coder."""
+"""Keys, tokens and attachments, against the examples of rmw_zenoh's design and Zenoh's coder."""
 
 from __future__ import annotations
 

@@ -59,8 +59,11 @@ def main(port: int) -> None:
             "domain_id": 0,
         }
 
+    writing = threading.Lock()
+
     def say(**line: object) -> None:
-        print(json.dumps(line), flush=True)
+        with writing:  # listeners have threads of their own
+            print(json.dumps(line), flush=True)
 
     def listen(topic: str, name: str, tell: Any) -> Any:
         return ROS2Subscriber(topic=topic, callback=tell, **definition(name))
