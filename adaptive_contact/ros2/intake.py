@@ -225,6 +225,8 @@ class Intake:
         self._publishers: dict[tuple[str, bytes], _Publisher] = {}
         self._layouts: dict[str, dict[tuple[str, ...], list[tuple[_LegState, list[int]]]]] = {}
         self._offset_ns: int | None = None
+        # Switches that closed or opened before any stamp was seen.
+        self._early: list[tuple[_LegState, bool, Origin]] = []
         self._gap_ns = round(_GAP_PERIODS * robot.period_s * _NS)
         self._period_ns = robot.period_s * _NS
         for leg in robot.legs:
@@ -298,6 +300,9 @@ class Intake:
         made: list[tuple[str, Message]] = []
         if roles.states and type_name in STATES:
             made += self._states(topic, type_name, message, origin)
+            for leg, touches, early in self._early if self._offset_ns is not None else ():
+                made += self._truth(leg, touches, early)
+            self._early.clear()
         if roles.commands and type_name in COMMANDS:
             self._commands(topic, type_name, message, roles)
         if type_name in FLAGS:
@@ -574,7 +579,11 @@ class Intake:
 
     def _truth(self, leg: _LegState, touches: bool, origin: Origin) -> list[tuple[str, Message]]:
         """A change of a foot switch, on the clock of the samples' stamps."""
-        if touches == leg.touches or self._offset_ns is None:
+        if self._offset_ns is None:
+            if len(self._early) < len(self._legs):
+                self._early.append((leg, touches, origin))
+            return []
+        if touches == leg.touches:
             return []
         leg.touches = touches
         t_ns = origin.time_ns + self._offset_ns

@@ -110,7 +110,10 @@ class Types:
         for name, store in self._stores.items():
             for kind in known:
                 self._by_hash.setdefault((kind, store.hash_rihs01(kind)), self._stores[name])
-        self._unhashed = [self._stores["humble"], self._stores["old"]]
+        self._unhashed = {
+            NO_HASH: [self._stores["humble"], self._stores["old"]],
+            "": list(self._stores.values()),
+        }
 
     def hash_of(self, type_name: str) -> str:
         """What stands in keys for a type's definition."""
@@ -119,13 +122,17 @@ class Types:
     def decode(self, type_name: str, type_hash: str, payload: bytes) -> Any:
         """Read a message.
 
+        Args:
+            type_name: of the message.
+            type_hash: of its definition; an empty text tries each, and lengths tell them apart.
+            payload: CDR.
+
         Raises:
             UnknownHashError: no definition has this hash.
             CdrError: the bytes are no such message.
         """
-        if type_hash == NO_HASH:
-            stores = self._unhashed
-        else:
+        stores = self._unhashed.get(type_hash, [])
+        if not stores:
             found = self._by_hash.get((type_name, type_hash))
             if found is None:
                 hashes = [hash_ for kind, hash_ in self._by_hash if kind == type_name]

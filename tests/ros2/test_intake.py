@@ -211,9 +211,16 @@ def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:
 
 def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
     used = rig(STATE + '\nphase = "/gait/{leg}/swing"\ntruth = "/feet/{leg}"')
-    assert used.take("/feet/rf", BOOL, made.flag(True)) == {}  # on no clock yet
+    assert used.take("/feet/lf", BOOL, made.flag(False), time_ns=79 * 10**9) == {}  # no clock yet
     used.take("/gait/rf/swing", BOOL, made.flag(True))
-    got = state(used, made, joints, 1, stamp=50 * 10**9, time_ns=80 * 10**9)
+    message = made.state(joints, [0.0] * 6, [0.0] * 6, 50 * 10**9)
+    origin = Origin(A, 1, 80 * 10**9)
+    *both, (leg, first) = used.intake.take(
+        "/legs/controller_state", CONTROLLER_STATE, message, origin
+    )
+    assert leg == "lf"
+    assert first == ContactTruth(t_ns=49 * 10**9, contact=False, force=0.0)
+    got = dict(both)
     assert (got["rf"].phase, got["lf"].phase) == ("swing", None)
     used.take("/gait/rf/swing", BOOL, made.flag(False))
     assert state(used, made, joints, 2)["rf"].phase == "stance"
