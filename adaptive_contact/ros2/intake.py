@@ -323,8 +323,7 @@ class Intake:
         whole = type_name == CONTROLLER_STATE
         if whole:
             names = message.joint_names
-            feedback, reference = _points(message)
-            readings, commands = feedback.positions, reference.positions
+            readings, commands = message.feedback.positions, message.reference.positions
         else:
             names, readings, commands = message.name, message.position, None
         if len(readings) != len(names) or (commands is not None and len(commands) != len(names)):
@@ -589,15 +588,6 @@ class Intake:
         t_ns = origin.time_ns + self._offset_ns
         # A switch knows no force; it has closed.
         return [(leg.id, ContactTruth(t_ns=t_ns, contact=touches, force=0.0))]
-
-
-def _points(message: Any) -> tuple[Any, Any]:
-    """Feedback and reference of a controller's state, by their old names where those are filled."""
-    feedback = getattr(message, "feedback", None)
-    reference = getattr(message, "reference", None)
-    if feedback is None or (not len(feedback.positions) and hasattr(message, "actual")):
-        feedback, reference = message.actual, message.desired
-    return feedback, reference
 
 
 def _some(names: Sequence[str]) -> str:

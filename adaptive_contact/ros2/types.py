@@ -10,12 +10,13 @@ Reference: REP-2016 (type hashes); control_msgs at 6.8 and its branch ``humble``
 from __future__ import annotations
 
 import struct
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from adaptive_contact.ros2.cdr import CdrError, StateReader
 from adaptive_contact.ros2.names import (
     ARRAY,
     BOOL,
@@ -36,25 +37,38 @@ _POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
 _MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
 
 
-def _state_fields(single: str, multi: str = "", last: str = "") -> str:
-    """Definition of a controller state with these points, in their order."""
-    lines = ["std_msgs/Header header", "string[] joint_names"]
-    lines += [f"{_POINT} {name}" for name in single.split()]
-    if multi:
-        lines.append("string[] multi_dof_joint_names")
-        lines += [f"{_MULTI} multi_dof_{name}" for name in multi.split()]
-    return "\n".join([*lines, last, ""])
+class _Definition(NamedTuple):
+    """A definition of a controller's state."""
+
+    points: str
+    multi: bool = True
+    scaling: bool = False
+
+    @property
+    def fields(self) -> str:
+        """As rosidl writes it."""
+        lines = ["std_msgs/Header header", "string[] joint_names"]
+        lines += [f"{_POINT} {name}" for name in self.points.split()]
+        if self.multi:
+            lines.append("string[] multi_dof_joint_names")
+            lines += [f"{_MULTI} multi_dof_{name}" for name in self.points.split()]
+        if self.scaling:
+            lines.append("float64 speed_scaling_factor")
+        return "\n".join([*lines, ""])
+
+    def reader(self) -> StateReader:
+        """A reader of it."""
+        points = tuple(self.points.split())
+        return StateReader(points, len(points) if self.multi else 0, scaling=self.scaling)
 
 
 _NEW: Final = "reference feedback error output"
-_BOTH: Final = f"{_NEW} desired actual"
-_OLD: Final = "desired actual error"
 # The newest first.
 _CONTROLLER_STATES: Final = {
-    "jazzy": _state_fields(_NEW, _NEW, "float64 speed_scaling_factor"),
-    "2023": _state_fields(_NEW, _NEW),
-    "humble": _state_fields(_BOTH, _BOTH),
-    "old": _state_fields(_OLD),
+    "jazzy": _Definition(_NEW, scaling=True),
+    "2023": _Definition(_NEW),
+    "humble": _Definition(f"{_NEW} desired actual"),
+    "old": _Definition("desired actual error", multi=False),
 }
 _JOINT_VALUES: Final = (
     "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
@@ -63,10 +77,6 @@ _INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
 
 # What rosbags' generated code raises on bytes that are no such message.
 _DAMAGE: Final = (SerdeError, struct.error, ValueError, IndexError, OverflowError, MemoryError)
-
-
-class CdrError(Exception):
-    """A payload is no message of its type."""
 
 
 class UnknownHashError(Exception):
@@ -83,7 +93,7 @@ def typestore(state: str = "jazzy") -> Typestore:
     store.max_sequence_length = _MOST_ITEMS
     store.register(
         {
-            **get_types_from_msg(_CONTROLLER_STATES[state], CONTROLLER_STATE),
+            **get_types_from_msg(_CONTROLLER_STATES[state].fields, CONTROLLER_STATE),
             **get_types_from_msg(_JOINT_VALUES, JOINT_VALUES),
             **get_types_from_msg(_INTERFACE_VALUE, "control_msgs/msg/InterfaceValue"),
         }
@@ -104,16 +114,15 @@ class Types:
         own = self._stores["jazzy" if self._hashed else "humble"]
         self._own = own
         self.types: dict[str, Any] = own.types
-        known = (CONTROLLER_STATE, JOINT_STATE, TRAJECTORY, ARRAY, BOOL, JOINT_VALUES, DIAGNOSTICS)
-        # Definitions by (type, hash), and all that a key without hash may mean.
-        self._by_hash: dict[tuple[str, str], Typestore] = {}
-        for name, store in self._stores.items():
-            for kind in known:
-                self._by_hash.setdefault((kind, store.hash_rihs01(kind)), self._stores[name])
-        self._unhashed = {
-            NO_HASH: [self._stores["humble"], self._stores["old"]],
-            "": list(self._stores.values()),
+        self._readers = {
+            store.hash_rihs01(CONTROLLER_STATE): _CONTROLLER_STATES[name].reader()
+            for name, store in self._stores.items()
         }
+        # Definitions that a key without hash may mean, and a bag that says nothing.
+        every = list(self._readers.values())
+        self._unhashed = {NO_HASH: every[2:], "": every}
+        others = (JOINT_STATE, TRAJECTORY, ARRAY, BOOL, JOINT_VALUES, DIAGNOSTICS)
+        self._hashes = {name: own.hash_rihs01(name) for name in others}
 
     def hash_of(self, type_name: str) -> str:
         """What stands in keys for a type's definition."""
@@ -131,21 +140,29 @@ class Types:
             UnknownHashError: no definition has this hash.
             CdrError: the bytes are no such message.
         """
-        stores = self._unhashed.get(type_hash, [])
-        if not stores:
-            found = self._by_hash.get((type_name, type_hash))
-            if found is None:
-                hashes = [hash_ for kind, hash_ in self._by_hash if kind == type_name]
-                raise UnknownHashError(", ".join(hash_[:15] + "…" for hash_ in hashes))
-            stores = [found]
-        why = ""
-        for store in stores:
+        if type_name != CONTROLLER_STATE:
+            known = self._hashes.get(type_name, "")
+            if type_hash not in (NO_HASH, "", known):
+                raise UnknownHashError(_short(known))
             try:
-                return store.deserialize_cdr(payload, type_name)
+                return self._own.deserialize_cdr(payload, type_name)
             except _DAMAGE as error:
-                why = why or str(error) or type(error).__name__
+                raise CdrError(str(error) or type(error).__name__) from error
+        readers = self._unhashed.get(type_hash) or [self._readers.get(type_hash)]
+        why = ""
+        for reader in readers:
+            if reader is None:
+                raise UnknownHashError(", ".join(map(_short, self._readers)))
+            try:
+                return reader.read(payload)
+            except CdrError as error:
+                why = why or str(error)
         raise CdrError(why)
 
     def encode(self, message: Any) -> bytes:
         """CDR of a message made of :attr:`types`."""
         return bytes(self._own.serialize_cdr(message, message.__msgtype__))
+
+
+def _short(type_hash: str) -> str:
+    return type_hash[:15] + "…"

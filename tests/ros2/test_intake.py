@@ -12,6 +12,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.ros2.intake import Complaints, Intake, Origin, Problem, Reason
 from adaptive_contact.ros2.names import ARRAY, BOOL, CONTROLLER_STATE, JOINT_STATE, TRAJECTORY
+from adaptive_contact.ros2.types import Types, typestore
 from adaptive_contact.wire import ContactTruth, ServoSample
 
 from .conftest import LEGS, text_of
@@ -19,6 +20,19 @@ from .conftest import LEGS, text_of
 STATE = 'state = "/legs/controller_state"'
 BOTH = 'state = "/joint_states"\ncommand = "/commands"'
 A, B = b"a" * 16, b"b" * 16
+
+
+STORES = [typestore(kind) for kind in ("jazzy", "2023", "humble", "old")]
+READER = Types()
+
+
+def read_state(message: Any) -> Any:
+    """As it is read from the wire, without a hash."""
+    for store in STORES:
+        if [name for name, _ in store.fielddefs[CONTROLLER_STATE][1]] == list(vars(message))[:-1]:
+            payload = bytes(store.serialize_cdr(message, CONTROLLER_STATE))
+            return READER.decode(CONTROLLER_STATE, "", payload)
+    raise AssertionError(list(vars(message)))
 
 
 class Rig:
@@ -38,6 +52,8 @@ class Rig:
         by: bytes = A,
         time_ns: int = 10**9,
     ) -> dict[str, Any]:
+        if name == CONTROLLER_STATE:
+            message = read_state(message)
         return dict(self.intake.take(topic, name, message, Origin(by, seq, time_ns)))
 
     @property
@@ -213,7 +229,7 @@ def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
     used = rig(STATE + '\nphase = "/gait/{leg}/swing"\ntruth = "/feet/{leg}"')
     assert used.take("/feet/lf", BOOL, made.flag(False), time_ns=79 * 10**9) == {}  # no clock yet
     used.take("/gait/rf/swing", BOOL, made.flag(True))
-    message = made.state(joints, [0.0] * 6, [0.0] * 6, 50 * 10**9)
+    message = read_state(made.state(joints, [0.0] * 6, [0.0] * 6, 50 * 10**9))
     origin = Origin(A, 1, 80 * 10**9)
     *both, (leg, first) = used.intake.take(
         "/legs/controller_state", CONTROLLER_STATE, message, origin

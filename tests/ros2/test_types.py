@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE, JOINT_STATE, JOINT_VALUES
 from adaptive_contact.ros2.rmw import NO_HASH
 from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError, typestore
+
+READER = Types()
+STORES = {state: typestore(state) for state in ("jazzy", "2023", "humble", "old")}
 
 # From C sources that rosidl_generator_c wrote (Iron and Kilted).
 GENERATED = {
@@ -28,9 +33,10 @@ def test_each_definition_is_read_by_its_hash(state, messages, joints) -> None:
     sent = made.state(joints, [0.1] * 6, [0.2] * 6)
     hash_ = made.store.hash_rihs01(CONTROLLER_STATE)
     read = Types().decode(CONTROLLER_STATE, hash_, made.cdr(sent))
-    assert read.joint_names == joints
-    fields = ("actual", "desired") if state == "old" else ("feedback", "reference")
-    assert [getattr(read, name).positions[0] for name in fields] == [0.1, 0.2]
+    assert list(read.joint_names) == joints
+    assert read.header.stamp == (1, 0)
+    assert read.feedback.positions == (0.1,) * 6
+    assert read.reference.positions == (0.2,) * 6
 
 
 @pytest.mark.parametrize("state", ["humble", "old"])
@@ -38,7 +44,7 @@ def test_without_hashes_the_layout_decides(state, messages, joints) -> None:
     made = messages(state)
     sent = made.state(joints, [0.1] * 6, [0.2] * 6)
     read = Types("humble").decode(CONTROLLER_STATE, NO_HASH, made.cdr(sent))
-    assert read.actual.positions[5] == 0.1
+    assert read.feedback.positions[5] == 0.1
 
 
 def test_humble_writes_no_hashes() -> None:
@@ -81,3 +87,56 @@ def test_damage_is_refused_or_read(messages, joints) -> None:
         except CdrError:
             refused += 1
     assert refused > 300
+
+
+@pytest.mark.parametrize("state", ["jazzy", "2023", "humble", "old"])
+@settings(max_examples=25)
+@given(data=st.data())
+def test_states_are_read_as_rosbags_reads_them(state: str, data: st.DataObject) -> None:
+    store = STORES[state]
+    types = store.types
+    numbers = st.lists(st.floats(allow_nan=False), max_size=5)
+    texts = st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0")), max_size=4)
+    seconds = st.integers(-(2**31), 2**31 - 1)
+    nanoseconds = st.integers(0, 2**32 - 1)
+    duration = types["builtin_interfaces/msg/Duration"](sec=1, nanosec=2)
+
+    def point() -> object:
+        lists = [np.array(data.draw(numbers), dtype=np.float64) for _ in range(4)]
+        return types["trajectory_msgs/msg/JointTrajectoryPoint"](*lists, duration)
+
+    def multi() -> object:
+        vector = types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
+        turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        place = types["geometry_msgs/msg/Transform"](vector, turn)
+        twist = types["geometry_msgs/msg/Twist"](vector, vector)
+        few = st.integers(0, 2)
+        return types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"](
+            [place] * data.draw(few), [twist] * data.draw(few), [twist] * data.draw(few), duration
+        )
+
+    values: dict[str, object] = {}
+    for name, _ in store.fielddefs[CONTROLLER_STATE][1]:
+        if name == "header":
+            stamp = types["builtin_interfaces/msg/Time"](data.draw(seconds), data.draw(nanoseconds))
+            frame = data.draw(st.text(st.characters(codec="utf-8", exclude_characters="\0")))
+            values[name] = types["std_msgs/msg/Header"](stamp, frame)
+        elif name.endswith("joint_names"):
+            values[name] = data.draw(texts)
+        elif name == "speed_scaling_factor":
+            values[name] = 1.0
+        else:
+            values[name] = multi() if name.startswith("multi_dof") else point()
+    little = data.draw(st.booleans())
+    made = types[CONTROLLER_STATE](**values)
+    payload = bytes(store.serialize_cdr(made, CONTROLLER_STATE, little_endian=little))
+    read = READER.decode(CONTROLLER_STATE, store.hash_rihs01(CONTROLLER_STATE), payload)
+    stamp = values["header"].stamp
+    assert read.header.stamp == (stamp.sec, stamp.nanosec)
+    assert list(read.joint_names) == values["joint_names"]
+    for mine, name, old in (
+        (read.feedback, "feedback", "actual"),
+        (read.reference, "reference", "desired"),
+    ):
+        known = [values[n].positions.tolist() for n in (name, old) if n in values]
+        assert list(mine.positions) == next((p for p in known if p), [])
