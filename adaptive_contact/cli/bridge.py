@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -202,30 +202,36 @@ def ros2(
     robot = robot_of(config)
     with needs_rosbags():
         from adaptive_contact.ros2.intake import check_mapped
-        from adaptive_contact.service.ros2 import Gateway
+        from adaptive_contact.service.ros2 import Gateway, shown_of_ros
     check_mapped(robot, str(config or "shipped robot"))
     settings = client(connect, namespace, zenoh_config, json=json)
     ros_settings = client(ros_connect, None, ros_zenoh_config)
 
-    def waits(which: str) -> Callable[[Finding], None]:
-        return lambda finding: _say_ros(f"{which}: {finding.line}; trying on")
+    def waits_for_ros(finding: Finding) -> None:
+        _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
+
+    def waits(finding: Finding) -> None:
+        _say_ros(f"the service: {finding.line}; trying on")
 
     refused = take_priority() if realtime else None
     if refused is not None:
         _say_ros(refused)
     try:
         with (
-            Link.open(ros_settings, on_wait=waits("ROS 2"), stop=stop) as ros,
-            Link.open(settings, on_wait=waits("the service"), stop=stop) as service,
+            Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
+            Link.open(settings, on_wait=waits, stop=stop) as service,
         ):
             # Milliseconds since 1970: a later start has a larger run.
             gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
-            reads = ", ".join(gateway.topics) or "nothing (no [leg.ros2])"
-            legs = " ".join(gateway.legs) or "none"
+            reads = "reading nothing (no [leg.ros2])"
+            if gateway.legs:
+                reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
             say(
-                f"adaptive-contact bridge ros2: reading {reads} for legs {legs}; publishing "
-                f"{gateway.publishes}; stop with Ctrl-C"
+                f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
+                "Ctrl-C"
             )
+            if gateway.legs and gateway.intake.unmapped:
+                _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
             gateway.run(stop)
     except LinkError:
         if not stop.is_set():

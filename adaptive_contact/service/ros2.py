@@ -28,6 +28,7 @@ from adaptive_contact.ros2.intake import Complaints, Intake, Origin, Problem, Re
 from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError
 from adaptive_contact.service.link import Link, Publisher, Received
+from adaptive_contact.service.probe import REMEDY, Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -38,7 +39,7 @@ from adaptive_contact.wire import (
     servo_key,
 )
 
-__all__ = ["Gateway"]
+__all__ = ["Gateway", "shown_of_ros"]
 
 # A controller state of 64 legs has 20 kB.
 MAX_BYTES: Final = 256 * 1024
@@ -52,6 +53,15 @@ _SERVICE_GONE_S: Final = 3.0
 # After this long without a sample of a leg it is said, and again after ten times as long.
 _SILENT_S: Final = 5.0
 _ENCODING: Final = "zenoh/bytes"  # rmw_zenoh declares none, which is this
+
+
+def shown_of_ros(finding: Finding) -> str:
+    """What stands in the way of ROS 2's router, and what to do about that one."""
+    remedy = (
+        "start rmw_zenohd there (ros2 run rmw_zenoh_cpp rmw_zenohd), or give its address with "
+        "--ros-connect"
+    )
+    return finding.line.replace(REMEDY, remedy)
 
 
 class _Inbox:
@@ -343,7 +353,7 @@ class Gateway:
     def _trouble(self, up_s: float) -> str | None:
         """What stands in the way of relaying; None where nothing does."""
         if not self._ros.is_connected():
-            return f"ROS 2 cannot be reached: {self._ros.diagnose().line}; trying on"
+            return f"ROS 2 cannot be reached: {shown_of_ros(self._ros.diagnose())}; trying on"
         if not self._service.is_connected():
             return f"the service cannot be reached: {self._service.diagnose().line}; trying on"
         heard_s = self._heard_s

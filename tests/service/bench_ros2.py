@@ -1,6 +1,6 @@
 """What the ROS 2 gateway adds: message in -> sample out, event in -> Bool out; a script, no test.
 
-    python tests/service/bench_ros2.py [--seconds N] [--rate HZ] [--one-topic] [--assert]
+    python tests/service/bench_ros2.py [--seconds N] [--one-topic] [--realtime] [--assert]
 
 Three processes: this one, which is the router of ROS 2, a controller of six legs (a topic a leg, or
 one for all with ``--one-topic``) and a listener; a second one with the router of the service; and
@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
+from adaptive_contact.priority import take_priority
 from adaptive_contact.ros2 import rmw
 from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE
 from adaptive_contact.ros2.types import typestore
@@ -221,13 +222,13 @@ def row(name: str, times: Times) -> dict[str, float]:
     return found
 
 
-def main(seconds: float, rate: float, *, one_topic: bool) -> bool:
+def main(seconds: float, rate: float, *, one_topic: bool, realtime: bool) -> bool:
     """Measure; True where the gateway keeps to its figures."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "robot.toml"
         config.write_text(robot_text(one_topic=one_topic))
         with (
-            running(__file__, "--serve") as (_, service),
+            running(__file__, "--serve", *(["--realtime"] if realtime else [])) as (_, service),
             Link.open(router_settings(["tcp/127.0.0.1:0"])) as free,
         ):
             ros = free.endpoints[0]
@@ -237,11 +238,12 @@ def main(seconds: float, rate: float, *, one_topic: bool) -> bool:
             for key, value in settings.items():
                 chosen.insert_json5(key, json.dumps(value))
             chosen.insert_json5("scouting/multicast/enabled", "false")
+            fast = ("--realtime",) if realtime else ()
             between = {
-                "echo": (__file__, "--echo", service, ros),
+                "echo": (__file__, *fast, "--echo", service, ros),
                 "gateway": (
                     *("-m", "adaptive_contact", "bridge", "ros2", "--config", str(config)),
-                    *("--connect", service, "--ros-connect", ros),
+                    *("--connect", service, "--ros-connect", ros, *fast),
                 ),
             }
             found = {}
@@ -268,6 +270,8 @@ def main(seconds: float, rate: float, *, one_topic: bool) -> bool:
 
 
 if __name__ == "__main__":
+    if "--realtime" in sys.argv and (refused := take_priority()) is not None:
+        sys.exit(refused)
     if "--serve" in sys.argv:
         serve()
     elif "--echo" in sys.argv:
@@ -277,7 +281,8 @@ if __name__ == "__main__":
         parser.add_argument("--seconds", type=float, default=30.0, help="of each of the two")
         parser.add_argument("--rate", type=float, default=50.0, help="ticks a second")
         parser.add_argument("--one-topic", action="store_true", help="one message for six legs")
+        parser.add_argument("--realtime", action="store_true", help="before ordinary processes")
         parser.add_argument("--assert", dest="strict", action="store_true", help="fail above")
         asked = parser.parse_args()
-        well = main(asked.seconds, asked.rate, one_topic=asked.one_topic)
+        well = main(asked.seconds, asked.rate, one_topic=asked.one_topic, realtime=asked.realtime)
         sys.exit(1 if asked.strict and not well else 0)
