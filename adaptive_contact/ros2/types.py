@@ -148,11 +148,12 @@ class Types:
                 return self._own.deserialize_cdr(payload, type_name)
             except _DAMAGE as error:
                 raise CdrError(str(error) or type(error).__name__) from error
-        readers = self._unhashed.get(type_hash) or [self._readers.get(type_hash)]
+        own = self._readers.get(type_hash)
+        readers = self._unhashed.get(type_hash, []) if own is None else [own]
+        if not readers:
+            raise UnknownHashError(", ".join(map(_short, self._readers)))
         why = ""
         for reader in readers:
-            if reader is None:
-                raise UnknownHashError(", ".join(map(_short, self._readers)))
             try:
                 return reader.read(payload)
             except CdrError as error:

@@ -9,11 +9,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.robot import Robot, parse_robot
-
-pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
-
 from adaptive_contact.ros2.names import ARRAY, CONTROLLER_STATE, JOINT_STATE, TRAJECTORY
-from adaptive_contact.ros2.types import typestore
 
 LEGS = """
 [[leg]]
@@ -44,6 +40,8 @@ class Messages:
     """Makes messages of a definition of the controller's state."""
 
     def __init__(self, state: str = "jazzy") -> None:
+        from adaptive_contact.ros2.types import typestore
+
         self.store = typestore(state)
 
     def header(self, t_ns: int) -> Any:

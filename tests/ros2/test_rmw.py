@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import zenoh
 from zenoh.ext import Int64, z_serialize
 
@@ -67,3 +68,12 @@ def test_other_attachments_are_none() -> None:
 def test_ids_of_publishers_differ() -> None:
     assert len(rmw.publisher_id("a")) == 16
     assert rmw.publisher_id("a") != rmw.publisher_id("b")
+
+
+def test_quality_is_what_a_foreign_sdk_reads() -> None:
+    qos = pytest.importorskip("zenoh_ros2_sdk.qos", reason="needs zenoh-ros2-sdk ('ros2-test')")
+    latched = qos.QosProfile.decode(rmw.LATCHED)
+    assert latched.durability is qos.QosDurability.TRANSIENT_LOCAL
+    assert (latched.reliability, latched.history_depth) == (qos.QosReliability.RELIABLE, 1)
+    stream = qos.QosProfile.decode(rmw.STREAM)
+    assert (stream.durability, stream.history_depth) == (qos.QosDurability.VOLATILE, 10)

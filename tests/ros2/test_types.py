@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
+
 from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE, JOINT_STATE, JOINT_VALUES
 from adaptive_contact.ros2.rmw import NO_HASH
 from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError, typestore

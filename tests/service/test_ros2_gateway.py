@@ -25,6 +25,8 @@ pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 from adaptive_contact.ros2 import rmw
 from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE
 from adaptive_contact.ros2.types import typestore
+from adaptive_contact.service.ros2 import WAITING, _Inbox
+from adaptive_contact.service.traffic import Received
 
 pytestmark = pytest.mark.e2e
 
@@ -357,6 +359,19 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(serve, gateway, join, 
         over.set()
         flooding.join()
     assert running.process.poll() is None
+
+
+def test_a_topic_that_floods_drops_its_own_oldest() -> None:
+    inbox = _Inbox(("/a", "/b"))
+    messages = [Received(str(i), b"", "", i, None) for i in range(WAITING + 36)]
+    inbox.put("/b", messages[0])
+    for message in messages:
+        inbox.put("/a", message)
+    got = [inbox.get(0.0) for _ in range(WAITING + 1)]
+    assert got == [("/b", messages[0]), *(("/a", message) for message in messages[36:])]
+    assert inbox.get(0.0) is None
+    assert inbox.take_dropped() == {"/a": 36}
+    assert inbox.take_dropped() == {}
 
 
 def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:

@@ -23,7 +23,7 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, TYPE_CHECKING, Final
 
 import lz4.frame
 import zstandard
@@ -34,8 +34,10 @@ from mcap.records import Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from adaptive_contact.errors import RecordingError
-from adaptive_contact.robot import Robot
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_ZENOH, Record
+
+if TYPE_CHECKING:
+    from adaptive_contact.robot import Robot
 
 __all__ = ["MAX_CHUNK_BYTES", "MAX_RATIO", "Recording", "is_bag", "read_recording"]
 
