@@ -17,10 +17,12 @@ __all__ = [
     "Axis",
     "DetectorSettings",
     "Leg",
+    "LegRos2",
     "Limits",
     "Mount",
     "Port",
     "Robot",
+    "Ros2",
     "ServoBus",
     "ServoLaw",
 ]
@@ -86,6 +88,50 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (self.model,) * len(self.ids) if isinstance(self.model, str) else self.model
 
 
+class LegRos2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A leg's names in ROS 2.
+
+    Attributes:
+        joints: (J,) ROS names of the leg's joints, in the order of ``joints``.
+        state, command, phase, truth: topics of this leg alone, instead of those of ``[ros2]``.
+        command_joints: joints of this leg's command topic, in the order of its values.
+    """
+
+    joints: tuple[str, ...]
+    state: str | None = None
+    command: str | None = None
+    command_joints: tuple[str, ...] | None = None
+    phase: str | None = None
+    truth: str | None = None
+
+
+class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics of ROS 2 that carry the legs' readings and commands.
+
+    ``{leg}`` in a topic stands for the leg's id.
+
+    Attributes:
+        state: ``control_msgs/JointTrajectoryControllerState``, which holds readings and commands,
+            or ``sensor_msgs/JointState``, which holds readings.
+        command: where the commands are, if ``state`` holds readings only.
+        command_joints: the joints of a command topic that names none, in the order of its values.
+        phase: ``std_msgs/Bool``, true in swing.
+        truth: ``std_msgs/Bool`` of a foot switch, used from bags only.
+        distro: of the ROS 2 that is talked to; Humble writes no type hashes into keys.
+        domain: ``ROS_DOMAIN_ID``.
+        node: name of the gateway's node; its topics begin with it.
+    """
+
+    state: str | None = None
+    command: str | None = None
+    command_joints: tuple[str, ...] | None = None
+    phase: str | None = None
+    truth: str | None = None
+    distro: Literal["humble", "iron", "jazzy", "kilted", "lyrical", "rolling"] = "jazzy"
+    domain: int = 0
+    node: str = "adaptive_contact"
+
+
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The servo's control law as far as the robot's owner can read it off the registers.
 
@@ -120,6 +166,7 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits: Limits | None = None
     servos: ServoBus | None = None
     angles: Angles | None = None
+    ros2: LegRos2 | None = None
 
     @property
     def joint_axes(self) -> tuple[Axis, ...]:
@@ -161,6 +208,7 @@ class Robot(msgspec.Struct, frozen=True):
     servo: ServoLaw = ServoLaw()
     detector: DetectorSettings = DetectorSettings()
     ports: dict[str, Port] = {}
+    ros2: Ros2 | None = None
 
     @property
     def leg_ids(self) -> tuple[str, ...]:
