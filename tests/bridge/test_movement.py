@@ -224,7 +224,8 @@ def happen(stage: Stage, what: str, where: float) -> None:
     elif what == "another's goal":
         lowest, highest = servo._goals()
         goal = servo.model.centre + round(where / servo.model.step_rad)
-        put("goal_position", min(max(goal, lowest, -20000), highest, 20000))
+        least = -20000 if registers["goal_position"].signed else 0
+        put("goal_position", min(max(goal, lowest, least), highest, 20000))
     elif what == "overload":
         servo.set_errors(servo.value("shutdown"))
         stage.horns.place(0, where)
