@@ -199,6 +199,8 @@ def is_bag(path: str | Path) -> bool:
         return any(entry.suffix in _OF_BAGS for entry in path.iterdir())
     if path.suffix in (".db3", ".bag"):
         return True
+    if not path.is_file():  # what can be read but once is left for the reader
+        return False
     try:
         with path.open("rb") as file:
             head = file.read(len(MCAP0_MAGIC) + _FRAME.size + _PROFILE.size)
