@@ -78,6 +78,10 @@ class Request:
         payload = self._query.payload
         return b"" if payload is None else payload.to_bytes()
 
+    def parameter(self, name: str) -> str | None:
+        """A value behind ``?`` in its selector."""
+        return self._query.parameters.get(name)
+
     def covers(self, key: str) -> bool:
         """Tell whether the query asks for ``key`` (it may hold wildcards)."""
         return bool(self._query.key_expr.intersects(zenoh.KeyExpr(key)))
@@ -346,7 +350,16 @@ class Link:
 
         Returns:
             All answers within ``timeout_s``; empty where nobody is there to answer.
+
+        Raises:
+            LinkError: the link is closed.
         """
+        try:
+            return self._query(selector, message, timeout_s)
+        except zenoh.ZError as error:
+            raise LinkError(f"{selector} cannot be asked for: {first_line(error)}") from error
+
+    def _query(self, selector: str, message: Message | None, timeout_s: float) -> list[Reply]:
         encoding = self.settings.encoding
         payload = None if message is None else encode(message, encoding)
         replies = []
