@@ -40,6 +40,9 @@ _ASK_S: Final = 0.5
 _UNANSWERED: Final = 30
 # A model changes once in minutes, and a hundred browsers may look at it.
 _MODEL_KEPT_S: Final = 1.0
+_END_S: Final = 2.0
+# A browser that looks takes its last words within milliseconds.
+_FAREWELL_S: Final = 0.5
 
 
 class LivePage:
@@ -64,6 +67,7 @@ class LivePage:
         self._link: Link | None = None
         self._models: dict[str, tuple[float, bytes | None]] = {}
         self._asking = asyncio.Lock()
+        self._closed = False
         self._server = threading.Thread(target=self._serve, name="page-server", daemon=True)
         self._feeder = threading.Thread(target=self._feed, name="page-feeder", daemon=True)
         self._server.start()
@@ -93,13 +97,28 @@ class LivePage:
         """Show the service behind a link, which its owner closes after the page."""
         self._link = link
 
-    def close(self) -> None:
-        """End both threads."""
+    def leave(self) -> None:
+        """Ask the link no more; what has been shown stays."""
         self._stop.set()
-        self._feeder.join(2.0)
-        if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._ended.set)
-        self._server.join(2.0)
+        self._feeder.join(_END_S)
+
+    def close(self, farewell: str | None = None) -> None:
+        """End both threads; calling it twice is safe.
+
+        Args:
+            farewell: what browsers show from then on, where the page will not come back.
+        """
+        self.leave()
+        if self._closed:
+            return
+        self._closed = True
+        if farewell is not None:
+            self._loop.call_soon_threadsafe(self._site.history.end, farewell)
+            until_s = time.monotonic() + _FAREWELL_S
+            while self._site.streams and time.monotonic() < until_s:
+                time.sleep(0.02)
+        self._loop.call_soon_threadsafe(self._ended.set)
+        self._server.join(_END_S)
 
     # -- the serving thread --------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ import asyncio
 import contextlib
 import hmac
 import ipaddress
+import json
 import secrets
 import socket
 from collections import deque
@@ -133,6 +134,7 @@ class History:
     session: str = field(default_factory=lambda: secrets.token_hex(4))
     view: bytes = b""
     views: int = 0
+    farewell: bytes | None = None
     _frames: deque[bytes] = field(default_factory=deque)
     _bytes: int = 0
     _next: int = 0
@@ -152,6 +154,11 @@ class History:
             self.views += 1
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
+
+    def end(self, line: str) -> None:
+        """Let every stream end, once it has given all, with a line for the person who looks."""
+        self.farewell = b"event: end\ndata: " + json.dumps(line).encode() + b"\n\n"
+        self._changed.set()
 
     @property
     def begin(self) -> int:
@@ -413,6 +420,9 @@ class Site:
             if some:
                 writer.write(some)
                 await asyncio.wait_for(writer.drain(), _HUNG_AFTER_S)
+            elif history.farewell is not None:
+                writer.write(history.farewell)
+                return
             else:
                 await history.changed()
 

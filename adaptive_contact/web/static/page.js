@@ -134,6 +134,7 @@ const state = {
   opened: null, // name of the leg in the panel
   truth: false,
   trouble: null, // of this page and its server
+  over: null, // last words of the server, which will not come back
 };
 
 function legOf(name) {
@@ -216,6 +217,11 @@ function connect() {
     takeView(JSON.parse(event.data));
     drawTable();
   });
+  source.addEventListener("end", (event) => {
+    source.close();
+    state.over = JSON.parse(event.data);
+    drawTable();
+  });
   source.onerror = () => {
     if (source.readyState === EventSource.CLOSED) refused();
   };
@@ -244,6 +250,7 @@ async function refused() {
 
 // A tab that nobody sees takes none of the few connections that a browser has for one server.
 document.addEventListener("visibilitychange", () => {
+  if (state.over) return;
   if (document.hidden) source?.close();
   else {
     state.heardAt = performance.now();
@@ -252,6 +259,7 @@ document.addEventListener("visibilitychange", () => {
 });
 
 function silence() {
+  if (state.over) return { level: "note", legs: [], what: state.over, do: "" };
   const quietMs = performance.now() - state.heardAt;
   if (document.hidden || quietMs < SILENT_MS) return null;
   return {
@@ -742,6 +750,7 @@ function fillCard(leg) {
   const figures = [];
   if (row.drift !== undefined) {
     figures.push([`drift ${row.drift.toFixed(1)}`, row.drift > 6 ? "bad" : row.drift > 2.25 ? "warn" : ""]);
+    if (row.changed_s !== null) figures.push([`${row.kind || "changed"} ${row.changed_s} s ago`, ""]);
     figures.push([`model v${row.model}`, ""]);
   }
   if (row.touches !== null && row.touches !== undefined) {
