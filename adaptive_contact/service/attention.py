@@ -180,7 +180,8 @@ def _faults(
             # Refusals of old are counted in the leg's row.
             for fault in about_learner(status, status, service, set()):
                 if fault.cause is not Cause.REFUSED:
-                    yield leg.leg, fault
+                    silent = status.status == "silent"
+                    yield leg.leg, fault._replace(level="error") if silent else fault
     yield from all_lost(statuses.values(), service)
 
 

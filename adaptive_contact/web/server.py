@@ -284,7 +284,7 @@ class Site:
         try:
             writer.transport.set_write_buffer_limits(high=_BUFFER_BYTES)
             await self._converse(reader, writer)
-            await asyncio.wait_for(writer.drain(), _HUNG_AFTER_S)
+            await _drain(writer)
         except (OSError, TimeoutError, asyncio.CancelledError):
             writer.transport.abort()
         finally:
@@ -298,7 +298,7 @@ class Site:
                 raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
             request = await _read_request(reader)
             head_only = request.method == "HEAD"
-            await self._answer(request, writer)
+            await self._answer(request, reader, writer)
         except _Refused as refused:
             body = f"{refused.line}\n".encode()
             kind = "text/plain; charset=utf-8"
@@ -306,7 +306,9 @@ class Site:
             if writer.can_write_eof():  # what a stranger still sends is not reset before it is read
                 writer.write_eof()
 
-    async def _answer(self, request: _Request, writer: asyncio.StreamWriter) -> None:
+    async def _answer(
+        self, request: _Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         self._check_origin(request)
         self._check_token(request)
         head_only = request.method == "HEAD"
@@ -316,7 +318,7 @@ class Site:
             body, kind = await self._model(request.query.get("leg", "")), "application/json"
         elif request.path == "/stream":
             if not head_only:
-                await self._stream(request, writer)
+                await self._stream(request, reader, writer)
             return
         else:
             raise _Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
@@ -392,7 +394,9 @@ class Site:
             raise _Refused(HTTPStatus.NOT_FOUND, "no model of this leg")
         return model
 
-    async def _stream(self, request: _Request, writer: asyncio.StreamWriter) -> None:
+    async def _stream(
+        self, request: _Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         if self.streams >= MOST_STREAMS:
             raise _Refused(
                 HTTPStatus.SERVICE_UNAVAILABLE,
@@ -405,7 +409,16 @@ class Site:
         try:
             _write(writer, HTTPStatus.OK, "text/event-stream", None)
             last = request.headers.get("last-event-id", request.query.get("after", ""))
-            await self._pump(self.history.resume(last), writer)
+            pump = asyncio.ensure_future(self._pump(self.history.resume(last), writer))
+            gone = asyncio.ensure_future(reader.read(1))  # a browser that looks says nothing more
+            try:
+                await asyncio.wait((pump, gone), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                pump.cancel()
+                gone.cancel()
+                await asyncio.gather(pump, gone, return_exceptions=True)
+            if pump.done() and not pump.cancelled():
+                pump.result()
         finally:
             self.streams -= 1
 
@@ -419,7 +432,7 @@ class Site:
             some, number = history.after(number)
             if some:
                 writer.write(some)
-                await asyncio.wait_for(writer.drain(), _HUNG_AFTER_S)
+                await _drain(writer)
             elif history.farewell is not None:
                 writer.write(history.farewell)
                 return
@@ -427,9 +440,22 @@ class Site:
                 await history.changed()
 
 
+async def _drain(writer: asyncio.StreamWriter) -> None:
+    """Wait until a browser has taken most of what it was sent.
+
+    Not by ``wait_for``, which may swallow a cancellation in Python 3.11.
+
+    Raises:
+        TimeoutError: it hangs.
+    """
+    async with asyncio.timeout(_HUNG_AFTER_S):
+        await writer.drain()
+
+
 async def _read_request(reader: asyncio.StreamReader) -> _Request:
     try:
-        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _HEAD_WITHIN_S)
+        async with asyncio.timeout(_HEAD_WITHIN_S):
+            head = await reader.readuntil(b"\r\n\r\n")
     except asyncio.LimitOverrunError:
         line = f"more than {_MOST_HEAD_BYTES} bytes of headers"
         raise _Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, line) from None

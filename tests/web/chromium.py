@@ -90,7 +90,7 @@ class Tab:
     def __init__(self, address: str) -> None:
         from websockets.sync.client import connect
 
-        self._socket = connect(address, max_size=64 * 2**20, compression=None)
+        self._socket = connect(address, max_size=64 * 2**20, compression=None, ping_interval=None)
         self._numbers = itertools.count(1)
         self.log: list[str] = []
         for domain in ("Page", "Runtime", "Log", "Network", "Performance"):

@@ -6,6 +6,7 @@ const KEPT_MS = 5 * 60 * 1000;
 const MOST_TICKS = 60000; // of a leg: five minutes at 200 Hz
 const MOST_MARKS = 2000; // of a leg and kind
 const MOST_LEGS = 64;
+const LATE_MS = 500; // a leg without ticks for so long is silent
 const SILENT_MS = 2500; // the server sends ten frames a second
 const GUTTER = 62; // px, left of the plots
 const RAD = 1e-4; // angles come in 0.1 mrad
@@ -108,6 +109,14 @@ class Leg {
       this.ticks = new Ticks(joints, capacity);
     }
     for (const row of rows) this.ticks.push(row);
+  }
+
+  /** Time up to which the newest change holds: a leg that is silent may do anything since. */
+  knownUntil() {
+    const { ticks } = this;
+    if (!ticks || !ticks.count) return state.now;
+    const newest = ticks.time[ticks.at(ticks.count - 1)];
+    return state.now - newest < LATE_MS ? state.now : newest;
   }
 
   trim(oldest) {
@@ -361,8 +370,8 @@ function label(pen, text, y) {
   pen.fillText(text, 0, y, GUTTER - 6);
 }
 
-/** Blocks where a list of changes says yes. */
-function drawChanges(pen, axis, list, top, height, fill, yes) {
+/** Blocks where a list of changes says yes; the last goes on until nothing is known any more. */
+function drawChanges(pen, axis, list, until, top, height, fill, yes) {
   let since = null;
   const block = (from, to) => {
     const left = Math.max(axis.x(from), GUTTER);
@@ -378,7 +387,7 @@ function drawChanges(pen, axis, list, top, height, fill, yes) {
       since = null;
     }
   }
-  if (since !== null) block(since, Math.min(axis.end, state.now));
+  if (since !== null) block(since, Math.min(axis.end, until));
 }
 
 function drawStance(pen, axis, ticks, from, to, top, height) {
@@ -551,10 +560,11 @@ function drawLeg(leg) {
   label(pen, "stance", 8);
   if (ticks) drawStance(pen, axis, ticks, from, to, 3, 10);
   label(pen, "contact", 22);
-  drawChanges(pen, axis, leg.contacts, 17, 10, colour.contact, (entry) => entry[1]);
+  const until = leg.knownUntil();
+  drawChanges(pen, axis, leg.contacts, until, 17, 10, colour.contact, (entry) => entry[1]);
   if (state.truth) {
     label(pen, "truth", 35);
-    drawChanges(pen, axis, leg.truth, 32, 6, colour.truth, (entry) => entry[1]);
+    drawChanges(pen, axis, leg.truth, until, 32, 6, colour.truth, (entry) => entry[1]);
   }
   drawMarks(pen, axis, leg.marks, 22, 35);
   const names = leg.row && leg.row.joints.length ? leg.row.joints : [];
@@ -603,7 +613,7 @@ function drawPanel() {
     const to = ticks.since(axis.end + 1);
     drawTime(pen, axis, 0, height - 16);
     pen.globalAlpha = 0.25;
-    drawChanges(pen, axis, leg.contacts, 0, height - 16, colour.contact, (entry) => entry[1]);
+    drawChanges(pen, axis, leg.contacts, leg.knownUntil(), 0, height - 16, colour.contact, (entry) => entry[1]);
     pen.globalAlpha = 1;
     drawJoint(pen, axis, ticks, from, to, joint, 4, height - 24);
   }
@@ -691,7 +701,7 @@ function addCard(leg) {
   root.setAttribute("role", "button");
   const head = make("div", "leg-head");
   const name = make("span", "name", leg.name);
-  const contact = make("span", "chip state", "?");
+  const contact = make("span", "chip state dim", "unknown");
   const status = make("span", "chip", "?");
   const figures = make("span", "figures");
   head.append(name, contact, status, figures);
@@ -739,12 +749,14 @@ function fillCard(leg) {
   if (!row || !card) return;
   card.root.classList.toggle("stale", Boolean(row.stale));
   card.root.setAttribute("aria-label", `leg ${row.leg}: ${row.status || "unknown"}`);
+  const unknown = row.contact === null || row.stale || row.status === "silent";
   const withheld = row.status === "ambiguous" && row.withheld > 0 && !row.contact;
-  setText(
+  const free = withheld ? `${row.withheld} withheld` : "free";
+  setText(card.contact, unknown ? "unknown" : row.contact ? "CONTACT" : free);
+  setClass(
     card.contact,
-    row.contact === null ? "?" : row.contact ? "CONTACT" : withheld ? `${row.withheld} withheld` : "free",
+    `chip state ${unknown ? "dim" : row.contact ? "on" : withheld ? "warn" : ""}`,
   );
-  setClass(card.contact, `chip state ${row.contact ? "on" : withheld ? "warn" : ""}`);
   setText(card.status, row.stale ? `${row.status}, stale` : row.status || "?");
   setClass(card.status, `chip ${row.stale ? "bad" : STATUS_CLASS[row.status] || ""}`);
   const figures = [];
