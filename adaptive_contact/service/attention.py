@@ -16,7 +16,7 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.wire import LearnerStatus
 
-__all__ = ["attention", "remedy_of"]
+__all__ = ["Attention", "remedy_of"]
 
 # What each note asks for, in the order of `docs/operating.md`; the first that fits is meant.
 _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
@@ -109,6 +109,8 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
 )
 # Causes whose own remedy says more than the note's.
 _OWN_REMEDY: Final = frozenset({Cause.SIGNS, Cause.NOT_THIS_ROBOT, Cause.LEG_SWAP})
+# A count that has grown is shown for so long.
+_SHOWN_NS: Final = 60_000_000_000
 _CAP: Final = re.compile(r"^[a-z]")
 
 
@@ -117,45 +119,79 @@ def remedy_of(note: str) -> str | None:
     return next((remedy for words, remedy in _REMEDIES if words.search(note)), None)
 
 
-def attention(view: View, statuses: Mapping[str, LearnerStatus]) -> list[Finding]:
-    """What needs a person, the worst first.
+class Attention:
+    """Tells what needs a person; what has only been counted long ago does not."""
 
-    Args:
-        view: what is known.
-        statuses: last one of each leg.
-    """
-    if not view.connected:
-        return [
-            _of_all(
-                "error",
-                "the router is lost",
-                "This page reconnects by itself as soon as "
-                "`adaptive-contact serve`, or the router, is back.",
+    def __init__(self) -> None:
+        self._counts: dict[str, int] = {}
+        self._grown_ns: dict[str, int] = {}
+
+    def look(self, view: View, statuses: Mapping[str, LearnerStatus], now_ns: int) -> list[Finding]:
+        """What needs a person, the worst first.
+
+        Args:
+            view: what is known.
+            statuses: last one of each leg.
+            now_ns: monotonic.
+        """
+        if not view.connected:
+            remedy = (
+                "This page goes on by itself when `adaptive-contact serve`, or the router, is back."
             )
-        ]
-    if not view.alive and view.service is not None:
-        return [
-            _of_all(
-                "error",
-                "the service is gone: no contact is reported",
-                "Start `adaptive-contact serve` again.",
-            )
-        ]
-    if view.service is None:
-        if view.alive:
+            return [_of_all("the router is lost", remedy)]
+        if view.service is None and view.alive:
             return []
-        return [
-            _of_all(
-                "error",
-                "no service is running here",
-                "Start `adaptive-contact serve`, or give `watch` its --connect and --namespace.",
+        if view.service is None:
+            remedy = (
+                "Start `adaptive-contact serve`, or give `watch` its --connect and --namespace."
             )
-        ]
-    return [_with_remedy(finding) for finding in entries(_faults(view, view.service, statuses))]
+            return [_of_all("no service is running here", remedy)]
+        if not view.alive:
+            remedy = "Start `adaptive-contact serve` again."
+            return [_of_all("the service is gone: no contact is reported", remedy)]
+        faults = list(_faults(view, view.service, statuses))
+        faults += [(None, fault) for fault in self._grown(view, view.service, now_ns)]
+        return [_with_remedy(finding) for finding in entries(faults)]
+
+    def _grown(self, view: View, service: ServiceStatus, now_ns: int) -> Iterator[Fault]:
+        """Counts that have grown of late."""
+        unheard = sum(leg.unheard for leg in view.legs)
+        counts: tuple[tuple[Level, int, str, str], ...] = (
+            (
+                "error",
+                service.events_lost,
+                "contact events were lost to a subscriber that hung",
+                "find the subscriber that blocks in its callback, and let it only enqueue there",
+            ),
+            (
+                "error",
+                service.callback_faults,
+                "exceptions in the service's Zenoh callbacks",
+                "this is a defect of adaptive-contact: report it with the service's log",
+            ),
+            (
+                "warning",
+                service.stalls,
+                "times the service stood still for a second or more",
+                "look at its log, and at what else the machine was doing",
+            ),
+            (
+                "warning",
+                unheard,
+                "contacts were reported and did not arrive at this page",
+                "look at the network between the service and `watch`",
+            ),
+        )
+        for level, times, what, remedy in counts:
+            if times > self._counts.get(what, times):
+                self._grown_ns[what] = now_ns
+            self._counts[what] = times
+            if times and now_ns - self._grown_ns.get(what, -_SHOWN_NS) < _SHOWN_NS:
+                yield Fault(level, Cause.SERVICE, f"{times} {what}", remedy, key=what)
 
 
-def _of_all(level: Level, what: str, remedy: str) -> Finding:
-    return Finding(level, None, what, remedy, Cause.SERVICE.value, [])
+def _of_all(what: str, remedy: str) -> Finding:
+    return Finding("error", None, what, remedy, Cause.SERVICE.value, [])
 
 
 def _faults(
@@ -163,11 +199,6 @@ def _faults(
 ) -> Iterator[tuple[str | None, Fault]]:
     for fault in _of_service(service):
         yield None, fault
-    unheard = sum(leg.unheard for leg in view.legs)
-    if unheard:
-        what = f"{unheard} contacts were reported and did not arrive at this page"
-        remedy = "look at the network between the service and `watch`"
-        yield None, Fault("warning", Cause.SERVICE, what, remedy, key="unheard")
     for leg in view.legs:
         status = statuses.get(leg.leg)
         if status is None:
@@ -205,29 +236,6 @@ def _of_service(service: ServiceStatus) -> Iterator[Fault]:
             yield Fault("warning", Cause.STATE_REFUSED, what, remedy, key=line)
         if service.state.exposed is not None:
             yield Fault("error", Cause.SERVICE, service.state.exposed, "As it says.", key="exposed")
-    counts: tuple[tuple[Level, int, str, str], ...] = (
-        (
-            "error",
-            service.events_lost,
-            "contact events were lost to a subscriber that hung",
-            "Find the subscriber that blocks in its callback, and let it only enqueue there.",
-        ),
-        (
-            "error",
-            service.callback_faults,
-            "exceptions in the service's Zenoh callbacks",
-            "This is a defect of adaptive-contact: report it with the service's log.",
-        ),
-        (
-            "warning",
-            service.stalls,
-            "times the service stood still for a second or more",
-            "Look at its log, and at what else the machine was doing.",
-        ),
-    )
-    for level, times, what, remedy in counts:
-        if times:
-            yield Fault(level, Cause.SERVICE, f"{times} {what}", remedy, key=what)
 
 
 def _with_remedy(finding: Finding) -> Finding:

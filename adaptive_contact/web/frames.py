@@ -24,7 +24,7 @@ from typing import Any, Final
 import msgspec
 
 from adaptive_contact.printable import printable
-from adaptive_contact.service.attention import attention
+from adaptive_contact.service.attention import Attention
 from adaptive_contact.service.findings import Finding
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, LegTrace
@@ -169,11 +169,13 @@ class Table:
 
     def __init__(self) -> None:
         self._shown = b""
+        self._attention = Attention()
 
     def encode(
         self,
         view: View | None,
         statuses: Mapping[str, LearnerStatus],
+        now_ns: int,
         *,
         waits_for: str | None = None,
         untraced: bool = False,
@@ -183,6 +185,7 @@ class Table:
         Args:
             view: what is known; None before a router is joined.
             statuses: last one of each leg.
+            now_ns: monotonic.
             waits_for: what stands in the way of the network.
             untraced: samples come, and the service does not say how it judges them.
         """
@@ -199,7 +202,7 @@ class Table:
             ]
             table: dict[str, Any] = {"legs": [], "banner": _banner(found)}
         else:
-            found = attention(view, statuses)
+            found = self._attention.look(view, statuses, now_ns)
             if untraced:
                 remedy = (
                     "Let this user ask for robot/leg/*/trace (docs/security.md), or bring the "

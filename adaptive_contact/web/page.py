@@ -175,6 +175,7 @@ class LivePage:
                 table = self._table.encode(
                     view,
                     statuses,
+                    time.monotonic_ns(),
                     waits_for=self._waits_for,
                     untraced=unanswered > _UNANSWERED,
                 )

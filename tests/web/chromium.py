@@ -11,6 +11,7 @@ import subprocess
 import time
 import urllib.request
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -90,7 +91,10 @@ class Tab:
     def __init__(self, address: str) -> None:
         from websockets.sync.client import connect
 
-        self._socket = connect(address, max_size=64 * 2**20, compression=None, ping_interval=None)
+        self._stack = ExitStack()
+        self._socket = self._stack.enter_context(
+            connect(address, max_size=64 * 2**20, compression=None, ping_interval=None)
+        )
         self._numbers = itertools.count(1)
         self.log: list[str] = []
         for domain in ("Page", "Runtime", "Log", "Network", "Performance"):
@@ -162,7 +166,7 @@ class Tab:
 
     def close(self) -> None:
         """End the connection; the tab ends with its browser."""
-        self._socket.close()
+        self._stack.close()
 
 
 def wait_for(test: Callable[[], Any], what: str, timeout_s: float = 30.0) -> Any:
