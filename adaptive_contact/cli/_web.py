@@ -113,7 +113,7 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
         stack.callback(link.close)
         page.follow(link)
         stack.callback(page.close)  # before the link that it asks
-        threading.Event().wait()
+        page.wait()
 
 
 def _open(url: str) -> None:

@@ -38,7 +38,11 @@ _JUMP_NS: Final = 2_000_000_000
 _TOGETHER_NS: Final = 500_000_000
 # Contacts that wait for the first tick of their leg, which tells its clock.
 _MOST_WAITING: Final = 1024
+# A tick further ahead of its arrival, or longer ago, is none: nothing after it could be drawn.
+_AHEAD_MS: Final = 1000
+_OLDEST_MS: Final = 60_000
 _MRAD10: Final = 1e4
+_MOST_RAD: Final = 1e3
 _HIGHEST_RATIO: Final = 1e4
 # Text of the wire that is shown: notes are a line, and nothing stops a stranger's from being long.
 _MOST_TEXT: Final = 600
@@ -100,9 +104,11 @@ class Frames:
             return
         self._clock.follow(trace.leg, rows[-1][0], now_ns)
         ticks = self._ticks.setdefault(trace.leg, [])
+        newest_ms = (now_ns - self._start_ns) // 1_000_000 + _AHEAD_MS
+        oldest_ms = newest_ms - _OLDEST_MS
         for t_ns, swing, ratio, desired, measured, predicted in rows:
             at_ms = self._ms(trace.leg, t_ns)
-            if at_ms is None or at_ms <= self._last_ms.get(trace.leg, -(10**9)):
+            if at_ms is None or not self._last_ms.get(trace.leg, oldest_ms) < at_ms <= newest_ms:
                 continue
             self._last_ms[trace.leg] = at_ms
             if len(measured) != len(desired):
@@ -114,7 +120,7 @@ class Frames:
                     at_ms,
                     -1 if swing is None else int(swing),
                     _hundredths(ratio),
-                    *(round(angle * _MRAD10) if math.isfinite(angle) else 0 for angle in angles),
+                    *(_angle(value) for value in angles),
                 ]
             )
 
@@ -302,6 +308,11 @@ def _text(text: str) -> str:
 
 def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, digits)
+
+
+def _angle(value: float) -> int | None:
+    """In 0.1 mrad; None for what is no angle."""
+    return round(value * _MRAD10) if abs(value) <= _MOST_RAD else None
 
 
 def _hundredths(ratio: float | None) -> int | None:

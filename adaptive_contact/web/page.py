@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Final, Self
 
@@ -68,8 +69,9 @@ class LivePage:
         self._models: dict[str, tuple[float, bytes | None]] = {}
         self._asking = asyncio.Lock()
         self._closed = False
-        self._server = threading.Thread(target=self._serve, name="page-server", daemon=True)
-        self._feeder = threading.Thread(target=self._feed, name="page-feeder", daemon=True)
+        self._fault: BaseException | None = None
+        self._server = self._thread("page-server", self._serve)
+        self._feeder = self._thread("page-feeder", self._feed)
         self._server.start()
         self._feeder.start()
 
@@ -97,6 +99,12 @@ class LivePage:
         """Show the service behind a link, which its owner closes after the page."""
         self._link = link
 
+    def wait(self) -> None:
+        """Wait until the page is closed, or one of its threads fails; that is raised here."""
+        self._stop.wait()
+        if self._fault is not None:
+            raise self._fault
+
     def leave(self) -> None:
         """Ask the link no more; what has been shown stays."""
         self._stop.set()
@@ -109,7 +117,7 @@ class LivePage:
             farewell: what browsers show from then on, where the page will not come back.
         """
         self.leave()
-        if self._closed:
+        if self._closed or not self._server.is_alive():
             return
         self._closed = True
         if farewell is not None:
@@ -119,6 +127,18 @@ class LivePage:
                 time.sleep(0.02)
         self._loop.call_soon_threadsafe(self._ended.set)
         self._server.join(_END_S)
+
+    def _thread(self, name: str, work: Callable[[], None]) -> threading.Thread:
+        def run() -> None:
+            try:
+                work()
+            except BaseException as fault:  # `wait` raises it
+                self._fault = fault
+                raise
+            finally:
+                self._stop.set()
+
+        return threading.Thread(target=run, name=name, daemon=True)
 
     # -- the serving thread --------------------------------------------------------------------
 

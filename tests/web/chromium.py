@@ -97,7 +97,7 @@ class Tab:
         )
         self._numbers = itertools.count(1)
         self.log: list[str] = []
-        for domain in ("Page", "Runtime", "Log", "Network", "Performance"):
+        for domain in ("Page", "Runtime", "Log", "Performance"):
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:

@@ -67,7 +67,8 @@ class Ticks {
     this.swing[at] = row[1];
     this.ratio[at] = row[2] === null ? NaN : row[2] / 100;
     for (let j = 0; j < 3 * width; j += 1) {
-      this.angles[at * width * 3 + j] = j < given ? row[3 + j] * RAD : NaN;
+      const value = j < given ? row[3 + j] : null;
+      this.angles[at * width * 3 + j] = value === null ? NaN : value * RAD;
     }
   }
 
