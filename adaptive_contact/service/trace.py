@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
+from itertools import takewhile
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,8 +27,8 @@ __all__ = ["LEASE_S", "MOST_TICKS", "Judged", "Tracer", "judged_tick"]
 LEASE_S: Final = 3.0
 # Of a leg: two seconds at 200 Hz.  Who asks less often misses ticks.
 MOST_TICKS: Final = 400
-# In one answer: 3 joints take 100 bytes a tick, 16 joints 500.
-_MOST_ANSWERED: Final = 100
+# Samples in one answer, of all legs: samples that come meanwhile wait for less than a millisecond.
+_MOST_ANSWERED: Final = 200
 
 
 class Judged(NamedTuple):
@@ -108,7 +109,9 @@ class Tracer:
             leg.ticks.append(_Tick(self._number, sample, leg.swing(sample), judged))
 
     def answer(self, legs: Iterable[str], after: str | None, now_ns: int) -> list[LegTrace]:
-        """What came after the number that is asked for; the newest where it is too much.
+        """What came after the number that is asked for, as much as one answer holds.
+
+        What is left comes with the next question; without a number the newest comes.
 
         Args:
             legs: that are asked for.
@@ -120,20 +123,29 @@ class Tracer:
         self._until_ns = now_ns + int(LEASE_S * 1e9)
         known = after is not None and after.isascii() and after.isdigit() and len(after) < 20
         begin = int(after) if known and after is not None else -1
-        if begin > self._number:  # of another start of the service
+        fresh = begin < 0 or begin > self._number  # or of another start of the service
+        asked = {leg: self._legs[leg] for leg in legs if leg in self._legs}
+        numbers = sorted(
+            tick.number
+            for leg in asked.values()
+            for tick in takewhile(lambda tick: fresh or tick.number > begin, reversed(leg.ticks))
+        )
+        last = self._number
+        if len(numbers) > _MOST_ANSWERED and fresh:
+            begin = numbers[-_MOST_ANSWERED] - 1
+        elif len(numbers) > _MOST_ANSWERED:
+            last = numbers[_MOST_ANSWERED - 1]
+        elif fresh:
             begin = -1
-        return [self._trace(leg, self._legs[leg], begin) for leg in legs if leg in self._legs]
+        return [self._trace(name, leg, begin, last) for name, leg in asked.items()]
 
-    def _trace(self, name: str, leg: _Leg, after: int) -> LegTrace:
-        ticks: list[_Tick] = []
-        for tick in reversed(leg.ticks):
-            if tick.number <= after or len(ticks) >= _MOST_ANSWERED:
-                break
-            ticks.append(tick)
+    def _trace(self, name: str, leg: _Leg, after: int, last: int) -> LegTrace:
+        newest = takewhile(lambda tick: tick.number > after, reversed(leg.ticks))
+        ticks = [tick for tick in newest if tick.number <= last]
         ticks.reverse()
         return LegTrace(
             leg=name,
-            number=self._number,
+            number=last,
             t_ns=[tick.sample.t_ns for tick in ticks],
             seq=[tick.sample.seq for tick in ticks],
             swing=[tick.swing for tick in ticks],

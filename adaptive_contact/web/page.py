@@ -210,8 +210,9 @@ class LivePage:
         if self._link is None or not view.alive or not view.connected:
             return True  # nobody is there to ask
         after = self._frames.number
+        asked = trace_key("*") if after < 0 else f"{trace_key('*')}?after={after}"
         try:
-            replies = self._link.query(f"{trace_key('*')}?after={after}", timeout_s=_ASK_S)
+            replies = self._link.query(asked, timeout_s=_ASK_S)
         except LinkError:
             return False
         answered = False

@@ -220,7 +220,7 @@ class LegTrace(Message, frozen=True, kw_only=True):
     """The last ticks of a leg as they were judged, answered on request; oldest first.
 
     Attributes:
-        number: of the newest tick; ask for what came ``after`` it next time.
+        number: of the newest tick in it; ask for what came ``after`` that next time.
         t_ns, seq: (n,) of the samples.
         swing: (n,) whether the sample says so, or else its commands; None where nobody can tell.
         measured, desired: (n, J) rad, in the source's angles, as the samples have them.

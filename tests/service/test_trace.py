@@ -77,9 +77,27 @@ def test_what_is_kept_and_what_is_answered_is_bounded() -> None:
     asked(tracer)
     for seq in range(3 * MOST_TICKS):
         tracer.take([("rf", sample(seq), None)])
-    seqs = asked(tracer)["rf"]
-    assert len(seqs) == 100
-    assert seqs[-1] == 3 * MOST_TICKS - 1, "the newest"
+    newest = 3 * MOST_TICKS - 1
+    assert asked(tracer)["rf"] == list(range(newest - 199, newest + 1))
+
+
+def test_who_falls_behind_gets_all_in_several_answers() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    for seq in range(MOST_TICKS):
+        tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
+    seen: dict[str, list[int]] = {"rf": [], "lf": []}
+    after, answers = 0, 0
+    while after < MOST_TICKS:
+        traces = tracer.answer(("rf", "lf"), str(after), 0)
+        assert sum(len(trace.seq) for trace in traces) <= 201
+        for trace in traces:
+            seen[trace.leg] += trace.seq
+        assert len({trace.number for trace in traces}) == 1
+        after = traces[0].number
+        answers += 1
+    assert answers == 4
+    assert seen == {"rf": list(range(MOST_TICKS)), "lf": list(range(MOST_TICKS))}
 
 
 def test_a_prediction_is_in_the_angles_of_the_source() -> None:
