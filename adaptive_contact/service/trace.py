@@ -15,10 +15,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.detect import statistic
 from adaptive_contact.robot import AngleFrame, Leg, Robot
-from adaptive_contact.robot.geometry import foot
-from adaptive_contact.robot.phase import PhaseTracker
+from adaptive_contact.robot.gait_phase import PhaseTracker
+from adaptive_contact.robot.kinematics import foot
+from adaptive_contact.service.ports import Learner
 from adaptive_contact.wire import LegTrace, ServoSample
 
 __all__ = ["LEASE_S", "MOST_TICKS", "Judged", "Tracer", "judged_tick"]
@@ -161,17 +161,13 @@ class Tracer:
         )
 
 
-def judged_tick(learner: object) -> Judged | None:
+def judged_tick(learner: Learner) -> Judged | None:
     """How a learner judged the tick that it has just finished; None where it could not.
 
-    A stand-in for a learner, which has no detector, judges nothing.
+    A stand-in for a learner, which judges nothing, gives None.
     """
-    detector = getattr(learner, "detector", None)
-    if detector is None or detector.tracker.usable == 0:
+    judge = getattr(learner, "judged", None)
+    tick = None if judge is None else judge()
+    if tick is None:
         return None
-    tracker = detector.tracker
-    found = statistic(
-        tracker.residuals, tracker.increments, detector.whitening, np.array(tracker.usable)
-    )
-    ratio = float(np.nanmax(found.value / detector.thresholds))
-    return Judged(tracker.residuals[0].tolist(), ratio)
+    return Judged(tick.residual.tolist(), float(np.nanmax(tick.scores)))
