@@ -64,7 +64,6 @@ _SECURITY: Final = (
     ("X-Content-Type-Options", "nosniff"),
     ("X-Frame-Options", "DENY"),
     ("Referrer-Policy", "no-referrer"),
-    ("Cross-Origin-Opener-Policy", "same-origin"),
     ("Cross-Origin-Resource-Policy", "same-origin"),
     ("Cache-Control", "no-store"),
 )
@@ -256,8 +255,8 @@ class Site:
         """What a browser is given; it has the token."""
         host = self._settings.host
         if host in ("0.0.0.0", "::"):
-            host = socket.gethostname()
-        elif ":" in host:
+            host = _own_address()
+        if ":" in host:
             host = f"[{host}]"
         token = "" if self._settings.token is None else f"?token={self._settings.token}"
         return f"http://{host}:{self.port}/{token}"
@@ -438,6 +437,15 @@ class Site:
                 return
             else:
                 await history.changed()
+
+
+def _own_address() -> str:
+    """Address of this computer on its network, for a phone, which knows no names; else its name."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # sends nothing; of documentation (RFC 5737)
+        address: str = probe.getsockname()[0]
+        return address
+    return socket.gethostname()
 
 
 async def _drain(writer: asyncio.StreamWriter) -> None:

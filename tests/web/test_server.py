@@ -293,8 +293,8 @@ def test_requests_that_are_none(shared: Running, request_: bytes, status: int) -
 
 
 def test_half_a_request_is_ended(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_HEAD_WITHIN_S", 0.2)
-    with running.connect() as one:
+    with monkeypatch.context() as patch, running.connect() as one:
+        patch.setattr(server, "_HEAD_WITHIN_S", 0.2)
         one.sendall(b"GET / HTTP/1.1\r\nHost:")
         assert answer_of(everything(one))[0] == 408
     with running.connect() as one:
