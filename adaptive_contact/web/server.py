@@ -315,9 +315,10 @@ class Site:
             body, kind = self._files[request.path]
         elif request.path == "/model":
             body, kind = await self._model(request.query.get("leg", "")), "application/json"
+        elif request.path == "/stream" and head_only:
+            body, kind = b"", "text/event-stream"
         elif request.path == "/stream":
-            if not head_only:
-                await self._stream(request, reader, writer)
+            await self._stream(request, reader, writer)
             return
         else:
             raise _Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")

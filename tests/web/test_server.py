@@ -149,6 +149,7 @@ def test_a_page_comes_with_a_policy_that_lets_nothing_else_in(shared: Running, p
     assert "unsafe" not in policy
     assert "*" not in policy
     assert headers["X-Content-Type-Options"] == "nosniff"
+    assert shared.get("/stream", method="HEAD")[0] == 200
     head = shared.get(path, method="HEAD")
     assert head[0] == 200
     assert head[1] == headers

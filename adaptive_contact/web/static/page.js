@@ -287,7 +287,7 @@ function silence() {
 let colour = {};
 const COLOURS = [
   "stance", "contact", "truth", "command", "reading", "predicted", "ratio", "threshold", "grid",
-  "text", "dim", "bad", "card", "warn",
+  "dim", "bad",
 ];
 
 function readColours() {
@@ -839,7 +839,6 @@ function drawJoints() {
 
 function drawTable() {
   $("empty").hidden = state.legs.size > 0;
-  document.body.classList.toggle("no-truth", !state.truth);
   for (const item of document.querySelectorAll(".truth-only")) item.hidden = !state.truth;
   for (const leg of state.legs.values()) {
     if (!leg.card) addCard(leg);
