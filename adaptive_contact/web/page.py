@@ -58,9 +58,9 @@ class LivePage:
     """
 
     def __init__(self, settings: WebSettings) -> None:
-        self._loop = asyncio.new_event_loop()
         self._site = Site(settings, self._model)
         self._site.bind()
+        self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
         self._stop = threading.Event()
         self._frames = Frames(time.monotonic_ns())
