@@ -107,7 +107,11 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
 
         def waiting(finding: Finding) -> None:
             say_waiting(finding)
-            page.waits_for(finding.line)
+            page.waits_for(
+                finding.line,
+                "Start `adaptive-contact serve`, or give `watch` its --connect. This page goes on "
+                "by itself.",
+            )
 
         link = Link.open(link_settings, on_wait=waiting)
         stack.callback(link.close)

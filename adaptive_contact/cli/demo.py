@@ -67,6 +67,11 @@ def demo(
             run_demo(settings, console, stop)
             return
         with live_page(page_settings, browse=not no_browser) as page:
+            page.waits_for(
+                "service and simulator are starting",
+                "The first start on a computer compiles the arithmetic, and takes up to a minute.",
+                "note",
+            )
             run_demo(settings, console, stop, page)
             page.close(f"The demo is over; {settings.report} has what was found.")
     except (StoppedError, KeyboardInterrupt):

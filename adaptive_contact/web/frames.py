@@ -183,7 +183,7 @@ class Table:
         statuses: Mapping[str, LearnerStatus],
         now_ns: int,
         *,
-        waits_for: str | None = None,
+        waiting: Finding | None = None,
         untraced: bool = False,
     ) -> bytes | None:
         """The table, None where it is as it was.
@@ -192,20 +192,11 @@ class Table:
             view: what is known; None before a router is joined.
             statuses: last one of each leg.
             now_ns: monotonic.
-            waits_for: what stands in the way of the network.
+            waiting: what stands in the way of that.
             untraced: samples come, and the service does not say how it judges them.
         """
         if view is None:
-            line = waits_for or "joining the router"
-            found = [
-                Finding(
-                    "error",
-                    None,
-                    line,
-                    "Start `adaptive-contact serve`, or give `watch` "
-                    "its --connect. This page goes on by itself.",
-                )
-            ]
+            found = [] if waiting is None else [waiting]
             table: dict[str, Any] = {"legs": [], "banner": _banner(found)}
         else:
             found = self._attention.look(view, statuses, now_ns)

@@ -17,6 +17,7 @@ import msgspec
 
 from adaptive_contact.errors import LinkError
 from adaptive_contact.service.feed import Feed
+from adaptive_contact.service.findings import Finding, Level
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.watch import View
 from adaptive_contact.web.frames import Frames, Table
@@ -57,14 +58,14 @@ class LivePage:
     """
 
     def __init__(self, settings: WebSettings) -> None:
-        self._loop = asyncio.new_event_loop()
         self._site = Site(settings, self._model)
         self._site.bind()
+        self._loop = asyncio.new_event_loop()
         self._ended = asyncio.Event()
         self._stop = threading.Event()
         self._frames = Frames(time.monotonic_ns())
         self._table = Table()
-        self._waits_for: str | None = None
+        self._waiting: Finding | None = None
         self._link: Link | None = None
         self._models: dict[str, tuple[float, bytes | None]] = {}
         self._asking = asyncio.Lock()
@@ -91,9 +92,9 @@ class LivePage:
         """Where it is, for a browser; it has the token where one is needed."""
         return self._site.url
 
-    def waits_for(self, line: str) -> None:
-        """Show what stands in the way of the network, until :meth:`follow`."""
-        self._waits_for = line
+    def waits_for(self, what: str, remedy: str, level: Level = "error") -> None:
+        """Show why there is nothing to see, until :meth:`follow`, and what to do."""
+        self._waiting = Finding(level, None, what, remedy)
 
     def follow(self, link: Link) -> None:
         """Show the service behind a link, which its owner closes after the page."""
@@ -196,7 +197,7 @@ class LivePage:
                     view,
                     statuses,
                     time.monotonic_ns(),
-                    waits_for=self._waits_for,
+                    waiting=self._waiting,
                     untraced=unanswered > _UNANSWERED,
                 )
             frame = self._frames.frame(time.monotonic_ns())

@@ -9,6 +9,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptive_contact.service.findings import Finding
 from adaptive_contact.service.status import LegFacts, ServiceStatus
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.web.frames import Frames, Table
@@ -168,11 +169,12 @@ def test_the_table_comes_when_it_has_changed() -> None:
 
 
 def test_before_a_router_is_joined_the_table_says_what_it_waits_for() -> None:
-    encoded = Table().encode(None, {}, 0, waits_for="nobody listens on tcp/127.0.0.1:7447")
+    waiting = Finding("error", None, "nobody listens on tcp/127.0.0.1:7447", "Start it.")
+    encoded = Table().encode(None, {}, 0, waiting=waiting)
     assert encoded is not None
     (entry,) = json.loads(encoded)["banner"]
     assert entry["what"] == "nobody listens on tcp/127.0.0.1:7447"
-    assert "adaptive-contact serve" in entry["do"]
+    assert entry["do"] == "Start it."
 
 
 def test_a_long_note_is_cut() -> None:
