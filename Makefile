@@ -27,7 +27,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills many lock wheel clean same same-faults
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills many lock wheel clean rerun same same-faults
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -98,6 +98,17 @@ soak: env  ## MINUTES of walking with drifts, refits, two router kills, one serv
 
 fuzz: env  ## ten million broken payloads through the codec and the sample checks
 	$(BIN)/python tests/service/fuzz.py 10000000 $(SEED)
+
+rerun: env  ## an export through rerun's own command line, which is installed into out/rerun
+	$(PYTHON) -m venv out/rerun/venv
+	out/rerun/venv/bin/python -m pip install --quiet rerun-sdk
+	$(BIN)/python -m adaptive_contact sim walk --offline --speed max --seconds 10 --record out/rerun/walk.mcap
+	$(BIN)/python -m adaptive_contact export out/rerun/walk.mcap --to protobuf --force -o out/rerun/protobuf.mcap
+	out/rerun/venv/bin/rerun mcap check out/rerun/protobuf.mcap
+	out/rerun/venv/bin/rerun mcap convert -d protobuf --disable-raw-fallback out/rerun/protobuf.mcap -o out/rerun/walk.rrd
+	out/rerun/venv/bin/rerun rrd print out/rerun/walk.rrd > out/rerun/walk.txt
+	grep -q 'adaptive_contact.ServoSample:message' out/rerun/walk.txt
+	grep -q 'adaptive_contact.ContactTruth:message' out/rerun/walk.txt
 
 wheel: env  ## the wheel, in dist
 	$(BIN)/python -m build --wheel --no-isolation

@@ -14,16 +14,25 @@ import os
 import secrets
 import stat
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Final
 
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 
-__all__ = ["cannot_write", "holds_content", "open_stream", "why_not_writable", "write_file"]
+__all__ = [
+    "cannot_write",
+    "holds_content",
+    "open_stream",
+    "whole_file",
+    "why_not_writable",
+    "write_file",
+]
 
 # Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
 _NAME_CHARACTERS: Final = 40
 _STANDARD_STREAMS: Final = (1, 2)
+_APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY
 
 
 def write_file(
@@ -60,6 +69,42 @@ def open_stream(path: str | Path) -> IO[bytes]:
         OSError: it cannot be opened.
     """
     return Path(path).open("wb")
+
+
+@contextlib.contextmanager
+def whole_file(
+    path: str | Path,
+    *,
+    advice: str = "give a path in a folder that exists, is writable and has room",
+    error: type[AdaptiveContactError] = ConfigurationError,
+) -> Iterator[IO[bytes]]:
+    """Open a file that is too long for memory, and appears whole or not at all.
+
+    Args:
+        path: where to; a link is followed, a device or FIFO written to.
+        advice: what the person can do when it fails, the end of the error's line.
+        error: kind of error to raise.
+
+    Yields:
+        The file; it gets its name when the block ends without an exception.
+
+    Raises:
+        AdaptiveContactError: of the given kind, when it cannot be written.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            with os.fdopen(os.open(path, _APPEND), "wb") as file:
+                yield file
+            return
+        target = Path(os.path.realpath(path))
+        old = target.stat() if target.exists() else None
+        if old is not None and not os.access(target, os.W_OK):
+            raise PermissionError(13, "it is read-only", str(target))
+        with _beside(target, old) as file:
+            yield file
+    except OSError as why:
+        raise error(cannot_write(path, why, advice)) from why
 
 
 def holds_content(path: Path) -> bool:
@@ -109,17 +154,23 @@ def _write(path: Path, data: bytes) -> None:
             raise PermissionError(13, "it is read-only", str(target))
         _replace(target, data, found)
         return
-    _pour(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOCTTY), data)
+    _pour(os.open(path, _APPEND), data)
 
 
 def _replace(target: Path, data: bytes, old: os.stat_result | None) -> None:
-    """Write a new file beside ``target`` and rename it; mode and owner of the old one stay."""
+    with _beside(target, old) as file:
+        file.write(data)
+
+
+@contextlib.contextmanager
+def _beside(target: Path, old: os.stat_result | None) -> Iterator[IO[bytes]]:
+    """Open a new file beside ``target``, then rename it; mode and owner of the old one stay."""
     part = target.with_name(f".{target.name[:_NAME_CHARACTERS]}.{secrets.token_hex(4)}.part")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     handle = os.open(part, flags, 0o666)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(data)
+            yield file
             file.flush()
             if old is not None:
                 with contextlib.suppress(OSError):  # only root may give files away

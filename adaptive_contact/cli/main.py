@@ -45,6 +45,7 @@ _COMMANDS: Final = (
     "doctor",
     "record",
     "replay",
+    "export",
     "score",
     "fit",
     "bench",

@@ -72,6 +72,16 @@ def replay(
             show_default=False,
         ),
     ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot",
+            metavar="FILE.html|png",
+            help="Use no network: feed the learners and draw per leg what was detected and missed, "
+            "and how far below the threshold.",
+            show_default=False,
+        ),
+    ] = None,
     baseline: BaselineOption = None,
     config: ConfigOption = None,
     when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
@@ -104,16 +114,17 @@ def replay(
         "--config": config,
         "--when-ambiguous": published,
     }
-    if events is not None:
-        _refuse(on_wire, "--events uses no network; leave {} out")
+    if events is not None or plot is not None:
+        _refuse(on_wire, "--events and --plot use no network; leave {} out")
         robot = recorded_robot(config, [file])
         recording = read_recording(file, robot)
-        _to_events(recording, robot, events, _learned(robot, config, baseline), when_ambiguous)
+        learned = _learned(robot, config, baseline)
+        _to_events(recording, robot, events, plot, learned, when_ambiguous)
     else:
         bag = is_bag(file)
         if bag:
             del through_learners["--config"]  # says what the bag's topics are
-        _refuse(through_learners, "{} is for --events; the service on the wire has its own")
+        _refuse(through_learners, "{} is for --events, --plot; the service on the wire has its own")
         mapping = recorded_robot(config, [file]) if bag else None
         factor = _speed(speed)
         settings = client(connect, namespace, zenoh_config)
@@ -145,21 +156,27 @@ def _speed(text: str | None) -> float | None:
 def _to_events(
     recording: Recording,
     robot: Robot,
-    out: Path,
+    out: Path | None,
+    plot: Path | None,
     learned: Baseline | None,
     when_ambiguous: WhenAmbiguous,
 ) -> None:
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.bank import LearnerBank
+    from adaptive_contact.cli._replay_plot import check_plot, write_plot
     from adaptive_contact.learn import mode
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, replay_events
+    from adaptive_contact.service.replay_trace import TraceBank, TracedRecords
     from adaptive_contact.wire import JSON, encode
 
-    if str(out) != "-":
+    if out is not None and str(out) != "-":
         check_output(out, "--events")
+    if plot is not None:
+        check_plot(plot)
+        check_output(plot, "--plot")
     compile_tick()
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()
@@ -177,12 +194,14 @@ def _to_events(
             when_ambiguous=mode.WhenAmbiguous(when_ambiguous),
         )
         robots = OneRobot(recording)
-        for event in replay_events(robots, bank, counts):
+        traced = TracedRecords(robots, robot) if plot is not None else None
+        traces = TraceBank(bank)
+        for event in replay_events(traced or robots, traces if traced else bank, counts):
             file.write(encode(event, JSON) + b"\n")
             written += 1
     if to_stdout:
         file.flush()
-    else:
+    elif out is not None:
         write_file(out, kept.getvalue(), error=RecordingError)
     elapsed_s = time.perf_counter() - started_s
     say(
@@ -206,6 +225,8 @@ def _to_events(
             f"{recording.path}: its legs are not those of robot '{robot.name}' "
             f"({', '.join(robot.leg_ids)}); give the --config of the robot that was recorded"
         )
+    if plot is not None and traced is not None:
+        write_plot(plot, traces.traces(traced), f"Replay of {recording.path.name}")
 
 
 def _tell_legs(bank: LearnerBank) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from adaptive_contact.wire.bridge import BridgeStatus, Quantiles, ServoCounts
 from adaptive_contact.wire.codec import (
     JSON,
     MAX_PAYLOAD_BYTES,
@@ -71,6 +72,7 @@ __all__ = [
     "MSGPACK",
     "SIM_DRIFT",
     "VERSION",
+    "BridgeStatus",
     "BufferCounts",
     "Command",
     "ContactEvent",
@@ -87,9 +89,11 @@ __all__ = [
     "ModelReport",
     "ModelTerm",
     "Phase",
+    "Quantiles",
     "RefitCounts",
     "Reject",
     "Rejected",
+    "ServoCounts",
     "ServoSample",
     "Status",
     "bridge_status_key",

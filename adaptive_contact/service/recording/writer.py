@@ -10,25 +10,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, cast
 
-import msgspec
 from mcap.writer import CompressionType, Writer
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.files import open_stream
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_MCAP, TO_ZENOH
-from adaptive_contact.wire import (
-    MSGPACK,
-    Command,
-    ContactEvent,
-    ContactTruth,
-    Drift,
-    LearnerStatus,
-    Message,
-    ServoSample,
-    encode,
-)
+from adaptive_contact.service.recording.schemas import json_schema, kind_of_key, schema_name
+from adaptive_contact.wire import MSGPACK, Message, encode
 
-__all__ = ["RecordingWriter"]
+__all__ = ["Counted", "RecordingWriter"]
 
 # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough that a
 # damaged chunk costs little, large enough that zstd still halves it.
@@ -38,18 +28,8 @@ FLUSH_NS: Final = 1_000_000_000
 MAX_TIME_NS: Final = (1 << 64) - 1
 MAX_CHANNELS: Final = (1 << 16) - 1
 
-# Last part of a key of the contract -> its message, for the channel's schema.
-_KINDS: Final[dict[str, type[Message]]] = {
-    "servo": ServoSample,
-    "contact": ContactEvent,
-    "learner": LearnerStatus,
-    "truth": ContactTruth,
-    "command": Command,
-    "drift": Drift,
-}
 
-
-class _Counted:
+class Counted:
     """What mcap writes to; it asks for positions, which a FIFO does not know."""
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -92,7 +72,7 @@ class RecordingWriter:
         except OSError as error:
             raise self._failed(error) from error
         self._writer = Writer(
-            cast(Any, _Counted(self._file)),
+            cast(Any, Counted(self._file)),
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
         )
@@ -196,14 +176,14 @@ class RecordingWriter:
 
     def _schema_of(self, key: str) -> int:
         """Id of the schema of a key of the contract; 0 is MCAP's "none"."""
-        kind = _KINDS.get(key.rpartition("/")[2]) if key.startswith("robot/") else None
+        kind = kind_of_key(key)
         if kind is None:
             return 0
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(
-                name=f"adaptive_contact.{kind.__name__}",
+                name=schema_name(kind),
                 encoding="jsonschema",
-                data=msgspec.json.encode(msgspec.json.schema(kind)),
+                data=json_schema(kind),
             )
         return self._schemas[kind]
 

@@ -1,0 +1,182 @@
+"""Pictures of a replay: per leg strips of stance, contact and truth, the test ratio, the misses.
+
+HTML is one file without anything from elsewhere, to zoom into.  Its size is bounded: where a
+recording is long, ticks are drawn together by their largest test ratio, so that no peak is lost.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from adaptive_contact.cli._output import say
+from adaptive_contact.errors import ConfigurationError, MissingExtraError, RecordingError
+from adaptive_contact.files import write_file
+from adaptive_contact.service.replay_trace import LegTrace, Spans
+
+__all__ = ["check_plot", "write_plot"]
+
+# Of all legs together: 400 000 ticks are 2 MB of text, 20 minutes of six legs at 50 Hz.
+_MAX_POINTS: Final = 400_000
+_MAX_SPANS: Final = 60_000
+_MAX_TOUCHES: Final = 20_000
+# Ratios are drawn up to this many times the threshold.
+_TOP_RATIO: Final = 3.0
+_ORDER: Final = ("miss", "false", "beyond", "hit")
+_STYLE: Final = {
+    "hit": ("hit", "#2a8a4a", "o"),
+    "miss": ("missed", "#c62828", "v"),
+    "beyond": ("missed, maybe beyond any detector", "#b58900", "v"),
+    "false": ("false", "#8e24aa", "x"),
+}
+_STRIPS: Final = (("stance", "#c3c9d0"), ("contact", "#1f6fb4"), ("truth", "#0e8a94"))
+_SUFFIXES: Final = (".html", ".png")
+
+
+def check_plot(path: Path) -> None:
+    """Make sure that a plot can be drawn, before any work is done for it.
+
+    Raises:
+        ConfigurationError: another suffix, or an extra that is not installed.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise ConfigurationError(f"--plot {path}: expected a name that ends with .html or .png")
+    if path.suffix.lower() == ".png":
+        try:
+            import matplotlib  # noqa: F401
+        except ImportError as error:
+            raise MissingExtraError("--plot FILE.png", "plot") from error
+
+
+def write_plot(path: Path, traces: Sequence[LegTrace], title: str) -> None:
+    """Draw what was detected, missed and why.
+
+    Args:
+        path: ends with .html or .png.
+        traces: of each leg.
+        title: whose replay it is.
+
+    Raises:
+        RecordingError: it cannot be written, or there is no leg.
+    """
+    if not traces:
+        raise RecordingError(f"{path}: not written; no leg of the recording could be replayed")
+    data = _html(traces, title) if path.suffix.lower() == ".html" else _png(traces, title)
+    write_file(path, data, error=RecordingError)
+    counts = {
+        kind: sum(t.kind == kind for trace in traces for t in trace.touches) for kind in _ORDER
+    }
+    told = "no truth in the recording: contacts are drawn, not judged"
+    if any(trace.truth is not None for trace in traces):
+        told = ", ".join(f"{counts[kind]} {_STYLE[kind][0]}" for kind in _ORDER)
+    say(f"{path}: {told}; {len(data) / 1000:.0f} kB", err=True)
+
+
+# -- HTML ------------------------------------------------------------------------------------------
+
+
+def _html(traces: Sequence[LegTrace], title: str) -> bytes:
+    page = resources.files("adaptive_contact.cli").joinpath("replay_plot.html").read_text("utf-8")
+    room = max(2, _MAX_POINTS // len(traces))
+    spans = max(2, _MAX_SPANS // (3 * len(traces)))
+    touches = [(leg, touch) for leg, trace in enumerate(traces) for touch in trace.touches]
+    touches.sort(key=lambda pair: _ORDER.index(pair[1].kind))
+    kept = sorted(touches[:_MAX_TOUCHES], key=lambda pair: pair[1].at_s)
+    data = {
+        "title": title,
+        "top": _TOP_RATIO,
+        "left_out": len(touches) - len(kept),
+        "legs": [_leg(trace, room, spans) for trace in traces],
+        "touches": [
+            {"leg": leg, "at": round(t.at_s, 4), "kind": t.kind, "why": t.why} for leg, t in kept
+        ],
+    }
+    # Inside <script>, only "<" could end it.
+    text = msgspec.json.encode(data).replace(b"<", b"\\u003c").decode()
+    return page.replace("{{data}}", text).encode()
+
+
+def _leg(trace: LegTrace, room: int, spans: int) -> dict[str, Any]:
+    order = np.argsort(trace.t_s, kind="stable")
+    t_s, ratio = trace.t_s[order], trace.ratio[order]
+    step = max(1, math.ceil(len(t_s) / room))
+    begins = np.arange(0, len(t_s), step)
+    filled = np.where(np.isfinite(ratio), ratio, -1.0)
+    peaks = np.maximum.reduceat(filled, begins) if len(begins) else filled
+    # Hundredths; -1 for ticks that could not be judged.
+    hundredths = np.where(peaks < 0, -1, np.round(np.minimum(peaks, 99.0) * 100)).astype(int)
+    return {
+        "leg": trace.leg,
+        "note": trace.note,
+        "merged": step,
+        "t_ms": np.round(t_s[begins] * 1000).astype(int).tolist(),
+        "ratio": hundredths.tolist(),
+        "stance": _merged(trace.stance, spans),
+        "contact": _merged(trace.contact, spans),
+        "truth": None if trace.truth is None else _merged(trace.truth, spans),
+    }
+
+
+def _merged(spans: Spans, room: int) -> list[list[int]]:
+    """Spans in ms; neighbours become one where there are too many."""
+    step = max(1, math.ceil(len(spans) / room))
+    groups = [spans[i : i + step] for i in range(0, len(spans), step)]
+    return [[round(group[0][0] * 1000), round(group[-1][1] * 1000)] for group in groups]
+
+
+# -- PNG -------------------------------------------------------------------------------------------
+
+
+def _png(traces: Sequence[LegTrace], title: str) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    end_s = max(float(trace.t_s.max(initial=1.0)) for trace in traces)
+    # A step of a second gets a third of an inch, up to what viewers open.
+    figure = Figure(
+        figsize=(min(60.0, max(12.0, end_s / 3)), 1.0 + 1.5 * len(traces)),
+        dpi=100,
+    )
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(traces), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, trace in zip(axes, traces, strict=True):
+        for place, (name, colour) in enumerate(_STRIPS):
+            spans = getattr(trace, name)
+            if spans:
+                bars = [(begin, end - begin) for begin, end in spans]
+                axis.broken_barh(bars, (-0.4 - 0.35 * place, 0.28), color=colour)
+        axis.plot(trace.t_s, np.minimum(trace.ratio, _TOP_RATIO), color="#34495e", lw=0.7)
+        axis.axhline(1.0, color="#34495e", lw=0.8, ls="--")
+        for kind, (_, colour, mark) in _STYLE.items():
+            at = [touch.at_s for touch in trace.touches if touch.kind == kind]
+            axis.plot(at, [_TOP_RATIO + 0.3] * len(at), mark, color=colour, ms=5, clip_on=False)
+        axis.set_ylim(-1.25, _TOP_RATIO + 0.6)
+        axis.set_yticks([0, 1, 2, 3], ["0", "1", "2", "≥3"])
+        axis.set_ylabel(trace.leg, rotation=0, ha="right", va="center", fontweight="bold")
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.margins(x=0.005)
+    axes[-1].set_xlabel("time since the first sample, s")
+    keys: list[Any] = [Patch(color=colour, label=name) for name, colour in _STRIPS]
+    keys.append(Line2D([], [], color="#34495e", lw=1, label="test ratio (1 = threshold)"))
+    keys += [
+        Line2D([], [], color=colour, marker=mark, ls="", label=name)
+        for name, colour, mark in _STYLE.values()
+    ]
+    figure.suptitle(title, fontweight="bold")
+    figure.legend(handles=keys, loc="lower center", ncols=len(keys), fontsize=8, frameon=False)
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(
+        left=0.8 / width, right=1 - 0.2 / width, top=1 - 0.5 / height, bottom=0.85 / height
+    )
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png")
+    return picture.getvalue()

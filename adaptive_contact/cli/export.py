@@ -1,0 +1,126 @@
+"""``adaptive-contact export``: a recording for Foxglove, rerun, PlotJuggler, pandas, sheets."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from adaptive_contact.cli._options import check_output
+from adaptive_contact.cli._output import overwrite, say
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import holds_content
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.recording import Record
+    from adaptive_contact.service.recording.export import ExportFormat
+
+__all__ = ["export"]
+
+
+class Format(StrEnum):
+    """What a recording is turned into; by value that of `service.recording.export`."""
+
+    JSON = "json"
+    PROTOBUF = "protobuf"
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+_PROGRESS_S: Final = 0.5
+_SHOWN: Final = 8  # reasons
+
+
+def export(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.mcap", help="Recording to read.", show_default=False)
+    ],
+    to: Annotated[
+        Format,
+        typer.Option(
+            "--to",
+            help="json, protobuf: an MCAP file (protobuf opens in Foxglove, rerun and PlotJuggler);"
+            " csv, parquet: a folder with a table per message.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("-o", "--out", metavar="OUT", help="File or folder.", show_default=False),
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there already.")] = False,
+) -> None:
+    """Convert a recording for other programs; nothing is resampled or renamed."""
+    from adaptive_contact.service.recording import read_recording
+    from adaptive_contact.service.recording.export import ExportFormat, export_recording
+
+    recording = read_recording(file)
+    form = ExportFormat(to)
+    _check(file, out, form, force)
+    started_s = time.perf_counter()
+    live = sys.stderr.isatty()
+    exported = export_recording(recording, out, form, _progress() if live else _quiet)
+    elapsed_s = time.perf_counter() - started_s
+    if live:
+        overwrite("")
+    for path, count in exported.files.items():
+        say(f"{path}: {count} messages, {path.stat().st_size / 1000:.0f} kB", err=True)
+    say(
+        f"{exported.span_s:.1f} s recorded in {elapsed_s:.2f} s "
+        f"({exported.span_s / max(elapsed_s, 1e-9):.0f} x real time)",
+        err=True,
+    )
+    if recording.damage is not None:
+        say(f"adaptive-contact: {file}: {recording.damage}", err=True)
+    for (key, why), count in exported.left_out.most_common(_SHOWN):
+        say(f"adaptive-contact: {file}: {count} messages on {key} left out: {why}", err=True)
+    if len(exported.left_out) > _SHOWN:
+        more = len(exported.left_out) - _SHOWN
+        say(f"adaptive-contact: and {more} more such keys or reasons", err=True)
+
+
+def _check(file: Path, out: Path, to: ExportFormat, force: bool) -> None:
+    """Refuse an output that would lose content.
+
+    Raises:
+        ConfigurationError: it would, or cannot be written.
+    """
+    if out.exists() and out.samefile(file):
+        raise ConfigurationError(f"{out} is the recording itself; give another --out")
+    if not to.is_table:
+        check_output(out, "--out")
+    elif out.exists() and not out.is_dir():
+        raise ConfigurationError(f"{out} is no folder; {to} takes one, with a table per message")
+    full = any(out.glob(f"*.{to}")) if to.is_table else holds_content(out)
+    if full and not force:
+        what = f"{out} holds tables" if to.is_table else f"{out} exists"
+        raise ConfigurationError(
+            f"{what} already; choose another name, or give --force to replace it"
+        )
+
+
+def _quiet(record: Record) -> None:
+    pass
+
+
+def _progress() -> Callable[[Record], None]:
+    """Show twice a second how far it is."""
+    count = 0
+    first_ns: int | None = None
+    due_s = time.perf_counter() + _PROGRESS_S
+
+    def show(record: Record) -> None:
+        nonlocal count, first_ns, due_s
+        count += 1
+        if first_ns is None:
+            first_ns = record.log_time_ns
+        if count % 256 == 0 and time.perf_counter() >= due_s:
+            due_s += _PROGRESS_S
+            overwrite(f"{count} messages, {(record.log_time_ns - first_ns) / 1e9:.0f} s recorded")
+
+    return show

@@ -1,0 +1,481 @@
+"""Recordings for other programs: MCAP with JSON or protobuf, tables as CSV or Parquet.
+
+Messages keep their keys, times and order; nothing is resampled.  What cannot be exported (a key
+that the contract does not have, a payload that cannot be read) is counted by key and reason.
+Memory does not grow with the recording: MCAP is written in chunks, tables in groups of rows, and
+tables take two passes, the first of which finds how many joints the widest leg has.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from enum import StrEnum
+from operator import attrgetter
+from pathlib import Path
+from typing import IO, Any, Final, cast, get_type_hints
+
+import msgpack
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+from adaptive_contact.errors import MissingExtraError, RecordingError
+from adaptive_contact.files import whole_file
+from adaptive_contact.service.recording.format import ABOUT, Record
+from adaptive_contact.service.recording.reader import Recording
+from adaptive_contact.service.recording.schemas import (
+    json_schema,
+    kind_of_key,
+    parts_of,
+    protobuf_class,
+    schema_name,
+)
+from adaptive_contact.service.recording.writer import MAX_CHANNELS, Counted
+from adaptive_contact.wire import (
+    MAX_PAYLOAD_BYTES,
+    Message,
+    Reject,
+    Rejected,
+    decode,
+    is_json,
+    json_text,
+)
+
+__all__ = ["ExportFormat", "Exported", "export_recording"]
+
+# Larger than a recorder's, for nobody loses what an export has not written out: fewer, and packed
+# tighter.
+_CHUNK_BYTES: Final = 1 << 20
+# Rows of a Parquet group; PyArrow holds one group of each table in memory.
+_ROWS: Final = 20_000
+# Columns of one list; a robot's legs have at most 16 joints.
+_MAX_WIDTH: Final = 64
+_UNKNOWN_KEY: Final = "no message of the contract has this key"
+
+OnRecord = Callable[[Record], None]
+
+
+class ExportFormat(StrEnum):
+    """What a recording is turned into."""
+
+    JSON = "json"
+    PROTOBUF = "protobuf"
+    CSV = "csv"
+    PARQUET = "parquet"
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the output is a folder of tables, not one MCAP file."""
+        return self in (ExportFormat.CSV, ExportFormat.PARQUET)
+
+
+class Exported:
+    """What an export did.
+
+    Attributes:
+        messages: written.
+        span_s: time between the first and last of them, as recorded, s.
+        left_out: messages that were not, by key and why.
+        files: that were written, and how many messages are in each.
+    """
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.left_out: Counter[tuple[str, str]] = Counter()
+        self.files: dict[Path, int] = {}
+        self._first_ns = self._last_ns = 0
+
+    @property
+    def span_s(self) -> float:
+        """See the class."""
+        return (self._last_ns - self._first_ns) / 1e9
+
+    def note(self, record: Record) -> None:
+        """Count a message that was written."""
+        self._first_ns = (
+            min(self._first_ns, record.log_time_ns) if self.messages else (record.log_time_ns)
+        )
+        self._last_ns = max(self._last_ns, record.log_time_ns)
+        self.messages += 1
+
+
+def export_recording(
+    recording: Recording,
+    out: Path,
+    to: ExportFormat,
+    on_record: OnRecord = lambda record: None,
+) -> Exported:
+    """Write a recording for other programs.
+
+    Args:
+        recording: that is read.
+        out: an MCAP file, or for tables a folder, which is made where it is missing.
+        to: the format.
+        on_record: called with each message, for progress; tables go through a recording twice.
+
+    Returns:
+        What was written and what was not.
+
+    Raises:
+        RecordingError: it cannot be read or written, or has no message that can be exported.
+        MissingExtraError: a library for the format is not installed.
+    """
+    exported = Exported()
+    if to.is_table:
+        _write_tables(recording, out, to, exported, on_record)
+    else:
+        make = _Json if to is ExportFormat.JSON else _Protobuf
+        with whole_file(out, error=RecordingError) as file:
+            _write_mcap(recording, file, make(), exported, on_record)
+            if not exported.messages:
+                raise RecordingError(_nothing(recording, exported))
+        exported.files[out] = exported.messages
+    return exported
+
+
+def _nothing(recording: Recording, exported: Exported) -> str:
+    """Why nothing was written, which then leaves no file."""
+    if not exported.left_out:
+        return f"{recording.path}: no message in it; nothing was written"
+    (key, why), _ = exported.left_out.most_common(1)[0]
+    return (
+        f"{recording.path}: none of its {exported.left_out.total()} messages can be exported "
+        f"({key}: {why}); nothing was written; expected keys such as robot/leg/lf/servo"
+    )
+
+
+def _read(record: Record, kind: type[Message], exported: Exported) -> Message | None:
+    message = decode(record.payload, kind, record.encoding)
+    if isinstance(message, Rejected):
+        exported.left_out[record.key, message.reason.value] += 1
+        return None
+    return message
+
+
+# -- MCAP ------------------------------------------------------------------------------------------
+
+
+class _Form(ABC):
+    """How messages are written into MCAP."""
+
+    encoding: str
+    schema_encoding: str
+
+    @abstractmethod
+    def schema(self, kind: type[Message]) -> bytes:
+        """Data of the schema of a message."""
+
+    @abstractmethod
+    def encode(self, message: Message) -> bytes:
+        """Payload; ValueError where the format cannot say it."""
+
+    def other(self, record: Record) -> bytes | None:
+        """Payload of a key without schema; None where the format has none."""
+        return None
+
+
+class _Json(_Form):
+    encoding, schema_encoding = "json", "jsonschema"
+
+    def schema(self, kind: type[Message]) -> bytes:
+        return json_schema(kind)
+
+    def encode(self, message: Message) -> bytes:
+        # A null is no value of a field with one type; a reader takes it for missing either way.
+        return msgspec.json.encode(_without_none(msgspec.to_builtins(message)))
+
+    def other(self, record: Record) -> bytes | None:
+        """A map is JSON without schema, which MCAP and Foxglove allow."""
+        if len(record.payload) > MAX_PAYLOAD_BYTES:
+            return None
+        try:
+            if is_json(record.payload, record.encoding):
+                held = msgspec.json.decode(json_text(record.payload))
+            else:
+                held = msgpack.unpackb(record.payload, strict_map_key=True)
+            return msgspec.json.encode(held) if isinstance(held, dict) else None
+        except (
+            *(ValueError, TypeError, OverflowError, RecursionError),
+            *(msgpack.UnpackException, msgspec.DecodeError),
+        ):
+            return None
+
+
+class _Protobuf(_Form):
+    encoding = schema_encoding = "protobuf"
+
+    def __init__(self) -> None:
+        self._encoders: dict[type[Message], Callable[[Message], bytes]] = {}
+
+    def schema(self, kind: type[Message]) -> bytes:
+        data, self._encoders[kind] = protobuf_class(kind)
+        return data
+
+    def encode(self, message: Message) -> bytes:
+        return self._encoders[type(message)](message)
+
+
+def _without_none(held: Any) -> Any:
+    if isinstance(held, dict):
+        return {name: _without_none(part) for name, part in held.items() if part is not None}
+    return held
+
+
+def _write_mcap(
+    recording: Recording, file: IO[bytes], form: _Form, exported: Exported, on_record: OnRecord
+) -> None:
+    writer = Writer(
+        cast(Any, Counted(file)), chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD
+    )
+    writer.start(profile="", library="adaptive-contact")
+    writer.add_metadata(ABOUT, {"v": "1", **recording.about})
+    schemas: dict[type[Message], int] = {}
+    channels: dict[str, tuple[int, type[Message] | None]] = {}
+    for record in recording:
+        on_record(record)
+        kind = channels[record.key][1] if record.key in channels else kind_of_key(record.key)
+        if kind is None:
+            payload = form.other(record)
+            if payload is None:
+                exported.left_out[record.key, _UNKNOWN_KEY] += 1
+                continue
+        else:
+            message = _read(record, kind, exported)
+            if message is None:
+                continue
+            if kind not in schemas:
+                schemas[kind] = writer.register_schema(
+                    name=schema_name(kind), encoding=form.schema_encoding, data=form.schema(kind)
+                )
+            try:
+                payload = form.encode(message)
+            except (ValueError, OverflowError):  # an integer of more than 64 bits
+                exported.left_out[record.key, Reject.OUT_OF_RANGE.value] += 1
+                continue
+        if record.key not in channels:
+            if len(channels) >= MAX_CHANNELS:
+                exported.left_out[record.key, f"more than {MAX_CHANNELS} keys"] += 1
+                continue
+            schema = 0 if kind is None else schemas[kind]
+            channel = writer.register_channel(record.key, form.encoding, schema)
+            channels[record.key] = channel, kind
+        writer.add_message(
+            channels[record.key][0], record.log_time_ns, payload, record.publish_time_ns
+        )
+        exported.note(record)
+    writer.finish()
+
+
+# -- tables ----------------------------------------------------------------------------------------
+
+Row = list[Any]
+
+
+class _Columns:
+    """Columns of the table of one message: ``measured_0``, ``drift.level``.
+
+    A list of numbers has a column for each place, a struct one for each field; text, maps and lists
+    of those are one column of JSON.
+    """
+
+    def __init__(self, kind: type[Message]) -> None:
+        self.width: Counter[str] = Counter()
+        self._fields = [
+            (name, attrgetter(name), scalar, many, many and scalar is not str)
+            for name, scalar, many in _flat(kind, "")
+        ]
+        self._lists = [(name, get) for name, get, _, _, wide in self._fields if wide]
+
+    def look(self, message: Message) -> None:
+        """Make room for a message's lists, up to the widest of a robot."""
+        for name, get in self._lists:
+            held = get(message)
+            if held is not None and self.width[name] < len(held) <= _MAX_WIDTH:
+                self.width[name] = len(held)
+
+    @property
+    def types(self) -> dict[str, type]:
+        """Type of each column, in order."""
+        types: dict[str, type] = {"log_time_ns": int, "key": str}
+        for name, _, scalar, _, wide in self._fields:
+            if wide:
+                types |= {f"{name}_{place}": scalar for place in range(self.width[name])}
+            else:
+                types[name] = scalar
+        return types
+
+    def row(self, record: Record, message: Message) -> Row | None:
+        """Values in the order of the columns; None where a list is too long."""
+        row: Row = [record.log_time_ns, record.key]
+        for name, get, _, many, wide in self._fields:
+            try:
+                held = get(message)
+            except AttributeError:  # of a struct that is None
+                held = None
+            if wide:
+                held = held or ()
+                room = self.width[name] - len(held)
+                if room < 0:
+                    return None
+                row.extend(held)
+                row.extend([None] * room)
+            elif many and held is not None:
+                row.append(msgspec.json.encode(held).decode())
+            else:
+                row.append(held)
+        return row
+
+
+def _flat(struct: type[msgspec.Struct], before: str) -> Iterator[tuple[str, type, bool]]:
+    """Path to each value, its type, and whether it is a list or written as JSON."""
+    hints = get_type_hints(struct)
+    for field in msgspec.structs.fields(struct):
+        name = f"{before}{field.name}"
+        origin, arguments, _ = parts_of(hints[field.name])
+        inner = parts_of(arguments[0])[0] if origin is list else origin
+        if origin is list and inner in (float, int, bool):
+            yield name, inner, True
+        elif origin in (list, dict):
+            yield name, str, True
+        elif inner in (float, int, bool):
+            yield name, inner, False
+        elif isinstance(inner, type) and issubclass(inner, msgspec.Struct):
+            yield from _flat(inner, f"{name}.")
+        else:
+            yield name, str, False
+
+
+class _Table(ABC):
+    """One file of rows."""
+
+    def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
+        self.columns = columns
+        self._names = list(columns.types)
+
+    @abstractmethod
+    def add(self, row: Row) -> None:
+        """Append a row; ValueError where the format cannot say it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Write what is still held."""
+
+
+class _CsvTable(_Table):
+    def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
+        super().__init__(columns, file)
+        self._text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        self._rows = csv.writer(self._text, lineterminator="\n")
+        self._rows.writerow(self._names)
+
+    def add(self, row: Row) -> None:
+        # A flag is 1 or 0: programs that plot columns do not take words.
+        self._rows.writerow([int(held) if held is True or held is False else held for held in row])
+
+    def close(self) -> None:
+        self._text.flush()
+        self._text.detach()
+
+
+class _ParquetTable(_Table):
+    def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
+        super().__init__(columns, file)
+        import pyarrow
+        from pyarrow import parquet
+
+        known = {int: "int64", float: "float64", bool: "bool", str: "string"}
+        self._arrow = pyarrow
+        self._schema = pyarrow.schema(
+            [(name, pyarrow.type_for_alias(known[kind])) for name, kind in columns.types.items()]
+        )
+        self._integers = [at for at, kind in enumerate(columns.types.values()) if kind is int]
+        self._writer = parquet.ParquetWriter(file, self._schema, compression="zstd")
+        self._held: list[Row] = []
+
+    def add(self, row: Row) -> None:
+        if any(not -(2**63) <= (row[at] or 0) < 2**63 for at in self._integers):
+            raise ValueError("more than 64 bits")
+        self._held.append(row)
+        if len(self._held) >= _ROWS:
+            self._flush()
+
+    def close(self) -> None:
+        self._flush()
+        self._writer.close()
+
+    def _flush(self) -> None:
+        if self._held:
+            held = [list(column) for column in zip(*self._held, strict=True)]
+            self._writer.write_table(self._arrow.table(held, schema=self._schema))
+        self._held = []
+
+
+def _known(
+    recording: Iterable[Record], exported: Exported, on_record: OnRecord
+) -> Iterator[tuple[Record, type[Message], Message]]:
+    kinds: dict[str, type[Message] | None] = {}
+    for record in recording:
+        on_record(record)
+        if record.key not in kinds:
+            kinds[record.key] = kind_of_key(record.key)
+        kind = kinds[record.key]
+        if kind is None:
+            exported.left_out[record.key, _UNKNOWN_KEY] += 1
+            continue
+        message = _read(record, kind, exported)
+        if message is not None:
+            yield record, kind, message
+
+
+def _write_tables(
+    recording: Recording, out: Path, to: ExportFormat, exported: Exported, on_record: OnRecord
+) -> None:
+    make = _CsvTable if to is ExportFormat.CSV else _ParquetTable
+    if to is ExportFormat.PARQUET:
+        try:
+            import pyarrow  # noqa: F401
+        except ImportError as error:
+            raise MissingExtraError("export --to parquet", "export") from error
+    columns: dict[type[Message], _Columns] = {}
+    first = Exported()
+    for record, kind, message in _known(recording, first, on_record):
+        if kind not in columns:
+            columns[kind] = _Columns(kind)
+        columns[kind].look(message)
+        first.note(record)
+    if not first.messages:
+        raise RecordingError(_nothing(recording, first))
+    try:
+        out.mkdir(exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"{out}: cannot be made ({error.strerror}); give a folder in one that exists"
+        ) from error
+    with contextlib.ExitStack() as stack:
+        tables: dict[type[Message], _Table] = {}
+        counts: dict[type[Message], int] = {}
+        for kind, described in columns.items():
+            path = out / f"{kind.__name__}.{to}"
+            file = stack.enter_context(whole_file(path, error=RecordingError))
+            tables[kind] = make(described, file)
+            counts[kind] = 0
+        for record, kind, message in _known(recording, exported, on_record):
+            table = tables[kind]
+            row = table.columns.row(record, message)
+            if row is None:
+                exported.left_out[record.key, Reject.WRONG_JOINTS.value] += 1
+                continue
+            try:
+                table.add(row)
+            except ValueError:  # an integer of more than 64 bits
+                exported.left_out[record.key, Reject.OUT_OF_RANGE.value] += 1
+                continue
+            counts[kind] += 1
+            exported.note(record)
+        for kind, table in tables.items():
+            table.close()
+            exported.files[out / f"{kind.__name__}.{to}"] = counts[kind]

@@ -1,0 +1,340 @@
+"""Recordings for other programs: their own readers decode what is written."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+
+from adaptive_contact.cli.export import Format, export
+from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.service.recording.export import ExportFormat, export_recording
+from adaptive_contact.service.recording.schemas import KINDS, json_schema, kind_of_key
+from adaptive_contact.wire import (
+    JSON,
+    MSGPACK,
+    BridgeStatus,
+    Command,
+    ContactEvent,
+    ContactTruth,
+    Drift,
+    LearnerStatus,
+    Message,
+    ModelReport,
+    ModelTerm,
+    Quantiles,
+    ServoCounts,
+    ServoSample,
+    encode,
+)
+
+SECOND = 1_000_000_000
+BIG = 1_700_000_000_123_456_789  # no float has this value
+
+SAMPLE = ServoSample(
+    t_ns=BIG,
+    seq=7,
+    measured=[0.1, -0.2, 0.3],
+    desired=[0.0, 1e-300, 2.0],
+    preview=[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+    phase="swing",
+    valid=[True, False, True],
+)
+MESSAGES: dict[str, Message] = {
+    "robot/leg/lf/servo": SAMPLE,
+    "robot/leg/four/servo": ServoSample(t_ns=1, seq=0, measured=[1.0] * 4, desired=[2.0] * 4),
+    "robot/leg/lf/contact": ContactEvent(
+        leg="lf", t_ns=BIG, seq=7, onset_ns=BIG - 5, contact=True, status="valid", score=1.5,
+        residual=[0.1, 0.2, 0.3], model_version=2,
+    ),
+    "robot/leg/lf/learner": LearnerStatus(
+        leg="lf", t_ns=3, status="adapting", model_version=1, residual_rms=[0.1], noise_floor=[0.2],
+        rejects={"not_finite": 3, "malformed": 1},
+    ),
+    "robot/leg/lf/model": ModelReport(
+        leg="lf", model_version=1, joints=["coxa"], terms=[[ModelTerm(name="x", coefficient=2.0)]],
+        equations=["x' = 2 x, \"quoted\""],
+    ),
+    "robot/leg/lf/truth": ContactTruth(t_ns=4, contact=False, force=0.0),
+    "robot/leg/lf/command": Command(desired=[0.5]),
+    "hexapod1/robot/bridge/left/status": BridgeStatus(
+        port="left", t_ns=5, mode="drive", state="running", rate_hz=50.0, wanted_hz=50.0,
+        cycle_ms=Quantiles(p50=1.0), jitter_ms=Quantiles(max=2.0), cycles=9, missed=0,
+        servos={"3": ServoCounts(faults={"stale": 2})},
+    ),
+    "robot/sim/drift": Drift(kind="mass", value=0.1),
+}  # fmt: skip
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    path = tmp_path / "in.mcap"
+    with RecordingWriter(path, about={"robot": "hexapod"}) as writer:
+        for at, (key, message) in enumerate(MESSAGES.items()):
+            writer.write_message(key, message, at * SECOND, encoding=(MSGPACK, JSON)[at % 2])
+        writer.write("camera/fps", msgspec.msgpack.encode({"fps": 30}), MSGPACK, 20 * SECOND)
+        writer.write("robot/leg/lf/servo", b"\xc1", MSGPACK, 21 * SECOND)
+    return path
+
+
+def rejected_by_foxglove(schema: dict[str, Any], at: str = "") -> list[str]:
+    """What Foxglove Studio's and Lichtblick's parser of JSON Schema refuses.
+
+    Rules of their ``packages/mcap-support/src/parseJsonSchema.ts``: an object with ``properties``;
+    of each field ``type`` is one word; ``oneOf`` holds numbers only; the items of a list are
+    scalars or objects.
+    """
+    faults = [] if schema.get("type") == "object" else [f"{at}: type {schema.get('type')}"]
+    if not isinstance(schema.get("properties"), dict):
+        return [*faults, f"{at}: no properties"]
+    for name, field in schema["properties"].items():
+        here = f"{at}.{name}"
+        if "oneOf" in field:
+            faults.append(f"{here}: oneOf")
+        kind = field.get("type")
+        if kind == "array":
+            here, field = f"{here}[]", field["items"]
+            kind = field.get("type")
+            if kind == "array":
+                kind = None
+        if kind == "object":
+            faults += rejected_by_foxglove(field, here)
+        elif kind not in ("boolean", "string", "number", "integer"):
+            faults.append(f"{here}: type {field.get('type')}")
+    return faults
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_foxglove_reads_the_schema_of_every_message(kind: type[Message]) -> None:
+    schema = json.loads(json_schema(kind))
+    assert rejected_by_foxglove(schema) == []
+    # Every field is described but those that Foxglove cannot: lists of lists.
+    fields = {field.name for field in msgspec.structs.fields(kind)} | {"v"}
+    assert fields - set(schema["properties"]) <= {"preview", "terms", "first"}
+
+
+def test_the_rules_refuse_what_msgspec_writes_by_itself() -> None:
+    assert rejected_by_foxglove(msgspec.json.schema(ServoSample))
+    own = msgspec.json.schema(ServoSample)["$defs"]["ServoSample"]
+    assert any(".phase" in fault for fault in rejected_by_foxglove(own))
+
+
+def test_recordings_carry_a_schema_for_every_key(recorded: Path) -> None:
+    with recorded.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    names = {
+        channel.topic: summary.schemas[channel.schema_id].name if channel.schema_id else None
+        for channel in summary.channels.values()
+    }
+    expected = {key: f"adaptive_contact.{type(m).__name__}" for key, m in MESSAGES.items()}
+    assert names == {**expected, "camera/fps": None}
+
+
+def test_the_command_knows_every_format() -> None:
+    assert [to.value for to in Format] == [to.value for to in ExportFormat]
+
+
+@pytest.mark.parametrize(
+    "key", ["robot/legs/lf/servo", "robot/leg/lf/servos", "myrobot/leg/lf/servo", "servo", ""]
+)
+def test_other_keys_have_no_schema(key: str) -> None:
+    assert kind_of_key(key) is None
+
+
+def plain(held: Any) -> Any:
+    """A protobuf message as the map that it came from."""
+    if hasattr(held, "DESCRIPTOR"):
+        fields = {f.name: plain(part) for f, part in held.ListFields()}
+        return fields["values"] if set(fields) == {"values"} else fields
+    if isinstance(held, str | bytes | int | float):
+        return held
+    items = [plain(part) for part in held]
+    if items and all(isinstance(item, dict) and "key" in item for item in items):
+        return {item["key"]: item.get("value", {}) for item in items}
+    return items
+
+
+def whole(held: Any) -> Any:
+    """A message as a map, with what it leaves out on the wire."""
+    if isinstance(held, msgspec.Struct):
+        return {f: whole(getattr(held, f)) for f in held.__struct_fields__}
+    if isinstance(held, dict):
+        return {k: whole(part) for k, part in held.items()}
+    return [whole(part) for part in held] if isinstance(held, list) else held
+
+
+def told(held: Any) -> Any:
+    """Without what protobuf does not tell from nothing: zeros, empty lists and texts, None."""
+    if isinstance(held, dict):
+        return {k: told(v) for k, v in held.items() if told(v) not in (None, 0, "", [], {})}
+    return [told(part) for part in held] if isinstance(held, list) else held
+
+
+def test_mcaps_own_protobuf_support_decodes_every_message(recorded: Path, tmp_path: Path) -> None:
+    factory = pytest.importorskip("mcap_protobuf.decoder").DecoderFactory
+    out = tmp_path / "out.mcap"
+    exported = export_recording(read_recording(recorded), out, ExportFormat.PROTOBUF)
+    assert exported.left_out == {
+        ("camera/fps", "no message of the contract has this key"): 1,
+        ("robot/leg/lf/servo", "malformed"): 1,
+    }
+    with out.open("rb") as file:
+        found = {
+            channel.topic: (message.log_time, decoded)
+            for _, channel, message, decoded in make_reader(
+                file, decoder_factories=[factory()]
+            ).iter_decoded_messages()
+        }
+    assert list(found) == list(MESSAGES)
+    for at, (key, message) in enumerate(MESSAGES.items()):
+        log_time, decoded = found[key]
+        assert log_time == at * SECOND
+        assert told(plain(decoded)) == told(whole(message))
+    assert not found["robot/leg/lf/learner"][1].HasField("note")
+
+
+def test_json_holds_the_messages_and_keys_without_a_schema(recorded: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    export_recording(read_recording(recorded), out, ExportFormat.JSON)
+    records = {record.key: record for record in read_recording(out)}
+    assert set(records) == {*MESSAGES, "camera/fps"}
+    assert json.loads(records["camera/fps"].payload) == {"fps": 30}
+    for key, message in MESSAGES.items():
+        assert records[key].encoding == JSON
+        # Our own reader takes it back, to the last digit.
+        assert msgspec.json.decode(records[key].payload, type=type(message)) == message
+        assert b"null" not in records[key].payload
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_table_has_a_row_for_each_message(recorded: Path, tmp_path: Path) -> None:
+    out = tmp_path / "tables"
+    exported = export_recording(read_recording(recorded), out, ExportFormat.CSV)
+    assert exported.files[out / "ServoSample.csv"] == 2
+    rows = table(out / "ServoSample.csv")
+    assert [row["measured_3"] for row in rows] == ["", "1.0"]
+    assert rows[0]["t_ns"] == str(BIG)
+    assert float(rows[0]["desired_1"]) == 1e-300
+    assert (rows[0]["valid_0"], rows[0]["valid_1"]) == ("1", "0")
+    assert json.loads(rows[0]["preview"]) == SAMPLE.preview
+    status = table(out / "BridgeStatus.csv")[0]
+    assert (status["key"], status["jitter_ms.max"]) == ("hexapod1/robot/bridge/left/status", "2.0")
+    model = table(out / "ModelReport.csv")[0]
+    assert json.loads(model["equations"]) == ['x\' = 2 x, "quoted"']
+
+
+def test_parquet_is_the_same_table(recorded: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for to in (ExportFormat.CSV, ExportFormat.PARQUET):
+        export_recording(read_recording(recorded), tmp_path / "tables", to)
+    for path in (tmp_path / "tables").glob("*.csv"):
+        rows = parquet.read_table(path.with_suffix(".parquet")).to_pylist()
+        texts = table(path)
+        assert [list(row) for row in rows] == [list(row) for row in texts]
+        shown = [
+            {
+                k: "" if v is None else str(int(v) if isinstance(v, bool) else v)
+                for k, v in r.items()
+            }
+            for r in rows
+        ]
+        assert shown == texts
+
+
+def command(*arguments: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "adaptive_contact", "export", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        **options,
+    )
+
+
+def test_damage_is_said_and_the_rest_exported(recorded: Path, tmp_path: Path) -> None:
+    content = recorded.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(content[: len(content) // 3])
+    intact = len(list(read_recording(cut)))
+    assert 0 < intact < len(MESSAGES)
+    done = command(cut, "--to", "json", "-o", tmp_path / "out.mcap")
+    assert done.returncode == 0
+    damaged = read_recording(cut)
+    list(damaged)
+    assert f"adaptive-contact: {cut}: {damaged.damage}" in done.stderr
+    assert len(list(read_recording(tmp_path / "out.mcap"))) == intact
+
+
+def test_what_is_there_stays_without_force(recorded: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    out.write_text("precious")
+    with pytest.raises(ConfigurationError, match=r"exists already.*--force"):
+        export(recorded, Format.JSON, out)
+    assert out.read_text() == "precious"
+    export(recorded, Format.JSON, out, force=True)
+    assert len(list(read_recording(out))) == len(MESSAGES) + 1
+    tables = tmp_path / "tables"
+    export(recorded, Format.CSV, tables)
+    with pytest.raises(ConfigurationError, match="holds tables already"):
+        export(recorded, Format.CSV, tables)
+    with pytest.raises(ConfigurationError, match="is no folder"):
+        export(recorded, Format.CSV, out)
+    with pytest.raises(ConfigurationError, match="the recording itself"):
+        export(recorded, Format.JSON, recorded, force=True)
+
+
+@pytest.mark.parametrize("to", [ExportFormat.JSON, ExportFormat.CSV])
+def test_nothing_to_export_leaves_no_file(to: ExportFormat, tmp_path: Path) -> None:
+    source, out = tmp_path / "in.mcap", tmp_path / "out"
+    with RecordingWriter(source) as writer:
+        writer.write("camera/raw", b"\xff\xd8", "image/jpeg", 0)
+    with pytest.raises(RecordingError, match=r"none of its 1 messages .*camera/raw"):
+        export_recording(read_recording(source), out, to)
+    assert not out.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_line(recorded: Path) -> None:
+    done = command(recorded, "--to", "json", "-o", "/dev/full", "--force")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "No space left" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_one_line(recorded: Path, tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o500)
+    done = command(recorded, "--to", "csv", "-o", closed / "tables")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("to", [ExportFormat.PROTOBUF, ExportFormat.PARQUET])
+def test_a_number_of_more_than_64_bits_is_counted(to: ExportFormat, tmp_path: Path) -> None:
+    pytest.importorskip("google.protobuf")
+    pytest.importorskip("pyarrow")
+    source = tmp_path / "in.mcap"
+    with RecordingWriter(source) as writer:
+        huge = b'{"v":1,"t_ns":%d,"seq":0,"measured":[],"desired":[]}' % 2**63
+        writer.write("robot/leg/lf/servo", huge, JSON, 0)
+        writer.write("robot/leg/lf/servo", encode(SAMPLE), MSGPACK, 1)
+    exported = export_recording(read_recording(source), tmp_path / "out", to)
+    assert exported.left_out == {("robot/leg/lf/servo", "out_of_range"): 1}
+    assert exported.messages == 1
