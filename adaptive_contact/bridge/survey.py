@@ -234,10 +234,18 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
     joints = ", ".join(_text(name) for name in leg.joints)
     say.line(f"joints = [{joints}]", "from the body outwards" if first else None)
     if leg.axes is not None:
-        axes = ", ".join(_text(axis) for axis in leg.axes)
-        say.line(f"axes = [{axes}]", "yaw turns left and right, pitch up" if first else None)
+        axes = ", ".join(
+            _text(axis) if isinstance(axis, str) else _numbers(axis) for axis in leg.axes
+        )
+        what = "yaw turns left and right, pitch up" if leg.origins_m is None else "with all at 0"
+        say.line(f"axes = [{axes}]", what if first else None)
     if leg.lengths_m is not None:
         say.line(f"lengths_m = {_numbers(leg.lengths_m)}")
+    elif leg.origins_m is not None:
+        origins = ", ".join(_numbers(origin) for origin in leg.origins_m)
+        say.line(
+            f"origins_m = [{origins}]", "from joint to joint, and to the foot" if first else None
+        )
     else:
         if first:
             say.note("Measure the links, axis to axis and last axis to foot tip, and fill in, m:")

@@ -127,10 +127,18 @@ def _told(report: LiveReport) -> list[str]:
         lines.append(
             f"signs, order and zeros: as the motion says, leg {' '.join(report.confirmed)}"
         )
-    if report.open:
+    waiting = [leg for leg in report.open if leg not in report.by_hand]
+    if waiting:
         lines.append(
-            f"signs, order and zeros: not told by the motion of leg {' '.join(report.open)} (it "
+            f"signs, order and zeros: not told by the motion of leg {' '.join(waiting)} (it "
             "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
+        )
+    by_hand = [leg for leg in report.open if leg in report.by_hand]
+    if by_hand:
+        lines.append(
+            f"signs, order and zeros of leg {' '.join(by_hand)}: no motion confirms them, as the "
+            "mirror image of such a chain may walk as well (docs/robot.md); move joints by hand, "
+            "and compare"
         )
     for sign, where in (
         (-1, "below their commands: so it is where they hang"),

@@ -287,9 +287,9 @@ def _check_bus(
         from adaptive_contact.cli._robot_picture import write_picture
 
         write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
-    blank = [leg.id for leg in robot.legs if leg.lengths_m is None]
+    blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
-        say(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)
+        say(f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True)
 
 
 @app.command("learn")
@@ -370,10 +370,10 @@ def learn_(
         raise ConfigurationError(f"{kept} is there already; give another --recording")
     robot, plans = _planned(config, device)
     for leg in robot.legs:
-        if leg.lengths_m is None:
+        if leg.chain is None:
             raise ConfigurationError(
-                f"leg '{leg.id}' has no lengths_m, so its swings cannot be told; measure its links "
-                "and fill them in"
+                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
+                "measure its links and fill them in"
             )
     home = None if pose is None else learning.pose_of(pose, robot, plans)
     gathered = gather(more or [], robot, refuse=False)

@@ -16,6 +16,8 @@ from adaptive_contact.robot.description import (
     ServoLaw,
 )
 from adaptive_contact.robot.kinematics import (
+    Chain,
+    axis_text,
     foot,
     foot_point,
     height_gradient,
@@ -28,6 +30,7 @@ __all__ = [
     "ROBOT_HOUR_TICKS",
     "AngleFrame",
     "Angles",
+    "Chain",
     "DetectorSettings",
     "Leg",
     "Limits",
@@ -36,6 +39,7 @@ __all__ = [
     "Robot",
     "ServoBus",
     "ServoLaw",
+    "axis_text",
     "foot",
     "foot_point",
     "height_gradient",
