@@ -241,7 +241,7 @@ def _flat_any(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, li
     plane = np.array([view.right, view.up])
 
     def seen(vectors: Array) -> Array:
-        return (on_body(leg, vectors) - on_body(leg, np.zeros(3))) @ plane.T
+        return np.asarray((on_body(leg, vectors) - on_body(leg, np.zeros(3))) @ plane.T)
 
     points, axes = leg.chain.frames(angles)
     facing = np.cross(view.right, view.up)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,7 +30,7 @@ from adaptive_contact.cli.bridge import (
     robot_of,
 )
 from adaptive_contact.errors import ConfigurationError, TooLittleDataError
-from adaptive_contact.files import holds_content, write_file
+from adaptive_contact.files import holds_content
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -44,8 +43,6 @@ __all__ = ["app"]
 
 app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
-# Slopes within this of each other are as good as one.
-_ALIKE: Final = 1.2
 _PIPE_WIDTH: Final = 110
 # How long to look at a bus, and at a source that walks.
 _BUS_S: Final = 1.0
@@ -60,13 +57,22 @@ def init(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="Description to write.")
     ] = Path("robot.toml"),
-    joints: Annotated[int, typer.Option("--joints", min=1, max=16, help="Per leg.")] = 3,
+    joints: Annotated[
+        str | None,
+        typer.Option(
+            "--joints",
+            metavar="NUMBER|NAME,NAME,...",
+            help="Per leg, from the body outwards; 3 unless given.  A URDF has its own.",
+            show_default=False,
+        ),
+    ] = None,
     legs: Annotated[
         str | None,
         typer.Option(
             "--legs",
             metavar="ID,ID,...",
-            help="Names, in the order of the servos' ids.",
+            help="Names, in the order of the servos' ids; with --urdf ID=LINK,..., with each "
+            "foot's link.",
             show_default=False,
         ),
     ] = None,
@@ -79,110 +85,90 @@ def init(
             show_default=False,
         ),
     ] = None,
-    name: Annotated[str, typer.Option("--name", help="Of the robot.")] = "my-robot",
+    urdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--urdf",
+            metavar="FILE",
+            help="Take joints, axes, origins and limits from this URDF.",
+            show_default=False,
+        ),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            "--base",
+            metavar="LINK",
+            help="The URDF's link that is the body, z up; the last one that all legs hang on "
+            "unless given.",
+            show_default=False,
+        ),
+    ] = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            "--tip",
+            metavar="X,Y,Z",
+            help="The foot's tip in the frame of its link, m, where a URDF has no link there.",
+            show_default=False,
+        ),
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option("--name", help="Of the robot.", show_default=False)
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            "--resolution",
+            metavar="RAD",
+            min=1e-6,
+            max=0.2,
+            help="One step of a reading; told by the servos of --device.",
+            show_default=False,
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            min=1.0,
+            max=10_000.0,
+            help="Control ticks per second; 50 with --device.",
+            show_default=False,
+        ),
+    ] = None,
     baud: Annotated[
         int | None,
         typer.Option("--baud", help="Otherwise the usual ones are tried.", show_default=False),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
-    """Ask the bus who is there, and write a robot.toml to fill in.  Moves and sets nothing."""
-    import msgspec
+    """Write a robot.toml to fill in, from a bus, from a URDF, or from both.
 
-    with needs_sdk():
-        from adaptive_contact.bridge.survey import (
-            describe,
-            find_servos,
-            group,
-            steepness,
-            write_robot,
-        )
-        from adaptive_contact.bridge.tables import BAUDS
-    from adaptive_contact.robot import parse_robot
-
-    # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
-    devices = {port: str(Path(path).absolute()) for port, path in devices_of(device).items()}
-    if not devices:
-        raise ConfigurationError(
-            "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...)"
-        )
-    if holds_content(out) and not force:
-        raise ConfigurationError(f"{out} is there already; give another --out, or --force")
-    check_output(out, "--out")
-    ids = _names(legs, name, devices)
-    if baud is not None and baud not in BAUDS:
-        raise ConfigurationError(
-            f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
-        )
-    bauds = () if baud is None else (baud,)
-    found = [
-        find_servos(port, path, *((bauds,) if bauds else ())) for port, path in devices.items()
-    ]
-    for line in describe(found):
-        say(line)
-    robot = group(found, joints, ids)
-    robot = msgspec.structs.replace(robot, name=name)
-    if lengths is not None:
-        measured = _lengths(lengths, joints)
-        alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
-        robot = msgspec.structs.replace(robot, legs=alike)
-    slopes = steepness(found)
-    if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
-        told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
-        say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
-    text = write_robot(robot)
-    parse_robot(text, source=f"{out} would not be read back, so it is not written")
-    write_file(out, text, advice="give another --out")
-    todo = "" if lengths is not None else "fill in lengths_m, then "
-    say(
-        f"wrote {out}: {len(robot.legs)} legs of {joints} joints; {todo}run "
-        f"`adaptive-contact robot check --config {out}`"
-    )
-
-
-def _names(legs: str | None, name: str, devices: Mapping[str, str]) -> tuple[str, ...]:
-    """The legs' ids of ``--legs``, once all that would make a bad description is ruled out.
-
-    Before the bus is asked: a search of all rates takes its time.
+    With --device the bus is asked who is there; nothing is moved or set.  Without, for servos of
+    any kind, joints come from --urdf or --joints, and --resolution and --rate are asked for where
+    they are not given.
     """
-    from adaptive_contact.wire import is_leg_id
+    from adaptive_contact.cli._robot_init import Wishes, write_description
 
-    expected = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
-    ids = () if legs is None else tuple(part.strip() for part in legs.split(","))
-    for leg in ids:
-        if not is_leg_id(leg):
-            raise ConfigurationError(
-                f"--legs {legs}: '{leg}' cannot name a leg; expected {expected}, such as lf,lm,lr"
-            )
-        if ids.count(leg) > 1:
-            raise ConfigurationError(f"--legs {legs}: '{leg}' is there twice; names must differ")
-    if not name.isprintable() or not name.strip():
-        raise ConfigurationError(f"--name {name!r} is no name; give one such as my-robot")
-    owners: dict[str, str] = {}
-    for port, path in devices.items():
-        if not is_leg_id(port):
-            raise ConfigurationError(
-                f"--device {port}={path}: '{port}' cannot name a port; expected {expected}"
-            )
-        before = owners.setdefault(os.path.realpath(path), port)
-        if before != port:
-            raise ConfigurationError(
-                f"--device gives {path} to port '{before}' and to port '{port}'; give each its own"
-            )
-    return ids
-
-
-def _lengths(text: str, joints: int) -> tuple[float, ...]:
-    try:
-        lengths = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        lengths = ()
-    if len(lengths) != joints or not all(0.0 < length <= 5.0 for length in lengths):
-        raise ConfigurationError(
-            f"--lengths {text}: expected {joints} lengths in m, such as "
-            f"{','.join(['0.1'] * joints)}"
+    write_description(
+        Wishes(
+            devices=devices_of(device),
+            out=out,
+            joints=joints,
+            legs=legs,
+            lengths=lengths,
+            urdf=urdf,
+            base=base,
+            tip=tip,
+            name=name,
+            resolution=resolution,
+            rate=rate,
+            baud=baud,
+            force=force,
         )
-    return lengths
+    )
 
 
 @app.command()

@@ -27,8 +27,8 @@ __all__ = ["GravityAngle", "gravity_angles"]
 
 Complex = NDArray[np.complex128]
 
-# Amplitudes below this are rounding, of axes that files write with six digits.
-_LEAST: Final = 1e-5
+# Of a link's weight; less moves no servo by a step, and axes in files are off by as much.
+_LEAST: Final = 0.01
 # Angles per joint: a hip of yaw, roll and pitch, knee and ankle need 7 for 5 joints.  Of a chain
 # with more, those that fewer joints turn are kept: its library is to stay small enough to learn.
 MOST_PER_JOINT: Final = 3

@@ -97,7 +97,9 @@ def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> 
 def _library(name: LibraryName, joints: int, slope: float) -> Library:
     # Axes only matter for gravity terms: a first joint that turns about the vertical, as in arms
     # and legs, then pitches; a single joint pitches.
-    axes: tuple[Axis, ...] = ("pitch",) if joints == 1 else ("yaw", *(("pitch",) * (joints - 1)))
+    pitch: Axis = "pitch"
+    pitches = (pitch,) * max(joints - 1, 1)
+    axes: tuple[Axis, ...] = pitches if joints == 1 else ("yaw", *pitches)
     return Library(
         name=name,
         joints=tuple(f"joint{i + 1}" for i in range(joints)),
