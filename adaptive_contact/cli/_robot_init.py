@@ -283,10 +283,15 @@ def _asked(given: float | None, what: str, option: str, least: float, most: floa
     """An option's value, or a person's answer where one can be asked."""
     if given is not None:
         return given
-    if not sys.stdin.isatty():
+    if not _is_asked():
         raise ConfigurationError(f"{what}: not given; give {option}")
     while True:
         value: float = typer.prompt(what, type=float, err=True)
         if least <= value <= most:
             return value
         say(f"{value:g}: expected {least:g} to {most:g}", err=True)
+
+
+def _is_asked() -> bool:
+    """Whether somebody is there to answer."""
+    return sys.stdin.isatty()
