@@ -293,6 +293,13 @@ def learn_(
             "them in free air meanwhile.",
         ),
     ] = False,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live",
+            help="Learn from the samples of any source on the wire; no bus is opened.",
+        ),
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
     seconds: Annotated[
         float, seconds_option("--seconds", least=1.0, most=3600.0, help="How long to swing.")
@@ -331,13 +338,18 @@ def learn_(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     realtime: RealtimeOption = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
     stop = stoppable()
-    with needs_sdk():
-        from adaptive_contact.bridge.collect import collect
-
+    _check_source(
+        live=live,
+        of_bus={"--device": device, "--drive": drive, "--pose": pose, "--realtime": realtime},
+        of_wire={"--connect": connect, "--namespace": namespace, "--zenoh-config": zenoh_config},
+    )
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import (
         check_conventions,
@@ -354,26 +366,36 @@ def learn_(
     check_output(kept, "--recording")
     if holds_content(kept):
         raise ConfigurationError(f"{kept} is there already; give another --recording")
-    robot, plans = _planned(config, device)
+    robot = robot_of(config)
     for leg in robot.legs:
         if leg.chain is None:
             raise ConfigurationError(
                 f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
                 "measure its links and fill them in"
             )
-    home = None if pose is None else learning.pose_of(pose, robot, plans)
     gathered = gather(more or [], robot, refuse=False)
-    _shake_hands(plans, drive=drive)
-    if drive and not yes:
-        around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
-        typer.confirm(
-            f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad around "
-            f"{around}.  Does the robot hang free, with nothing and nobody in reach?",
-            abort=True,
-            err=True,
-        )
-    scripts = learning.swings_of(robot, plans, amplitude, seed, home) if drive else None
-    samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
+    if live:
+        from adaptive_contact.cli._robot_live import collect_live
+
+        link = client(connect, namespace, zenoh_config, wait=False)
+        samples = collect_live(robot, link, seconds, stop=stop)
+    else:
+        with needs_sdk():
+            from adaptive_contact.bridge.collect import collect
+
+        plans = plans_of(robot, config, device)
+        home = None if pose is None else learning.pose_of(pose, robot, plans)
+        _shake_hands(plans, drive=drive)
+        if drive and not yes:
+            around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
+            typer.confirm(
+                f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad around "
+                f"{around}.  Does the robot hang free, with nothing and nobody in reach?",
+                abort=True,
+                err=True,
+            )
+        scripts = learning.swings_of(robot, plans, amplitude, seed, home) if drive else None
+        samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
     for line in learning.losses(samples):
         _say(line)
     learning.keep(samples, kept, robot)
@@ -382,7 +404,7 @@ def learn_(
             gathered[name].take_sample(sample)
     # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
     check_streams(robot, samples, {}, refuse=False)
-    check_conventions(robot, gathered, bridge=True)
+    check_conventions(robot, gathered, bridge=not live)
     try:
         training = learning.fit_samples(
             robot, gathered, f"adaptive-contact robot learn ({out.name})"
@@ -400,6 +422,22 @@ def learn_(
     for line in verdict(robot, training):
         say(line, err=json)
     say(f"baseline written to {out}, the recording to {kept}", err=True)
+
+
+def _check_source(
+    *, live: bool, of_bus: Mapping[str, object], of_wire: Mapping[str, object]
+) -> None:
+    """Refuse options of the other source of samples."""
+    given = [name for name, value in (of_bus if live else of_wire).items() if value]
+    if given and live:
+        raise ConfigurationError(
+            f"--live listens to the wire, {', '.join(given)} is the bridge's; your own controller "
+            "swings the legs: leave it out"
+        )
+    if given:
+        raise ConfigurationError(
+            f"{', '.join(given)} goes with --live; without it, the bus is asked"
+        )
 
 
 def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:
