@@ -1,4 +1,4 @@
-"""All legs of a robot at once."""
+"""Holds the learners of all legs of a robot."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MAX_LEGS: Final = 32
 
 
 class LearnerBank:
-    """The learners of a robot, made when a leg is first seen.
+    """Holds a learner per leg, made when a leg is first seen.
 
     Args:
         robot: its description.
         baseline: what is known of its legs' free motion.
         refitter: does the sparse refits and cold starts; in line where absent.
-        on_fault: told of a fault in one leg's learning, which makes that leg begin anew; without,
-            faults are raised.
+        on_fault: called with a fault in one leg's learning, after which that leg is reset;
+            without it, faults are raised.
         when_ambiguous: whether contacts are reported while a leg is ambiguous.
 
     Raises:
@@ -66,7 +66,7 @@ class LearnerBank:
         return tuple(self._learners)
 
     def learner(self, leg: str, joints: int | None = None) -> ContactLearner | None:
-        """The learner of a leg, made if need be.
+        """Return the learner of a leg, made if need be.
 
         Args:
             leg: its id; one that the description lacks gets a learner without geometry, so that
@@ -121,7 +121,7 @@ class LearnerBank:
         return events
 
     def judge(self, samples: Mapping[str, ServoSample]) -> list[ContactEvent]:
-        """As :meth:`update`, but for what events need not wait for: :meth:`finish` does that.
+        """Judge at most one sample per leg; :meth:`finish` does what events need not wait for.
 
         Args:
             samples: by leg, at most one each.

@@ -1,7 +1,7 @@
 """Compiles the arithmetic of a tick, once per installation, and keeps what was compiled.
 
 What is kept is machine code that later starts load: it lies in a folder that belongs to this user,
-that nobody else may write to, and whose name holds a digest of the sources it was made from.
+that no other user may write to, and whose name holds a digest of the sources it was made from.
 Without such a folder everything is compiled at each start; without numba nothing is, and the same
 code runs as plain Python.
 """
@@ -39,13 +39,13 @@ _SOURCES: Final = ("detect", "learn", "model")
 
 
 def compiles() -> bool:
-    """Whether anything is compiled: not without numba, and not with ``NUMBA_DISABLE_JIT``."""
+    """Tell whether anything is compiled: not without numba, and not with ``NUMBA_DISABLE_JIT``."""
     return numba is not None and not _config.DISABLE_JIT
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder that keeps what was compiled, made if need be; None where there can be none.
+    """Return the folder that keeps what was compiled, made if need be; None where there is none.
 
     The first of these that can be used: the one that :data:`CACHE_VARIABLE` names, systemd's
     ``CacheDirectory=``, the user's cache, and one of this user in the folder for temporary files.
@@ -71,13 +71,13 @@ def cache_folder() -> Path | None:
 
 
 def is_cached() -> bool:
-    """True if this installation has been compiled before."""
+    """Tell whether this installation has been compiled before."""
     folder = cache_folder()
     return folder is not None and any(folder.rglob("*.nbi"))
 
 
 def records(scalars: Any) -> Any:
-    """Rows of scalars as compiled code takes them; uncompiled, with names that Python finds."""
+    """Return rows of scalars as compiled code takes them; as a recarray when uncompiled."""
     return scalars if compiles() else scalars.view(np.recarray)
 
 
@@ -109,7 +109,7 @@ def _expanded(name: str | None) -> Path | None:
 
 
 def _owned(folder: Path) -> Path | None:
-    """The folder, made if need be, if it is this user's and nobody else may write to it."""
+    """The folder, made if need be, if it is this user's and no other may write to it."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         folder.mkdir(mode=0o700, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a learner counts and remembers for its status, and how counts outlive a restart."""
+"""Counts what a learner reports in its status, and restores counts after a restart."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FAULT_LINE: Final = 160  # characters
 
 
 class Counters:
-    """Counters of one leg.
+    """Counts for one leg.
 
     Attributes:
         counts: by name.
@@ -28,18 +28,18 @@ class Counters:
         self._faults = 0
 
     def fault(self, fault: Exception) -> None:
-        """A fault in learning, after which it began anew."""
+        """Count a fault in learning, after which the leg was reset."""
         self._faults += 1
         last = " ".join(f"{type(fault).__name__}: {fault}".split())[:FAULT_LINE]
         self.fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
 
     def snapshot(self) -> dict[str, Any]:
-        """The counters as plain maps, for :meth:`restore`."""
+        """Return the counters as plain maps, for :meth:`restore`."""
         rejects = {str(reason): n for reason, n in self.rejects.items()}
         return {"counts": dict(self.counts), "rejects": rejects}
 
     def restore(self, saved: dict[str, Any]) -> None:
-        """Take over saved counters; what is none is left."""
+        """Take over saved counters; what is not usable is left."""
         counts = saved.get("counts")
         if isinstance(counts, dict):
             for name, count in counts.items():

@@ -1,10 +1,9 @@
-"""Several learners one sample further, their libraries and statistics evaluated together.
+"""Takes several learners one tick further, the arithmetic of all legs in one compiled call.
 
 This is what makes six legs cost little more than one.  A tick has two halves: what its samples say
 of contacts, and what no event needs to wait for: learning, and the prediction of the next.
 
-Whatever a step of one leg raises, of any kind, makes that leg begin anew and no other: each step
-stands in a `try` of its own, without a call around it, which costs more (decision 6).
+Whatever a step of one leg raises resets that leg and no other: each step is in a `try` of its own.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from adaptive_contact.wire import ContactEvent, ServoSample
 
 __all__ = ["LegGroup", "Member", "OnFault", "check_sample", "compile_ahead"]
 
-# Is told the leg and what its learning raised.
+# Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
 
 
 class Member(Protocol):
-    """A learner of one leg, as a group takes it through a tick; in this order.
+    """Defines a learner of one leg, as a group takes it through a tick; in this order.
 
     Attributes:
         leg: its description.
@@ -48,14 +47,14 @@ class Member(Protocol):
         """Learn what the tick leaves to be learned."""
 
     def settle(self) -> None:
-        """Take up a model that has come."""
+        """Take up a model that has become ready."""
 
     def reset_after_fault(self, fault: Exception) -> None:
         """Go back to what was saved, after a step of its own raised."""
 
 
 def check_sample(sample: object) -> None:
-    """Refuse what is no sample; bad values in one are counted, never raised.
+    """Refuse what is not a sample; bad values in one are counted, never raised.
 
     Raises:
         TypeError: such as for the map of a payload.
@@ -69,12 +68,12 @@ def check_sample(sample: object) -> None:
 
 
 class LegGroup:
-    """Learners that go through time together.
+    """Takes several learners through time together.
 
     Args:
         learners: any, of one robot or of several.
-        on_fault: told of a fault in one's learning, which makes that one begin anew and stands in
-            its status; without, faults are raised.
+        on_fault: called with a fault in one leg's learning, after which that leg is reset; the
+            status reports it.  Without it, faults are raised.
     """
 
     def __init__(self, learners: Sequence[Member], *, on_fault: OnFault | None = None) -> None:
@@ -98,10 +97,10 @@ class LegGroup:
         return events
 
     def judge(self, samples: Sequence[ServoSample | None]) -> list[ContactEvent | None]:
-        """The first half of a tick: whoever waits for its events need not wait for the second.
+        """Judge the samples: the first half of a tick, up to its events.
 
         A learner's status and state are whole only after :meth:`finish`, which its next sample
-        calls where nobody has.
+        calls if it was not called.
 
         Args:
             samples: the next of each learner, None where there is none.
@@ -146,10 +145,10 @@ class LegGroup:
         return events
 
     def finish(self) -> None:
-        """The second half of what was judged: commands, learning, predictions.
+        """Finish what was judged: learning, then commands and predictions.
 
-        Who has got, changed or lost a model takes its place among the others here, too: no event
-        waits for that.
+        A leg whose model appears, changes or goes is put into its batch here, too: no event waits
+        for that.
         """
         if self._open:
             for batch, members in self._batches:

@@ -1,8 +1,10 @@
-"""The learner of one leg: samples in, contact events out.
+"""Composes the learner of one leg: samples in, contact events out.
 
-:class:`ContactLearner` composes the stream guard, the phase, the window, the statistic and the
-state machine; a :class:`~adaptive_contact.leg_group.Team` takes several one tick further, so that
-six cost little more than one.  Recursive updates and refits come after the event.
+The only file that knows both detection and learning.  :class:`ContactLearner` passes labelled
+swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
+(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A
+:class:`~adaptive_contact.leg_group.LegGroup` takes several one tick further, so that six cost
+little more than one.  Recursive updates and refits come after the event.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ _MOVES: Final = (
 
 
 class JudgedTick(NamedTuple):
-    """How a tick was judged.
+    """Holds how a tick was judged.
 
     Attributes:
         residual: (J,) rad.
@@ -139,6 +141,7 @@ class ContactLearner:
         self._when_ambiguous = WhenAmbiguous(when_ambiguous)
         self._source = SourceWatch(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
+        self._watching = self._track is not None or self._ids is not None
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
@@ -168,7 +171,7 @@ class ContactLearner:
         return event
 
     def reset_after_fault(self, fault: Exception) -> None:
-        """After a fault in its learning: go back to what was last saved of it, and say so."""
+        """Restore what was last saved of the leg after a fault in its learning, and report it."""
         self._counters.fault(fault)
         self.place.drop_tick()
         self._assessed = False
@@ -184,7 +187,7 @@ class ContactLearner:
         self._counters.rejects[reason] += times
 
     def request_release(self) -> None:
-        """Whoever listens may have heard from another process that the leg touches."""
+        """Request a release: another process may have reported that the leg touches."""
         self.place.leg["release_pending"] = True
 
     @property
@@ -198,7 +201,7 @@ class ContactLearner:
         return None if self._adapter is None else self._adapter.model
 
     def judged(self) -> JudgedTick | None:
-        """The last tick's residual and scores; None where it could not be judged."""
+        """Return the last tick's residual and scores; None where it could not be judged."""
         leg, recent = self.place.leg, self._lifecycle.recent
         usable = int(leg["usable"])
         if recent is None or not usable:
@@ -212,7 +215,7 @@ class ContactLearner:
         return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
 
     def drain_confirmed(self) -> list[int]:
-        """Times of the ticks confirmed as free since the last call, ns."""
+        """Return the times of the ticks confirmed as free since the last call, ns."""
         if self._adapter is None:
             return []
         times = list(self._adapter.confirmed_ns)
@@ -221,7 +224,7 @@ class ContactLearner:
 
     @property
     def status(self) -> LearnerStatus:
-        """How the learner is."""
+        """Status of the learner, as it is published."""
         adapter = self._adapter
         self._collect_counts()
         untouched_ns = int(self.place.leg["untouched_ns"])
@@ -259,7 +262,7 @@ class ContactLearner:
         return report_of(self.leg, adapter.model, threshold, self._lifecycle.origin)
 
     def snapshot(self) -> dict[str, Any]:
-        """What has been learned and counted, as a tree that msgpack can write."""
+        """Return what has been learned and counted, as a tree that msgpack can write."""
         self._collect_counts()
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
         return {**self._lifecycle.snapshot(), **self._counters.snapshot(), **stream}
@@ -280,7 +283,7 @@ class ContactLearner:
         self._guard.restore(saved.get("stream"))
         return None
 
-    # -- one tick, in the order `Team` calls it -------------------------------------------------
+    # -- one tick, in the order `LegGroup` calls it ---------------------------------------------
 
     def take(self, sample: ServoSample) -> bool:
         """Put a sample into the arrays, for the tick to judge; False if it is refused."""
@@ -316,60 +319,41 @@ class ContactLearner:
         return event
 
     def finish(self, flags: int) -> None:
-        """What a tick leaves to be learned, before the next is predicted."""
-        lifecycle, track = self._lifecycle, self._track
-        # A tick may take back by which variance the swing is judged.
-        watched = lifecycle.adapter is not None and lifecycle.adapter.monitor.watches
-        if track is not None and not track.settled:
-            if flags & RESTARTED:
-                track.restart()
-            sample, (batch, row) = self._sample, self.place.at
-            assert sample is not None
-            measured, desired = batch.measured[row], batch.desired[row]
-            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
-        ids = self._ids
-        if ids is not None and ids.wants:
-            if flags & RESTARTED:
-                ids.restart()
-            assert self._sample is not None
-            ids.take(self.place.sample(self._sample))
-        if flags & RESTARTED:
-            self._swing.restart()
-            if lifecycle.adapter is not None:
-                lifecycle.adapter.new_source()
-        if flags & RESOLVED:
-            self._learn(self._labels.resolve())
-        if flags & _MOVES:
-            if not self._assessed:
-                self._assess(flags)
-            if flags & TOUCHED:
-                self._learn(self._labels.alarm())
-            if flags & RATE_OFF and lifecycle.adapter is not None:
-                lifecycle.adapter.distrust(self._rate.since_ns)
-            if flags & SOURCE and self._source.cause is not None:
-                self._retract()
-        self._assessed = False
+        """Pass the tick's labelled swings to the learning, and publish the new free motion."""
+        lifecycle = self._lifecycle
+        adapter = lifecycle.adapter
+        if self._watching:
+            self._watch(flags)
+        # A tick may take back by which variance the swing is judged; elsewhere a row that was
+        # entered only waits, and so it is with most ticks.
+        assessed = flags and (
+            flags != ENTERED or adapter is None or adapter.monitor.watches or not adapter.gated
+        )
+        if assessed:
+            self._hand_over(flags)
+            self._assessed = False
         if self._void:
             return
         if lifecycle.cold is not None:
             self._collect(flags)
             lifecycle.try_cold()
-        adapter = lifecycle.adapter
+            adapter = lifecycle.adapter
         if adapter is None or not adapter.learning or self._begun != lifecycle.begun:
             return
         moved = adapter.tick(ROWS_PER_TICK)
-        if not (moved or flags & _MOVES):
+        if assessed:
+            if adapter.monitor.unfit and self.place.leg["ticks"]:
+                lifecycle.forget()
+                self._let_go()
+                self._begin()
+                return
+            self._report_by()
+        elif not (moved and self.place.leg["ticks"]):  # no tick of a stance judges by it
             return
-        if adapter.monitor.unfit and self._swing.ticks:
-            lifecycle.forget()
-            self._let_go()
-            self._begin()
-            return
-        if moved or watched or flags & ~ENTERED:
-            self._publish()
+        self._publish()
 
     def settle(self) -> None:
-        """After a tick: a model that has come is in force from the next one on."""
+        """Put a new model in force from the next tick on."""
         if self._begun != self._lifecycle.begun:
             self._begin()
 
@@ -384,7 +368,7 @@ class ContactLearner:
         )  # fmt: skip
 
     def _begin(self) -> None:
-        """What is known is another: the past under it is no past of the new."""
+        """Begin with the present model: forget the past under the one before."""
         self._collect_counts()
         lifecycle, place = self._lifecycle, self.place
         if lifecycle.library != place.batch.library:
@@ -399,16 +383,59 @@ class ContactLearner:
         library = adapter.model.library
         assert isinstance(library, ChangeLibrary)
         place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
+        self._report_by()
         self._publish(wanted=True)
 
     def _publish(self, *, wanted: bool = False) -> None:
         """Put what is known of free motion into force, for the next tick to judge by."""
-        adapter, leg = self._lifecycle.adapter, self.place.leg
+        adapter = self._lifecycle.adapter
         assert adapter is not None
-        free = adapter.free_motion(wanted=wanted or bool(leg["ticks"]))
+        free = adapter.free_motion(wanted=wanted or self._swing.ticks > 0)
         self.place.judge_by(free)
-        leg["sure"] = adapter.status == "valid" and not free.changed
+        self.place.leg["sure"] = adapter.status == "valid" and not free.changed
+
+    def _report_by(self) -> None:
+        """Say whether contacts are reported."""
+        leg = self.place.leg
         leg["withholds"], leg["withholds_begun"] = self._withholds, self._withholds_at(math.inf)
+
+    def _watch(self, flags: int) -> None:
+        """Keep the sample for those who watch how angles are counted, and whose they are."""
+        track, ids, sample = self._track, self._ids, self._sample
+        assert sample is not None
+        counted = track is not None and not track.settled
+        if counted:
+            assert track is not None
+            if flags & RESTARTED:
+                track.restart()
+            batch, row = self.place.at
+            measured, desired = batch.measured[row], batch.desired[row]
+            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
+        named = ids is not None and ids.wants
+        if named:
+            assert ids is not None
+            if flags & RESTARTED:
+                ids.restart()
+            ids.take(self.place.sample(sample))
+        self._watching = counted or ids is not None
+
+    def _hand_over(self, flags: int) -> None:
+        """Let the adapter have what this tick has found."""
+        adapter = self._lifecycle.adapter
+        if flags & RESTARTED:
+            self._swing.restart()
+            if adapter is not None:
+                adapter.new_source()
+        if flags & RESOLVED:
+            self._learn(self._labels.resolve())
+        if not self._assessed:
+            self._assess(flags)
+        if flags & TOUCHED:
+            self._learn(self._labels.alarm())
+        if flags & RATE_OFF and adapter is not None:
+            adapter.distrust(self._rate.since_ns)
+        if flags & SOURCE and self._source.cause is not None:
+            self._retract()
 
     def _assess(self, flags: int) -> None:
         self._learn(self._labels.assess(flags))
@@ -440,7 +467,7 @@ class ContactLearner:
         self.place.leg["misread"] = self._misread
 
     def _let_go(self) -> None:
-        """Forget whether the leg touches: nobody can tell any more."""
+        """Forget whether the leg touches: it cannot be known any more."""
         leg = self.place.leg
         leg["release_pending"] |= leg["reported"]
         leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
@@ -479,7 +506,7 @@ class ContactLearner:
         )
 
     def _retract(self) -> None:
-        """What the source has sent says nothing of the leg: nothing of it stays learned."""
+        """Retract what was learned from a faulty source."""
         leg, lifecycle = self.place.leg, self._lifecycle
         # It may have begun in the swing before, too late in it to be found.
         if lifecycle.adapter is not None:

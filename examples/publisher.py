@@ -9,7 +9,9 @@ swings in the air.  Needs ``eclipse-zenoh`` and ``msgpack`` only::
 import itertools
 import json
 import math
+import signal
 import sys
+import threading
 import time
 
 import msgpack
@@ -17,6 +19,8 @@ import zenoh
 
 LEG, PERIOD_S = "rf", 0.02
 servos = [0.0, 0.6, -1.8]  # stands for the hardware: where the servos are, rad
+# Set by Ctrl-C: an exception could strike inside a library, and be lost there.
+stopped = threading.Event()
 
 
 def read() -> list[float]:
@@ -37,12 +41,13 @@ def write(goals: list[float]) -> None:
 def wait_for_router(endpoint: str) -> zenoh.Session:
     """Join the router as soon as it is there; later Zenoh reconnects by itself."""
     client = {"mode": "client", "connect": {"endpoints": [endpoint]}}
-    while True:
+    while not stopped.is_set():
         try:
             return zenoh.open(zenoh.Config.from_json5(json.dumps(client)))
         except zenoh.ZError:
             print(f"no router at {endpoint}; trying again", file=sys.stderr, flush=True)
-            time.sleep(1.0)
+            stopped.wait(1.0)
+    sys.exit(130)
 
 
 def main() -> None:
@@ -59,11 +64,10 @@ def main() -> None:
             sample = {"v": 1, "run": run, "seq": seq, "t_ns": t_ns}
             out.put(msgpack.packb({**sample, "measured": measured, "desired": desired}))
             due_s += PERIOD_S
-            time.sleep(max(due_s - time.monotonic(), 0.0))
+            if stopped.wait(max(due_s - time.monotonic(), 0.0)):
+                sys.exit(130)
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except KeyboardInterrupt:
-        sys.exit(130)
+    signal.signal(signal.SIGINT, lambda *_: stopped.set())
+    main()

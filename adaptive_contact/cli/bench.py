@@ -97,11 +97,17 @@ def bench(
     speeds = Table(title="Speeds", show_header=False)
     speeds.add_row(
         "six-leg tick",
-        f"median {tick.median_ms:.3f} ms, p99 {tick.p99_ms:.3f} ms; "
-        f"p99 {tick.refitting_ms:.3f} ms in the {tick.refitting} of {tick.ticks} ticks during "
-        "which a refit was under way",
+        f"median {tick.median_ms:.3f} ms, p99 {tick.p99_ms:.3f} ms, up to its last event "
+        f"{tick.event_ms:.3f} ms; p99 {tick.refitting_ms:.3f} ms in the {tick.refitting} of "
+        f"{tick.ticks} ticks during which a refit was under way",
     )
-    speeds.add_row("learners", f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core")
+    speeds.add_row("one leg alone", f"median {tick.alone_ms:.3f} ms")
+    speeds.add_row(
+        "learners",
+        f"{tick.leg_ticks_per_s:.0f} leg-ticks per second of one core, "
+        f"{tick.over_arithmetic:.1f} x the compiled arithmetic's time ({tick.arithmetic_ms:.3f} "
+        f"ms a tick); {tick.many_leg_ticks_per_s:.0f} with {tick.many_legs} legs, refits apart",
+    )
     speeds.add_row(
         "restore after a restart",
         f"{restore.legs} legs in {restore.seconds:.3f} s at most ({restore.kilobytes:.0f} kB)",

@@ -140,8 +140,8 @@ def _to_events(
 ) -> None:
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact import adapt
     from adaptive_contact.bank import LearnerBank
+    from adaptive_contact.learn import mode
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
     from adaptive_contact.service.replay import Counts, replay_events
@@ -165,7 +165,7 @@ def _to_events(
             robot,
             learned,
             refitter=refitter,
-            when_ambiguous=adapt.WhenAmbiguous(when_ambiguous),
+            when_ambiguous=mode.WhenAmbiguous(when_ambiguous),
         )
         robots = OneRobot(recording)
         for event in replay_events(robots, bank, counts):

@@ -1,1 +1,1 @@
-"""The tick: from samples to contact events, and to labelled swings for the learning."""
+"""Detects contacts, tick by tick: samples to events, and to labelled swings for the learning."""

@@ -1,4 +1,4 @@
-"""One leg's ticks in time, compiled: mean rate, schedule, and whether what is late is the reading.
+"""Follows one leg's ticks in time, compiled: rate, schedule, late stamps or late readings.
 
 See :class:`adaptive_contact.detect.stream.RateWatch` for the reasons.
 """
@@ -52,7 +52,7 @@ PAUSE: Final = -1
 
 @compiled
 def anchor(leg, t_ns, seq, ring):
-    """The tick is on schedule, or begins one."""
+    """Set the schedule to this tick."""
     leg.at_ns, leg.due_ns = t_ns, t_ns + leg.period_ns
     leg.lateness = leg.stretch = 0.0
     at = leg.ring_n % RING
@@ -130,7 +130,7 @@ def judge_rate(leg, ring):
 
 @compiled
 def restart_clock(leg):
-    """The source began again."""
+    """Forget the schedule: the source has started again."""
     leg.ring_n = 0
     leg.rate_off = False
     leg.found_ns = np.nan
@@ -141,7 +141,7 @@ def follow_clock(leg, t_ns, seq, ring):
     """Take in time and number of an accepted sample.
 
     Returns:
-        Ticks that nobody read since the last one, or :data:`PAUSE`.
+        Ticks without a reading since the last one, or :data:`PAUSE`.
     """
     if leg.ring_n == 0:
         anchor(leg, t_ns, seq, ring)
@@ -170,7 +170,7 @@ def follow_clock(leg, t_ns, seq, ring):
 
 @compiled
 def vote_late(leg, residual, moved, sigma):
-    """Take in what a free tick off the schedule shows: did the leg move by the longer step?"""
+    """Count whether a free tick off the schedule shows that the leg moved by the longer step."""
     shown = power = 0.0
     for j in range(len(residual)):
         off = residual[j] + (leg.stretch * moved[j] if leg.late == 1 else 0.0)
@@ -191,7 +191,7 @@ def vote_late(leg, residual, moved, sigma):
 
 @compiled
 def follow_one(legs, ring, t_ns, seq, restart):
-    """:func:`follow_clock` of the first leg, by itself."""
+    """Apply :func:`follow_clock` to the first leg, by itself."""
     if restart:
         restart_clock(legs[0])
     return follow_clock(legs[0], t_ns, seq, ring[0])

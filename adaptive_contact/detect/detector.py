@@ -1,4 +1,4 @@
-"""One tick of several legs, compiled: from accepted samples to events, and on to predictions.
+"""Computes one tick of several legs, compiled: from samples to events, and to predictions.
 
 :func:`judge_tick` is the first half: nothing an event waits for is left out of it, and nothing
 else is in it.  :func:`finish_tick` is the second: commands, and the predictions of the next tick.
@@ -58,9 +58,9 @@ ENTERED: Final = 16  # a row was entered
 TOPPED: Final = 32  # the top of the lift has just been passed
 DECIDED: Final = 64  # a contact began or ended: an event
 TOUCHED: Final = 128  # and it began
-TOUCHING: Final = 256  # a tick of a contact in hand
-RATE_OFF: Final = 512
-SOURCE: Final = 2048  # what the source sends says nothing of the leg, or does again
+TOUCHING: Final = 256  # one of the first ticks of a contact
+RATE_OFF: Final = 512  # ticks are not as far apart as described
+SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
 RELEASE_PENDING: Final = 1024  # a contact ended that no tick will decide
 
 # A tick is calm when its distance from the free model is below this share of the threshold: one
@@ -81,7 +81,7 @@ SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
 
 @compiled
 def begin_labels(leg):
-    """A swing begins: no row is held back."""
+    """Begin the rows of a swing: none is held back."""
     leg.hole_ns = -1
     leg.lift_n = leg.row_n = leg.commanded_n = 0
     leg.topped = leg.closed = leg.broken = leg.top_seen = False
@@ -89,14 +89,14 @@ def begin_labels(leg):
 
 @compiled
 def note_hole(leg, rows):
-    """Readings were lost, or were none: what went on meanwhile shows in no residual."""
+    """Note lost or bad readings: what went on meanwhile shows in no residual."""
     if leg.row_n > leg.lift_n:
         leg.hole_ns = rows[leg.row_n - 1].t_ns
 
 
 @compiled
 def break_off(leg):
-    """What comes does not connect: the swing cannot be resolved, and is not learned."""
+    """Break off the swing: what comes does not connect, and it is not learned."""
     leg.found |= BROKE_OFF
     leg.whole = leg.stood = leg.touching = False
     begin_labels(leg)
@@ -105,7 +105,7 @@ def break_off(leg):
 
 @compiled
 def context_of(leg, command, before):
-    """Context of a tick, from its command and the one before."""
+    """Compute the context of a tick, from its command and the one before."""
     speed = 0.0
     for j in range(len(command)):
         speed = max(speed, abs(command[j] - before[j]))
@@ -119,7 +119,7 @@ def context_of(leg, command, before):
 
 @compiled
 def model_doubt(theta, index, per_scale, root, size, joint):
-    """Variance of a joint's prediction that comes from its coefficients, over the noise's."""
+    """Compute a prediction's variance that comes from its coefficients, over the noise's."""
     total = 0.0
     for c in range(size):
         v = 0.0
@@ -131,7 +131,7 @@ def model_doubt(theta, index, per_scale, root, size, joint):
 
 @compiled
 def leverage(theta, reach):
-    """How far regressors lie outside of what the fit has seen."""
+    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
     total = 0.0
     for r in range(reach.shape[0]):
         z = 0.0
@@ -143,7 +143,7 @@ def leverage(theta, reach):
 
 @compiled
 def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, against):
-    """Fill (windows,) statistic over threshold, NaN where it reaches too far back.
+    """Fill the (windows,) test ratios, NaN where a window reaches too far back.
 
     A foot about to stand has arrived, and what it is predicted to do says nothing of where the
     ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
@@ -180,7 +180,7 @@ def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, agai
 
 @compiled
 def onset(leg, history, width):
-    """When a touch began that a window of so many ticks has shown, ns."""
+    """Estimate when a contact began, from the window that shows it; ns."""
     first = width - 1
     power = along = 0.0
     for j in range(history.shape[2]):
@@ -203,7 +203,7 @@ def release(leg, t_ns, score):
 
 @compiled
 def swing_tick(leg, score, distance, onset_ns, past_lift):
-    """Judge a swing tick; NaN changes nothing."""
+    """Update loaded, free or contact by a tick's test ratio; NaN changes nothing."""
     if score != score:
         return
     leg.calm = leg.calm + 1 if distance < CALM_SCORE else 0
@@ -345,7 +345,7 @@ def near(angles, origin):
 
 @compiled
 def restart_leg(leg, command, before, desired, doubts):
-    """The source began again: what came before does not connect."""
+    """Forget the past of a leg whose source has started again."""
     leg.found |= RESTARTED
     let_go(leg)
     leg.whole = leg.stood = False
@@ -398,7 +398,13 @@ def judge_tick(
     limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows, row_thetas,
     row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
 ):  # fmt: skip
-    """The first half of a tick of every leg that has an accepted sample."""
+    """Judge a sample of every leg that has one: the first half of a tick, up to its events.
+
+    Arguments are arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg;
+    ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`.  Scratch that passes between
+    steps: ``floats[6]`` the repaired reading, ``floats[2]`` the reciprocal deviations of this tick,
+    ``floats[3]`` the gradient of the foot's height.
+    """
     joints = measured.shape[1]
     table = (kind, first, entry, weight, knee, law)
     for i in range(len(legs)):
@@ -589,7 +595,7 @@ def judge_tick(
 
 @compiled
 def now_reading(floats):
-    """Scratch that holds the repaired reading."""
+    """Return the scratch row that holds the repaired reading."""
     return floats[6]
 
 
@@ -631,7 +637,7 @@ def finish_tick(
     legs, accepted, desired, preview_in, preview_n, command, before, window, lags, preview,
     increment, theta, kind, first, entry, weight, knee, law, xi0, coefficients, room,
 ):  # fmt: skip
-    """The second half: commands are in force, and the next tick is predicted."""
+    """Put commands in force and predict the next tick: the second half."""
     joints = desired.shape[1]
     for i in range(len(legs)):
         if not accepted[i]:

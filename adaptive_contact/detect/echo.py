@@ -1,4 +1,4 @@
-"""What a source gives away by its samples alone, compiled: copies of commands, swapped phases.
+"""Follows two faults of a source, compiled: copies of commands, swapped phases.
 
 The reasons and the evidence stand in ``source_watch.py``.  An echo's runs are
 (J, lags, 5): lowest and highest error, slowest and fastest step of the command, all in position
@@ -64,7 +64,7 @@ PEAK: Final = 3
 
 @compiled
 def begin_echo(runs):
-    """Count from here on: a swing begins, or what comes does not connect."""
+    """Restart the counts: a swing begins, or what comes does not connect."""
     runs[:, :, 4] = -1.0
 
 
@@ -121,7 +121,7 @@ def take_readings(
 
 @compiled
 def restart_phase(leg, parts):
-    """What comes does not connect to what was."""
+    """Forget the parts of swings: what comes does not connect to what was."""
     leg.has_before = False
     leg.phase_part = UNKNOWN
     leg.part_whole = False
@@ -131,13 +131,13 @@ def restart_phase(leg, parts):
 
 @compiled
 def speed_of(part):
-    """Mean speed of a part's command, rad per tick."""
+    """Compute the mean speed of a part's command, rad per tick."""
     return part[TRAVEL] / max(part[TICKS], 1.0)
 
 
 @compiled
 def compare_parts(leg, parts, swing, ended):
-    """Compare the part in hand with the one beside it."""
+    """Compare the mean speed of the present part with that of the one beside it."""
     beside = 1 if swing else 2
     if parts[beside, TICKS] == 0.0:
         return
@@ -160,7 +160,7 @@ def compare_parts(leg, parts, swing, ended):
 
 @compiled
 def take_phase(leg, phase, desired, height, before, parts):
-    """Take in the phase that a sample says, with its command, and that foot's height in m."""
+    """Take in the phase that a sample states, its command, and the commanded foot's height in m."""
     if phase == UNKNOWN:
         if leg.phase_part != UNKNOWN:
             restart_phase(leg, parts)

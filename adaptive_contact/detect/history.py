@@ -1,4 +1,4 @@
-"""The recent past of one leg, compiled: readings repaired, windows shifted, residuals kept.
+"""Keeps the recent past of one leg, compiled: repaired readings, windows, residuals.
 
 A reading that is missing, or that no leg could have made, is replaced by its prediction.  Every
 function takes the batch's arrays and the row of the leg.
@@ -55,7 +55,7 @@ def restart_history(leg, doubts):
 
 @compiled
 def foresee(leg, window, preview, table, xi0, coefficients, theta, increment, room):
-    """Predict the next movement if it is not, and can be without a preview; True if it is."""
+    """Predict the next movement if that is not done and can be without a preview; True if it is."""
     if not leg.predicted and leg.filled >= leg.length and preview == 0:
         kind, first, entry, weight, knee, law = table
         regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room)
@@ -65,7 +65,7 @@ def foresee(leg, window, preview, table, xi0, coefficients, theta, increment, ro
 
 @compiled
 def remember_refused(leg, measured, refused, values, counts):
-    """Count refused readings and keep their values, the oldest least often refused goes first."""
+    """Count refused readings and keep their values; the one least often refused goes first."""
     joints = len(measured)
     for j in range(joints):
         if not refused[j]:
@@ -323,7 +323,7 @@ def take(leg, reading, window, lags, history, increment):
 
 @compiled
 def judged(leg, theta, thetas):
-    """True if the residual of the reading just taken can be judged; once per reading."""
+    """Tell whether the residual of the reading just taken can be judged; once per reading."""
     if leg.predicted:
         for lag in range(DEPTH - 1, 0, -1):
             thetas[lag] = thetas[lag - 1]

@@ -1,4 +1,4 @@
-"""The state of several legs' ticks: one row of every array is one leg.
+"""Lays out the state of several legs' ticks: one row of every array is one leg.
 
 Scalars stand in one structured array, so that compiled code names them; what has as many entries
 as a leg has joints, or as its library has terms, is an array of its own.
@@ -28,148 +28,148 @@ f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 LEG: Final = np.dtype(
     [
         # Description.
-        ("has_lengths", b1),
-        ("quantum", f8),  # rad
-        ("max_step", f8),  # rad per tick
+        ("has_lengths", b1),  # geometry is known: `lengths_m`
+        ("quantum", f8),  # rad, position step of the servos
+        ("max_step", f8),  # rad per tick, beyond which a reading is impossible
         ("length", i4),  # samples in a row before a prediction
         ("period_ns", i8),
         ("known", b1),  # a model is in force
         ("gated", b1),  # learns only what is confirmed
-        ("learning", b1),
+        ("learning", b1),  # anything is learned at all
         # Stream and clock.
-        ("at_ns", i8),
-        ("lateness", f8),
-        ("stretch", f8),
+        ("at_ns", i8),  # scheduled time of the tick
+        ("lateness", f8),  # of the stamp behind its schedule, periods
+        ("stretch", f8),  # of the last step beyond a period, periods
         ("late", i4),  # -1 unknown, 0 on time, 1 late
-        ("rate_off", b1),
-        ("seq", i8),
-        ("t_ns", i8),
-        ("due_ns", i8),
-        ("found_ns", f8),  # NaN while unknown
-        ("told_by", i4),
-        ("ring_n", i8),
+        ("rate_off", b1),  # ticks are not as far apart as described
+        ("seq", i8),  # of the sample
+        ("t_ns", i8),  # stamp of the sample
+        ("due_ns", i8),  # scheduled time of the next tick
+        ("found_ns", f8),  # mean distance of ticks; NaN while unknown
+        ("told_by", i4),  # ticks by which the rate is judged
+        ("ring_n", i8),  # stamps taken into the ring
         ("lacking", i4),  # samples for which the lack of a preview is still told
-        ("missed", i8),  # ticks since the last sample; -1 after a pause
-        ("accepted_n", i8),
-        ("total_n", i8),  # samples, never counted anew
-        ("jitter_mean", f8),
-        ("jitter_square", f8),
-        ("spread", f8),
-        ("votes", f8),
-        ("shown", f8),
-        ("misread", b1),
+        ("missed", i8),  # ticks without a sample before this one; -1 after a pause
+        ("accepted_n", i8),  # samples not yet counted by the learner
+        ("total_n", i8),  # samples, never reset
+        ("jitter_mean", f8),  # of deviations from the schedule, periods
+        ("jitter_square", f8),  # and of their squares
+        ("spread", f8),  # variance of the steps, periods²
+        ("votes", f8),  # weight of ticks that show whether readings are late
+        ("shown", f8),  # and what they show, 0 on time, 1 late
+        ("misread", b1),  # angles are not counted as described
         # Swing: the command.
-        ("ticks", i4),
+        ("ticks", i4),  # of the swing, 1 at its first, 0 in stance
         ("after", i4),  # of these after the turn to stance, while a touch is awaited
         ("same", i4),  # samples in a row that repeat the one before
-        ("swing_phase", b1),  # as inferred
-        ("told", b1),
-        ("untold", i4),
-        ("whole", b1),
-        ("stood", b1),
-        ("heights_n", i4),
-        ("low_n", i4),
-        ("low_at", i4),
-        ("apex", f8),
-        ("still", i4),
-        ("has_desired", b1),
-        ("has_measured", b1),
-        ("commanded_up", b1),
+        ("swing_phase", b1),  # the command shows a swing
+        ("told", b1),  # the samples carry a phase
+        ("untold", i4),  # ticks for which the lack of a phase is remembered
+        ("whole", b1),  # the swing began after a stance that was seen
+        ("stood", b1),  # a stance was seen
+        ("heights_n", i4),  # heights taken into the ring
+        ("low_n", i4),  # heights of the command, for its low
+        ("low_at", i4),  # and where the next one goes
+        ("apex", f8),  # m, highest command of an inferred swing
+        ("still", i4),  # ticks in a row without a change of that height
+        ("has_desired", b1),  # a command is known
+        ("has_measured", b1),  # a reading is known
+        ("commanded_up", b1),  # the newest command rises
         ("descent", b1),  # direction of the command in force
-        ("asked_n", i4),
-        ("lengths_n", i4),
-        ("path_n", i4),
-        ("path_first", i8),
-        ("path_last", i8),
+        ("asked_n", i4),  # ways commanded that were taken
+        ("lengths_n", i4),  # lengths of swings that were taken
+        ("path_n", i4),  # commands of the swing that were kept
+        ("path_first", i8),  # seq of the first of them
+        ("path_last", i8),  # and of the last
         # Swing: the foot.
-        ("rising", b1),
-        ("cleared", b1),
-        ("obstructed", b1),
-        ("rise", f8),
-        ("moved", f8),
-        ("surface", f8),
-        ("touch_at", f8),
-        ("touch_before", f8),
-        ("top", f8),
-        ("low_at_m", f8),
-        ("fallen", f8),
+        ("rising", b1),  # the measured foot rises
+        ("cleared", b1),  # the foot is off the ground by its height
+        ("obstructed", b1),  # the foot does not follow its command
+        ("rise", f8),  # m, highest above where the swing began
+        ("moved", f8),  # m, furthest from there
+        ("surface", f8),  # m, height to pass before it is cleared
+        ("touch_at", f8),  # m, height at the last onset
+        ("touch_before", f8),  # m, height three ticks before it
+        ("top", f8),  # m, highest in the swing
+        ("low_at_m", f8),  # m, lowest in the swing
+        ("fallen", f8),  # m below the top at the first onset; NaN without
         # History.
-        ("filled", i4),
-        ("predicted", b1),
-        ("inflation", f8),
-        ("usable", i4),
-        ("sound", b1),
-        ("bad", b1),
+        ("filled", i4),  # samples in the window, up to `length`
+        ("predicted", b1),  # this tick had a prediction
+        ("inflation", f8),  # of the variance, for replaced readings
+        ("usable", i4),  # residuals in a row that may be judged
+        ("sound", b1),  # a reading of this tick is usable
+        ("bad", b1),  # a reading of this tick was replaced
         ("seen", b1),  # a raw reading before
-        ("impossible", i4),
-        ("unsure", i4),
-        ("refused", i8),
-        ("reach_ticks", i8),
-        ("values_n", i4),
-        ("thetas_n", i4),
+        ("impossible", i4),  # impossible readings in a row
+        ("unsure", i4),  # ticks left after a replaced reading
+        ("refused", i8),  # readings replaced, not yet counted
+        ("reach_ticks", i8),  # predictions by which the reach is known
+        ("values_n", i4),  # refused values remembered
+        ("thetas_n", i4),  # rows of regressors kept
         # Statistic.
-        ("context", i4),
+        ("context", i4),  # index of the whitening
         ("variance_scale", f8),  # in force
-        ("__", f8),
+        ("__", f8),  # not used
         ("inflated", b1),  # the covariance is
-        ("clock_most", f8),
-        ("clock_left", i4),
+        ("clock_most", f8),  # largest stretch in question, periods
+        ("clock_left", i4),  # ticks it stays in question
         # Contact.
-        ("contact", b1),
-        ("loaded", b1),
-        ("calm", i4),
-        ("calm_since", i8),
+        ("contact", b1),  # the leg touches
+        ("loaded", b1),  # not yet free since the swing began
+        ("calm", i4),  # ticks in a row close to free motion
+        ("calm_since", i8),  # ns, first of them
         # Labels of the swing in hand.
-        ("open", b1),
+        ("open", b1),  # the swing is not resolved
         ("lift_n", i4),  # rows of the lift
         ("commanded_n", i4),  # of these, those whose command went up
         ("row_n", i4),  # rows
-        ("topped", b1),
-        ("closed", b1),
-        ("broken", b1),
-        ("top_seen", b1),
-        ("touching", b1),
-        ("resolved_first", i4),
-        ("resolved_last", i4),
-        ("resolved_whole", b1),
+        ("topped", b1),  # the top of the lift is past
+        ("closed", b1),  # no more rows of the descent are taken
+        ("broken", b1),  # the swing cannot be labelled
+        ("top_seen", b1),  # the top was flagged
+        ("touching", b1),  # the first ticks of a contact are kept
+        ("resolved_first", i4),  # first row of the descent that was resolved
+        ("resolved_last", i4),  # and one after the last
+        ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing
         ("resolved_rise", f8),
         ("resolved_fallen", f8),
         # Swings without a touch.
         ("sure", b1),  # the leg is judged by a model that fits it
         ("quiet", i4),  # ticks in a row after the turn without a sign of a touch
-        ("untouched", i8),
+        ("untouched", i8),  # swings that ended without a touch
         ("untouched_ns", i8),  # -1 before the first
         # What the source sends.
         ("phase_part", i4),  # -1 unknown, 0 stance, 1 swing
-        ("part_whole", b1),
-        ("swapped", b1),
-        ("slow_swings", i4),
-        ("has_before", b1),
+        ("part_whole", b1),  # the part in hand was seen from its start
+        ("swapped", b1),  # swing and stance are swapped
+        ("slow_swings", i4),  # in a row whose command is slower than in the stance
+        ("has_before", b1),  # a command before is known
         ("echo_n", i4),  # commands known
-        ("echoes", b1),
-        ("suspected", b1),
+        ("echoes", b1),  # a joint copies its command
+        ("suspected", b1),  # it may, by the swing so far
         ("cause", i4),  # 0 none, 1 echo, 2 phase
         ("began_ns", i8),  # of the last swing but one
-        ("began_n", i8),
+        ("began_n", i8),  # samples until then
         ("began_next_ns", i8),  # and of the last
         ("began_next_n", i8),
-        ("began_count", i4),
+        ("began_count", i4),  # of these that are known, 1 or 2
         ("reported", b1),  # the contact by the last event
         ("withholds", b1),  # contacts are not reported
         ("withholds_begun", b1),  # nor those of a swing that has just begun
-        ("began_full", b1),
-        ("has_seam", b1),
-        ("has_theta", b1),
-        ("release_pending", b1),
+        ("began_full", b1),  # the window was full as the swing began
+        ("has_seam", b1),  # a command before is known, to unwrap by
+        ("has_theta", b1),  # not used
+        ("release_pending", b1),  # a release is to be sent
         ("hole_ns", i8),  # -1 for none
-        ("changed", b1),
-        ("has_domain", b1),
+        ("changed", b1),  # the leg has changed since its model was fitted
+        ("has_domain", b1),  # a training domain is known
         # What this tick found.
-        ("found", i8),
-        ("score", f8),
-        ("onset_ns", i8),
-        ("distance", f8),
-        ("free_n", i8),
+        ("found", i8),  # flags, see `detector.py`
+        ("score", f8),  # test ratio at the decision
+        ("onset_ns", i8),  # estimated begin or end of the contact
+        ("distance", f8),  # squared length of the whitened residual
+        ("free_n", i8),  # free residuals kept
     ],
     align=True,
 )
@@ -177,22 +177,22 @@ LEG: Final = np.dtype(
 # One row of a swing in hand.
 ROW: Final = np.dtype(
     [
-        ("nis", f8),
-        ("value", f8),
-        ("sigma", f8),
+        ("nis", f8),  # normalised innovation squared
+        ("value", f8),  # statistic of this tick alone
+        ("sigma", f8),  # push from the ground, deviations
         ("t_ns", i8),
         ("context", i4),
-        ("lift", b1),
+        ("lift", b1),  # the foot was rising
         ("calm", b1),
         ("cleared", b1),
-        ("push", b1),
+        ("push", b1),  # `sigma` and the row of asides are set
     ],
     align=True,
 )
 
 
 def new_legs(count: int) -> NDArray[np.void]:
-    """Scalars of legs that have seen nothing."""
+    """Make the scalars of legs that have seen nothing."""
     legs = np.zeros(count, dtype=LEG)
     for name, value in _BEGINNING.items():
         legs[name] = value

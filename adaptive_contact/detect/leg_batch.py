@@ -1,4 +1,4 @@
-"""The arrays of several legs, and the two halves of their tick."""
+"""Holds the arrays of several legs, and runs the two halves of their tick."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STATUS_TICKS: Final = 256
 
 
 class LegBatch:
-    """The arrays of L legs whose models share a library of J joints and p terms.
+    """Holds the arrays of L legs whose models share a library of J joints and p terms.
 
     Args:
         legs: L descriptions.
@@ -48,6 +48,19 @@ class LegBatch:
         quantum_rad: position step of each leg's servos.
         period_ns: control tick.
         capacity: rows of a swing held back at first; grows.
+
+    Attributes:
+        legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
+        window: measured positions, then commands, then preview, newest first, rad.
+        history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
+        theta, thetas: (p,) and (3, p), regressors of the next tick and of the last ones.
+        unit: (J,) variance of this tick's residuals over the baseline's.
+        limits, limits_awaited: (windows,) thresholds, in a swing and after the turn to stance.
+        domain: (p, p) matrix whose product with regressors has the leverage as squared length.
+        index, per_scale, root, sizes: covariance of the coefficients while it is inflated.
+        rows, row_thetas, row_targets, row_asides: rows of the swing until it is resolved.
+        scores: (windows,) test ratios of this tick.
+        free_ring: residuals of the newest free ticks, rad.
     """
 
     def __init__(
@@ -108,7 +121,7 @@ class LegBatch:
         self.xi0, self.coefficients = zeros(q, joints), zeros(p, joints)
         self.whiten = zeros(CONTEXTS, DEPTH, joints, joints)
         self.limits, self.limits_awaited = zeros(DEPTH), zeros(DEPTH)
-        self.sigma, self.unit = zeros(joints), zeros(joints)
+        self.sigma, self.unit = zeros(joints), np.ones((rows, joints))
         self.index = zeros(joints, n, dtype=i)
         self.per_scale, self.root = zeros(joints, n), zeros(joints, n, n)
         self.sizes = zeros(dtype=i)
@@ -134,12 +147,12 @@ class LegBatch:
 
     @property
     def flags(self) -> list[int]:
-        """What the last tick of each leg has found."""
+        """Flags of the last tick of each leg."""
         found: list[int] = self.legs["found"].tolist()
         return found
 
     def judge(self) -> None:
-        """The first half of a tick."""
+        """Run the first half of a tick."""
         self.open |= self.accepted
         judge_tick(
             records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
@@ -158,7 +171,7 @@ class LegBatch:
         )  # fmt: skip
 
     def finish(self) -> None:
-        """The second half."""
+        """Run the second half of a tick."""
         finish_tick(
             records(self.legs), self.open, self.desired, self.preview_in, self.preview_n,
             self.command, self.before, self.window, self.lags, self.preview, self.increment,
@@ -182,12 +195,12 @@ class LegBatch:
         return batch
 
     def alike(self, other: LegBatch) -> bool:
-        """True if rows of another batch fit into this one, and mean the same."""
+        """Tell whether rows of another batch fit into this one, and mean the same."""
         ours, theirs = self.library, other.library
         return ours is theirs or ours == theirs
 
     def adopt(self, row: int, other: LegBatch, of: int) -> None:
-        """Take a row of another batch over: what fits, where its library is another."""
+        """Copy a row of another batch: what fits, where its library is another."""
         whole = self.alike(other)
         while whole and self.rows.shape[1] < other.rows.shape[1]:
             self.grow()
@@ -208,7 +221,7 @@ class LegBatch:
             setattr(self, name, np.concatenate([kept, np.zeros_like(kept)], axis=1))
 
     def forget_past(self, row: int) -> None:
-        """A model begins: nothing was predicted before."""
+        """Forget a row's past under its last model, as another begins."""
         for name in _OF_MODEL:
             getattr(self, name)[row] = 0
         leg = self.legs[row]
@@ -234,7 +247,7 @@ _PHASES: Final = {None: -1, "stance": 0, "swing": 1}
 
 
 class LegPlace:
-    """Where a leg's arrays are: a row of a batch.
+    """Locates a leg's arrays: a row of a batch.
 
     Attributes:
         batch: that has them.
@@ -249,7 +262,7 @@ class LegPlace:
         self._judged_by: FreeMotion | None = None
 
     def move(self, batch: LegBatch, row: int) -> None:
-        """Take the arrays along to a row of another batch."""
+        """Move the arrays to a row of another batch."""
         batch.adopt(row, self.batch, self.row)
         self.batch, self.row, self.leg = batch, row, batch.legs[row]
 
@@ -275,18 +288,18 @@ class LegPlace:
         return self.batch, self.row
 
     def sample(self, taken: ServoSample) -> ServoSample:
-        """The sample that was taken, with its angles in one turn."""
+        """Return the sample that was taken, with its angles in one turn."""
         measured = self.batch.measured[self.row].tolist()
         desired = self.batch.desired[self.row].tolist()
         return msgspec.structs.replace(taken, measured=measured, desired=desired)
 
     def drop_tick(self) -> None:
-        """Go no further with the tick in hand."""
+        """Drop the present tick."""
         self.batch.accepted[self.row] = self.batch.open[self.row] = False
         self.leg["found"] = 0
 
     def restart_swing(self) -> None:
-        """Forget the swing in hand."""
+        """Forget the present swing."""
         leg = self.leg
         for name in ("whole", "stood", "obstructed", "has_desired", "has_measured", "open"):
             leg[name] = False
@@ -300,7 +313,7 @@ class LegPlace:
         leg["broken"] = True
 
     def begin(self, library: ChangeLibrary, sigma: Array, *, gated: bool, learning: bool) -> None:
-        """A model takes over.
+        """Prepare the arrays for a model that takes over.
 
         Args:
             library: of the model.
@@ -314,7 +327,7 @@ class LegPlace:
         self._judged_by = None
 
     def end(self) -> None:
-        """No model is in force."""
+        """Mark that no model is in force."""
         self.leg["known"] = False
 
     def judge_by(self, free: FreeMotion) -> None:

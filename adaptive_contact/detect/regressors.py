@@ -1,4 +1,4 @@
-"""Regressors and the prediction of one leg, compiled.
+"""Evaluates the regressors and the prediction of one leg, compiled.
 
 A library's terms become a table that one loop evaluates: each term is a sparse linear form of the
 flat window with a function over it, or a product of two entries.  A library with changes adds
@@ -30,7 +30,7 @@ PRODUCT: Final = 6
 
 
 class TermTable(NamedTuple):
-    """The terms of a library without changes, and where its changes come from.
+    """Tabulates the terms of a library without changes, and where its changes come from.
 
     Attributes:
         kind: (q,) function of each term.
@@ -142,7 +142,7 @@ def regressors(window, kind, first, entry, weight, knee, law, xi0, theta, room):
 
 @compiled
 def predict(theta, coefficients, increment):
-    """Fill (J,) increment; True if it is finite."""
+    """Fill the (J,) predicted increment; True if it is finite."""
     increment[:] = 0.0
     joints = len(increment)
     for term in range(len(theta)):

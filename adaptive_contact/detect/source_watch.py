@@ -38,7 +38,7 @@ from adaptive_contact.wire import Doubt
 __all__ = ["EchoWatch", "SourceWatch"]
 
 # Step of the coarsest servo known here (AX-12A), by which movements are counted where a servo's own
-# is not known; copies are then told by equality, to the precision of a 32-bit float.
+# is not known; copies are then detected by equality, to the precision of a 32-bit float.
 UNKNOWN_STEP_RAD: Final = 0.005118
 EQUAL_RAD: Final = 2e-6
 
@@ -48,7 +48,7 @@ class EchoWatch:
 
     Args:
         joints: J.
-        quantum_rad: position step of the servos; None where nobody says, then only copies without
+        quantum_rad: position step of the servos; None if not known, then only copies without
             rounding are found.
     """
 
@@ -73,11 +73,11 @@ class EchoWatch:
         return bool(self._legs[0]["suspected"])
 
     def begin(self) -> None:
-        """Count from here on: a swing begins, or what comes does not connect."""
+        """Restart the counts: a swing begins, or what comes does not connect."""
         begin_echo(self._runs)
 
     def restart(self) -> None:
-        """The commands before are not known."""
+        """Forget the commands before, which are not known."""
         self.begin()
         self._legs[0]["echo_n"] = 0
 
@@ -100,7 +100,7 @@ class EchoWatch:
 
 
 class SourceWatch:
-    """Says what is wrong with the source of one leg's samples.
+    """Reports what is wrong with the source of one leg's samples.
 
     Args:
         leg: its description.

@@ -1,8 +1,8 @@
-"""Is this sample the next one of its leg's stream?  Bad samples are counted, never raised.
+"""Checks whether a sample is the next one of its stream.  Bad ones are counted, never raised.
 
 One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the
 next one, the next one after a gap, the first one of a restart, and the rejected.  A
-:class:`RateWatch` tells whether ticks are as far apart as the leg's model takes them to be.
+:class:`RateWatch` reports whether ticks are as far apart as the leg's model takes them to be.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ __all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
 MAX_TIME_NS: Final = 2**63 - 1
 MIN_RUN: Final = -(2**63)
 MAX_RUN: Final = 2**63 - 1
-# A gap is believed up to a day of samples at 100 Hz; a number further ahead is wild, or counts
-# anew from somewhere else.  It also keeps every count of losses far inside 64 bits.
+# A gap is accepted up to a day of samples at 100 Hz; a number further ahead is wild, or counts
+# from somewhere else.  It also keeps every count of losses far inside 64 bits.
 LONGEST_GAP: Final = 10_000_000
-# A longer gap could be one sample of somebody who may write the key.  It is believed from the third
+# A longer gap could be one sample of another writer of the key.  It is accepted from the third
 # sample of a stream of its own on; the source before it is used meanwhile.  Losses of up to a
 # second at 50 Hz, as of a busy network, cost nothing.
 SHORT_GAP: Final = 50
 CONFIRM_SAMPLES: Final = 3
-# A new `run` is believed at once, until one has taken over that did not last.  Then the next one
+# A new `run` is accepted at once, until one has taken over that did not last.  Then the next one
 # needs three samples of its own that follow each other, and twice as many after each further one,
 # up to 48.  So many samples of one source make up for one that did not last: a minute at 50 Hz.
 MOST_DOUBTS: Final = 5
 SETTLED_SAMPLES: Final = 3000
-# Such a run speaks at least once in so many samples of the one in force.
+# Such a run sends at least once in so many samples of the one in force.
 PACE: Final = 5
-# New runs that may be on their way to be believed; a bound on memory.
+# New runs that may yet be accepted; a bound on memory.
 MAX_NEWCOMERS: Final = 8
 # New runs that did not last are in the note for so many accepted samples (10 s at 50 Hz).
 NOTED_SAMPLES: Final = 500
 # So many samples in a row that do not follow the last one accepted, but are in order among
-# themselves, mean that the source counts anew: its clock was set back, it was restarted without
-# telling so by `run`, or one wild time or number was taken for true.
+# themselves, mean that the source counts again: its clock was set back, it was restarted without
+# a new `run`, or one wild time or number was taken for true.
 RESET_SAMPLES: Final = 10
 # So many samples in a row from a superseded publisher over so long, by its own clock, with none
 # from the newer one between them, mean that the newer one is gone.  One that floods sends as many
@@ -56,7 +56,7 @@ TAKE_BACK_SAMPLES: Final = 25
 TAKE_BACK_NS: Final = 450_000_000
 # Publishers remembered as superseded; a bound on memory, not a tuning knob.
 MAX_OLD_RUNS: Final = 32
-# A source that starts anew so often has no start: its every sample says another `run`, or it is
+# A source that restarts so often has no start: its every sample has another `run`, or it is
 # restarted in a loop.  A window needs a tenth of that to fill.
 SHORT_RUN_SAMPLES: Final = 50
 SHORT_RUNS: Final = 3
@@ -65,11 +65,11 @@ NOTED_JITTER: Final = 0.15
 
 
 class Accepted(NamedTuple):
-    """A sample that is in order.
+    """Holds how an accepted sample connects to its stream.
 
     Attributes:
         missed: samples lost between the last accepted one and this one.
-        restart: the source started anew; what came before does not connect.
+        restart: the source has restarted; what came before does not connect.
     """
 
     missed: int
@@ -91,7 +91,7 @@ class _Place(NamedTuple):
 
 
 class _Newcomer(NamedTuple):
-    """A run that is not believed yet.
+    """Holds a run that is not accepted yet.
 
     Attributes:
         place: of its newest sample.
@@ -105,7 +105,7 @@ class _Newcomer(NamedTuple):
 
 
 class _Jump(NamedTuple):
-    """A gap that was believed: where the stream was, what was missed by then, where it went on."""
+    """Holds an accepted gap: where the stream was, what was missed, where it went on."""
 
     before: _Place
     missed: int
@@ -117,13 +117,13 @@ class _Jump(NamedTuple):
 
 
 class StreamGuard:
-    """Follows one leg's stream.
+    """Admits or rejects the samples of one leg's stream.
 
     Attributes:
         joints: J, what a sample must bring.
         run: of the publisher in force.
         missed: samples lost so far.
-        restarts: times the source began anew, what it lost at them being nobody's to count.
+        restarts: of the source; what is lost at them is not counted.
     """
 
     def __init__(self, joints: int) -> None:
@@ -140,7 +140,7 @@ class StreamGuard:
         self._doubts = 0  # runs that took over and did not last
         self._strays = 0  # new runs of late that are not believed
         self._stray_at = 0  # samples accepted when the newest came
-        # Publishers in the order in which they were first heard, the one in force among them.
+        # Publishers in the order in which they were first received, the one in force among them.
         self._runs: list[int | None] = []
         self._other_count = 0
         self._other: tuple[int | None, int] | None = None  # who it is, and since when, t_ns
@@ -155,7 +155,7 @@ class StreamGuard:
 
     @property
     def note(self) -> str | None:
-        """One line for a person while the source starts anew again and again."""
+        """One line for a person while the source restarts again and again."""
         if self._short_runs >= SHORT_RUNS:
             return (
                 "the source starts anew every few samples: nothing can be judged; `run` is to be "
@@ -169,12 +169,12 @@ class StreamGuard:
         )
 
     def snapshot(self) -> dict[str, Any]:
-        """Who publishes, and who did before, for :meth:`restore`."""
+        """Return who publishes, and who did before, for :meth:`restore`."""
         runs = {"run": self.run, "old_runs": list(self.older_runs)}
         return {"begun": self._begun, "restarts": self.restarts, **runs}
 
     def restore(self, saved: object) -> None:
-        """Take over who published, so that the newer still wins; what is none is left."""
+        """Take over who published, so that the newer still wins; what is not usable is left."""
         if not isinstance(saved, dict) or saved.get("begun") is not True:
             return
         if _is_count(saved.get("restarts")):
@@ -191,7 +191,7 @@ class StreamGuard:
 
         Returns:
             How it connects to the stream, or why it is refused; a refusal changes nothing that
-            later samples are judged by, but for the detection of a source that counts anew.
+            later samples are judged by, but for the detection of a source that counts again.
         """
         fault = self._form(sample)
         if fault is not None:
@@ -260,7 +260,7 @@ class StreamGuard:
     def _restart(self, sample: ServoSample, now: _Place) -> Accepted:
         jump = self._jump if sample.run == self.run and self._since_jump < SETTLED_SAMPLES else None
         if jump is not None and jump.goes_on_at(now):
-            # Somebody else's samples were taken for a gap; the source itself never began anew.
+            # Another writer's samples were taken for a gap; the source itself never restarted.
             self.missed = jump.missed + now.seq - jump.before.seq - 1
         else:
             # The first sample after a start of our own is no restart of the source's.
@@ -327,7 +327,7 @@ def _is_run(value: object) -> bool:
 
 
 class RateWatch:
-    """Reads what one leg's clock has shown: mean rate, jitter, whether ticks or stamps are late.
+    """Reports what one leg's clock shows: mean rate, jitter, whether ticks or stamps are late.
 
     Args:
         period_ns: what ticks should be apart.
@@ -343,7 +343,7 @@ class RateWatch:
 
     @classmethod
     def of(cls, place: LegPlace) -> RateWatch:
-        """Of a leg in a batch."""
+        """Make the watch of a leg in a batch."""
         return cls(int(place.leg["period_ns"]), place)
 
     @property
@@ -413,7 +413,7 @@ class RateWatch:
         """Take in the time and number of an accepted sample.
 
         Returns:
-            Ticks that nobody read since the last one, by its number, and where readings are known
+            Ticks without a reading since the last one, by its number, and where readings are known
             to be late by its time; None where the source has paused: what came before does not
             connect.
         """
@@ -432,7 +432,7 @@ class RateWatch:
 
 
 class Seams:
-    """Takes the seam of an encoder out of one leg's angles, as a tick does.
+    """Removes the seam of an encoder from one leg's angles, as a tick does.
 
     Args:
         joints: J.
@@ -443,7 +443,7 @@ class Seams:
         self._last = np.zeros(joints)
 
     def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
-        """The sample with its angles in one turn; itself where they are, as nearly always."""
+        """Return the sample with its angles in one turn; itself where they already are."""
         measured, desired = np.array(sample.measured), np.array(sample.desired)
         preview = np.array(sample.preview or ()).reshape(-1, len(desired))
         leg = records(self._legs)[0]

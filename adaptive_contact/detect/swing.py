@@ -1,7 +1,7 @@
-"""Where a leg is in its swing, compiled: phase, direction, and the foot's heights.
+"""Follows a leg through its swing, compiled: phase, direction, and the foot's heights.
 
 The functions follow the commands (:func:`follow_command`) and the readings (:func:`follow_foot`)
-of one leg; judgements that are made once a swing stand in ``learn``.
+of one leg; judgements that are made once a swing are in ``swing_judge.py``.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from adaptive_contact.robot.kinematics import Chain
 # on soft.
 CLEARANCE_M: Final = 0.015
 # Ground that gives is felt late, and a foot rises out of it for long: where it begins its swing so
-# far below the onset that was told, it is off the ground only above where it was so many ticks
+# far below the reported onset, it is off the ground only above where it was so many ticks
 # before that onset (``swing_judge.py``).
 SUNK_M: Final = 0.006
 SOFT_TICKS: Final = 12  # by then it is, all the same
-# A lift in which the foot has risen by less says nothing of the leg: it may never have left the
+# A lift in which the foot has risen by less is no evidence: it may never have left the
 # ground.
 LIFTED_M: Final = 0.006
 # A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
@@ -42,7 +42,7 @@ AFTER_TICKS: Final = 16
 # Samples in a row after which a leg whose command and readings all stay as they are is not on its
 # way any more: a foot that comes down moves at least one joint's reading by a step.
 SAME_TICKS: Final = 2
-# A swing is told to have ended without a touch where no tick after its turn reaches this share of
+# A swing counts as one without a touch where no tick after its turn reaches this share of
 # the threshold: of 200 such swings two had a touch that lasted 40 ms (decision 27).
 QUIET_SCORE: Final = 0.3
 
@@ -93,7 +93,7 @@ def place_any(angles, links):
 
 @compiled
 def place_foot(angles, links, turns, foot):
-    """Fill (3,) m, the foot in its leg's frame; ``links`` and ``turns`` by :func:`tabulate`."""
+    """Fill the (3,) place of the foot in its leg's frame, m; see :func:`tabulate`."""
     if turns[0] == ANY:
         foot[0], foot[1], foot[2] = place_any(angles, links)
         return
@@ -140,13 +140,13 @@ def height_gradient(angles, links, turns, gradient):
 
 @compiled
 def distance(a, b):
-    """Distance of two places, m."""
+    """Compute the distance of two places, m."""
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
 @compiled
 def infer_phase(leg, height, low):
-    """Follow the commanded foot's height; True in a swing."""
+    """Infer the phase from the commanded foot's height; True in a swing."""
     before = low[(leg.low_at - 1) % LOW_TICKS] if leg.low_n else height
     low[leg.low_at] = height
     leg.low_at = (leg.low_at + 1) % LOW_TICKS
@@ -170,7 +170,7 @@ def infer_phase(leg, height, low):
 
 @compiled
 def forget_phase(leg):
-    """Infer the phase from here on."""
+    """Forget the inferred phase."""
     leg.swing_phase = False
     leg.apex = -np.inf
     leg.low_n = leg.low_at = leg.still = 0
@@ -178,7 +178,7 @@ def forget_phase(leg):
 
 @compiled
 def half_swing(leg, lengths_ticks):
-    """Half of the shortest of the last swings, ticks; 0 where none is known."""
+    """Compute half of the shortest of the last swings, ticks; 0 where none is known."""
     if leg.lengths_n == 0:
         return 0
     least = lengths_ticks[0]
@@ -189,7 +189,7 @@ def half_swing(leg, lengths_ticks):
 
 @compiled
 def stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaited):
-    """The gait says stance: the swing is over, or waits for the touch."""
+    """End the swing as the gait says stance, or go on until the touch."""
     same = leg.has_desired
     for j in range(len(desired)):
         same &= desired[j] == last_desired[j] and measured[j] == last_read[j]
@@ -316,7 +316,7 @@ def follow_foot(
 
 @compiled
 def descending(leg, lengths_ticks):
-    """True if the command in force is past the lift; without geometry, the time says so."""
+    """Tell whether the command in force is past the lift; without geometry, the time decides."""
     if not leg.has_lengths:
         return leg.ticks > max(2 * LIFT_OFF_TICKS, half_swing(leg, lengths_ticks))
     return leg.descent and leg.ticks > LIFT_OFF_TICKS

@@ -1,4 +1,4 @@
-"""What one swing of a leg shows: whether its foot is obstructed, and how early it was stopped.
+"""Judges one swing of a leg: is its foot obstructed, how early was it stopped.
 
 The tick follows phase, heights and commands (:mod:`adaptive_contact.detect.swing`); the judgements
 here are made once a swing, from what it has kept.
@@ -24,7 +24,7 @@ __all__ = ["Landings", "Rollout", "SwingJudge"]
 _Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Rollout = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 
-# A command that takes the foot no further says nothing of whether it follows.
+# A command that takes the foot no further does not show whether the foot follows.
 LEAST_WAY_M: Final = 0.015
 # A foot that has come less than this share of its command's way by the top of the lift is held:
 # caught ones 95 times in 100; free ones, those of tired legs among them, 1 to 4 times.  It is taken
@@ -34,25 +34,25 @@ FREE_SHARE: Final = 0.9
 # Readings that fall by more than this share of their command's rise are turned around: what hangs
 # on a foot pulls it down by less.
 TURNED_SHARE: Final = 0.5
-# A hold is forgotten after so many lifts in a row that tell nothing of it: what they leave of the
-# model decides then, as it would have without.
+# An obstruction is forgotten after so many lifts in a row without evidence: their residuals
+# decide then, as it would have without.
 FORGET_SWINGS: Final = 5
-# Ground that gives is felt late: where it was, is told by the height so many ticks before an onset.
+# Soft ground is detected late: its height is that of the foot so many ticks before an onset.
 SURFACE_TICKS: Final = 3
-# A touch told where the foot has come down by less than this share of its rise is told early.
+# A contact reported where the foot has descended less than this share of its rise is early.
 EARLY_SHARE: Final = 1 / 3
 # Touches come late where most of the last so many begin after the turn.
 LANDINGS: Final = 20
 
 
 class Landings:
-    """Counts how late the touches of one leg come."""
+    """Counts how late the contacts of one leg come."""
 
     def __init__(self) -> None:
         self._late: deque[int] = deque(maxlen=LANDINGS)  # ticks after the turn, 0 for before it
 
     def touched(self, after: int) -> None:
-        """A touch was reported that began so many ticks after the turn, 0 or less for before it."""
+        """Count a contact by its ticks after the turn to stance, 0 or less for before it."""
         self._late.append(max(after, 0))
 
     @property
@@ -68,14 +68,14 @@ class Landings:
 
 
 class SwingJudge:
-    """Judges the swings of one leg.
+    """Judges the travel of one leg's foot, swing by swing.
 
     Args:
         leg: its description.
         place: its arrays.
 
     Attributes:
-        travel_ratio: share of its command's way that the foot went in the last lift that told; of
+        travel_ratio: share of its command's way that the foot went in the last lift judged; of
             a leg that does not go all of it, of the way that its model predicts.
     """
 
@@ -92,7 +92,7 @@ class SwingJudge:
 
     @property
     def obstructed(self) -> bool:
-        """Whether the foot does not follow its command: held by something, or without strength."""
+        """Whether the foot does not follow its command: obstructed, or without strength."""
         return bool(self._place.leg["obstructed"])
 
     @property
@@ -102,7 +102,7 @@ class SwingJudge:
 
     @property
     def lifted(self) -> bool:
-        """Whether the foot has come up at all; without geometry, its command's word is taken."""
+        """Whether the foot has come up at all; assumed without geometry."""
         return self._leg.chain is None or float(self._place.leg["rise"]) > LIFTED_M
 
     @property
@@ -134,7 +134,7 @@ class SwingJudge:
         )
 
     def judge_travel(self, rollout: Rollout | None = None) -> bool | None:
-        """Whether the foot is held, told at the top of a lift; None where little was asked of it.
+        """Judge at the top of a lift whether the foot is obstructed; None if little was asked.
 
         Counted from where the foot was: after a touch it starts higher than its command.
 
@@ -146,7 +146,7 @@ class SwingJudge:
         count = int(leg["asked_n"])
         asked = float(batch.asked[row, (count - min(count, ASKED)) % ASKED])
         if asked <= LEAST_WAY_M:
-            # Of a gait of small steps nobody could ever tell that the foot is free again.
+            # In a gait of small steps nothing would ever show that the foot is free again.
             self._unasked += 1
             if self._unasked >= FORGET_SWINGS:
                 leg["obstructed"] = False
@@ -185,7 +185,7 @@ class SwingJudge:
         return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
 
     def touched(self, ticks: int) -> None:
-        """A touch was told, with its onset so many ticks ago."""
+        """Note the foot's height at a contact, whose onset was so many ticks ago."""
         leg = self._place.leg
         count = int(leg["heights_n"])
         if not count or not self.measures:
@@ -200,10 +200,10 @@ class SwingJudge:
             leg["fallen"] = leg["top"] - at
 
     def touched_early(self) -> bool | None:
-        """Whether the swing that has ended told a touch where its foot had hardly come down.
+        """Tell whether the last swing reported an early contact.
 
         Returns:
-            None where it cannot be told; False also where no touch was told.
+            None where that is not known; False also where no contact was reported.
         """
         leg = self._place.leg
         if not (self.measures and leg["resolved_whole"] and self.had_lifted) or leg["obstructed"]:
@@ -212,7 +212,7 @@ class SwingJudge:
         return not math.isnan(fallen) and fallen < EARLY_SHARE * float(leg["resolved_rise"])
 
     def restart(self) -> None:
-        """The source started anew."""
+        """Forget past lifts: the source has started again."""
         self._unasked = 0
 
     def _foot(self, angles: Sequence[float]) -> _Point:

@@ -1,4 +1,4 @@
-"""Labels a swing: what of it was free, and what was a contact, once that is known.
+"""Labels a swing once it is known what of it was free, and what was a contact.
 
 A swing's rows wait until it is resolved.  Ticks in which the foot rises, well after lift-off,
 cannot press on the ground: they are free at once.  Ticks after the top are free once the next
@@ -56,8 +56,8 @@ TOUCHING_TICKS: Final = 1
 MISSED_NIS: Final = 1.0
 # ...up to the first in which the foot is pushed up by more deviations than this.
 PUSHED_SIGMA: Final = 1.0
-# A touch that began before a hole in the readings is told after it, with an onset up to so many
-# ticks behind its end: the statistic's windows begin anew.
+# A touch that began before a hole in the readings is reported after it, with an onset up to so many
+# ticks behind its end: the statistic's windows begin again.
 HOLE_TICKS: Final = 8
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6
@@ -103,11 +103,11 @@ class SwingLabels:
         )
 
     def begin(self, first: LegModel | None) -> None:
-        """A model takes over, as the leg was first known by it; None where there is none."""
+        """Take over the model by which the leg was first known; None where there is none."""
         self._first = first
 
     def restart(self) -> None:
-        """The source started anew: there is no swing."""
+        """Forget the present swing: the source has started again."""
         self._touch.clear()
 
     def assess(self, flags: int) -> list[LabelledSwing]:
@@ -152,7 +152,7 @@ class SwingLabels:
         ]
 
     def alarm(self) -> list[LabelledSwing]:
-        """Label what a touch that has just begun confirms, and keep its first tick."""
+        """Label what a contact that has just begun confirms, and keep its first tick."""
         leg = self._place.leg
         if not leg["known"]:
             return []
@@ -257,7 +257,7 @@ def confirmed_before(
     lift: Sequence[Row], commanded: int, descent: list[Row], onset_ns: int, period_ns: int,
     hole_ns: int | None,
 ) -> tuple[list[int], list[Row]]:  # fmt: skip
-    """Of a swing in which a contact was reported: what came well before its onset is free.
+    """Select the rows of a swing with a contact that are free: those well before its onset.
 
     Nearer to it, what the ground cannot have done is: the part of the movement that no push from
     below accounts for.
@@ -290,12 +290,12 @@ def confirmed_before(
 
 
 def confirmed_of(descent: list[Row]) -> list[Row]:
-    """Of a descent after which the next stance has begun: the rows that are confirmed."""
+    """Select the confirmed rows of a descent after which the next stance has begun."""
     return descent[:-LAST_TICKS]
 
 
 def let_go_rows(rows: list[Row]) -> list[Row] | None:
-    """The part of a lift in which the foot is off the ground for sure, None if it is too short."""
+    """Select the part of a lift in which the foot is off the ground; None if it is too short."""
     if rows and not rows[0].calm:
         limit = LET_GO_RATIO * max(1.0, min(row.nis for row in rows[-2:]))
         first = len(rows)

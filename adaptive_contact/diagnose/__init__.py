@@ -1,1 +1,1 @@
-"""What is wrong with a leg's data or has become of the leg, for people; no event depends on it."""
+"""Diagnoses a leg's data, and what has become of the leg, for people; no event depends on it."""

@@ -1,4 +1,4 @@
-"""Watches whether a robot's samples are counted as its description says.
+"""Compares how a robot's samples count angles with what its description says.
 
 Samples of all legs are kept for a minute, and judged now and then until the motion has confirmed
 every leg (:mod:`adaptive_contact.conventions.judge`).  A leg that is described wrong gets a
@@ -30,7 +30,7 @@ __all__ = ["ConventionJob", "ConventionWatch", "MotionTrack"]
 Array = NDArray[np.float64]
 
 # When the motion is judged, s of samples; a tripod's 20 swings take 28 s.  After the last, it is
-# every LATER_S, and with no leg left that could be told, or after ENOUGH_S, never.
+# every LATER_S, and with no leg left to judge, or after ENOUGH_S, never.
 TIMES_S: Final = (4.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 24.0, 28.0, 34.0, 40.0, 50.0, 60.0)
 LATER_S: Final = 60.0
 ENOUGH_S: Final = 600.0
@@ -43,7 +43,7 @@ _ALL: Final = "*"
 
 @dataclasses.dataclass(frozen=True)
 class ConventionJob:
-    """A judgement of a robot's motion, to be made anywhere."""
+    """Describes a judgement of a robot's motion, for any process."""
 
     leg: str
     number: int
@@ -51,12 +51,12 @@ class ConventionJob:
     motions: Mapping[str, LegMotion]
 
     def run(self) -> Verdict:
-        """Judge."""
+        """Judge the motion."""
         return judge_motion(self.robot, self.motions)
 
 
 class MotionTrack:
-    """The newest samples of one leg.
+    """Keeps the newest samples of one leg.
 
     Args:
         leg: its description.
@@ -83,7 +83,7 @@ class MotionTrack:
 
     @property
     def spoils(self) -> bool:
-        """Whether what is found makes heights of the foot wrong."""
+        """Whether the finding makes heights of the foot wrong."""
         return self.finding is not None and self.finding.grave
 
     def take(
@@ -106,7 +106,7 @@ class MotionTrack:
         self.total += 1
 
     def restart(self) -> None:
-        """What comes does not connect to what was."""
+        """End the stretch of samples: what comes does not connect to what was."""
         self._count = self._untold = 0
 
     def settle(self) -> None:
@@ -118,7 +118,7 @@ class MotionTrack:
 
     @property
     def motion(self) -> LegMotion:
-        """What is kept, as copies."""
+        """Samples kept, as copies."""
         n, joints = self._count, self._joints
         return LegMotion(
             self._times[:n].copy(),
@@ -160,14 +160,14 @@ class ConventionWatch:
         self._ticks = 0
 
     def track(self, leg: Leg) -> MotionTrack | None:
-        """The track of a leg, made here; None for one whose geometry is not known."""
+        """Make the track of a leg; None for one whose geometry is not known."""
         if leg.chain is None or leg.id not in self._robot.leg_ids:
             return None
         self._tracks[leg.id] = MotionTrack(leg)
         return self._tracks[leg.id]
 
     def look(self) -> None:
-        """A tick has passed: judge, if it is time, and take a judgement when it is there."""
+        """Judge, if it is time after this tick, and take a judgement when it is there."""
         self._ticks += 1
         if self._ticks < self._next and self._pending is None:
             return

@@ -1,8 +1,8 @@
-"""What kind of change explains best what a leg has done since it was found changed.
+"""Classifies a change: which kind explains best how the leg has moved since.
 
 Every kind is a few shapes per joint, each with a free amplitude: what the change adds to the
-movements that the model of before foretells.  A kind with more shapes has to explain more
-(Schwarz's criterion).  Friction works against the movement that is *foretold*: a joint that stands
+movements that the model of before predicts.  A kind with more shapes has to explain more
+(Schwarz's criterion).  Friction works against the movement that is *predicted*: a joint that stands
 and should break away is held back like one that moves.  Taken against the movement before, a leg
 that rubs and a drive that is weak look alike (decision 20).
 """
@@ -25,7 +25,7 @@ __all__ = ["ChangeClassifier"]
 Array = NDArray[np.float64]
 
 KINDS: Final = ("friction", "drive", "load")
-# A kind is told only if it explains this share of the squared residual...
+# A kind is reported only if it explains this share of the squared residual...
 LEAST_SHARE: Final = 0.3
 # ...of so many ticks, two lifts or so...
 LEAST_ROWS: Final = 8
@@ -51,7 +51,7 @@ class _Shapes(NamedTuple):
 
 
 class ChangeClassifier:
-    """Ticks since a change, held against every kind; their number takes no memory.
+    """Compares the ticks since a change with every kind; their number takes no memory.
 
     Args:
         model: in force when the change was found.
@@ -62,7 +62,7 @@ class ChangeClassifier:
         self._model, self._noise = model, noise
         self._knee = KNEE_RAD_S * model.library.period_s
         self._shapes = [_shapes(model, joint) for joint in range(len(noise))]
-        # Where one kind alone has shapes, it would be told of every change.
+        # Where one kind alone has shapes, every change would be reported as that kind.
         self._comparable = all(any(of[kind] for _, of in self._shapes) for kind in KINDS)
         self._rows = 0
         # Per joint, products of its shapes and, last, of its residual in noise units.
@@ -88,7 +88,7 @@ class ChangeClassifier:
 
     @property
     def kind(self) -> str | None:
-        """The kind that explains best.
+        """Kind that explains the change best; None where none does.
 
         Returns:
             ``friction``, ``drive`` (supply, winding, compliance: the control law is weaker or
@@ -109,7 +109,7 @@ class ChangeClassifier:
         return best if told else None
 
     def unexplained(self, kind: str) -> float:
-        """Share of the squared residual, in noise units, that a kind leaves; 1 without ticks."""
+        """Compute the share of the squared residual that a kind leaves; 1 without ticks."""
         total = left = 0.0
         for products, (_, of) in zip(self._products, self._shapes, strict=True):
             y = float(products[-1, -1])

@@ -1,6 +1,6 @@
 r"""Finds legs whose samples come under another leg's name.
 
-Two facts tell it, each where it can:
+Two facts show it:
 
 1. *A leg's servos are its own.*  With a baseline of every leg, the residuals of one leg's free
    motion are least under its own model.  Legs i and k are named where each fits the other's better
@@ -8,7 +8,7 @@ Two facts tell it, each where it can:
 2. *Feet that stand do not move against each other.*  With mounts and lengths, the legs' places on
    the body are permuted until the distances of standing feet stay constant.
 
-Neither tells everything.  Legs of equal servos have equal models, and a body that looks the same
+Neither is complete.  Legs of equal servos have equal models, and a body that looks the same
 turned by half a turn keeps all distances when its legs are named so.  In straight walking, a swap
 of a left leg with its mirror image looks like a yaw of the wrong sign: both are said.
 """
@@ -77,7 +77,7 @@ _ALL: Final = "*ids"
 
 @dataclasses.dataclass(frozen=True)
 class LegRows:
-    """One leg's samples in order, in the frame of its description.
+    """Holds one leg's samples in order, in the frame of its description.
 
     Attributes:
         seq: (n,) numbers of the control ticks, counted alike in all legs.
@@ -92,7 +92,7 @@ class LegRows:
 
 
 class Owner(NamedTuple):
-    """The leg that samples are of, and how that shows."""
+    """Names the leg that samples are of, and how that shows."""
 
     leg: str
     why: str
@@ -366,7 +366,7 @@ def _standing(leg: Leg, rows: LegRows, lag: int, settle: int) -> NDArray[np.int6
 
 @dataclasses.dataclass(frozen=True)
 class IdJob:
-    """A judgement of whose samples come under each leg's name, to be made anywhere."""
+    """Describes a judgement of whose samples come under each leg's name, for any process."""
 
     leg: str
     number: int
@@ -375,12 +375,12 @@ class IdJob:
     rows: Mapping[str, LegRows]
 
     def run(self) -> dict[str, Owner]:
-        """Judge."""
+        """Judge the samples."""
         return judge_ids(self.robot, self.baseline, self.rows)
 
 
 class IdTrack:
-    """The first minute of one leg's samples.
+    """Keeps the first minute of one leg's samples.
 
     Args:
         joints: of the leg.
@@ -423,18 +423,18 @@ class IdTrack:
         return self._open and self.count < KEPT
 
     def restart(self) -> None:
-        """What comes does not connect to what was."""
+        """End the stretch of samples: what comes does not connect to what was."""
         self.count = 0
 
     def close(self) -> None:
-        """Keep no samples any more."""
+        """Drop the samples and keep no more."""
         self._open, self.count = False, 0
         self._seq, self._phases = self._seq[:0].copy(), self._phases[:0].copy()
         self._angles = self._angles[:0].copy()
 
     @property
     def rows(self) -> LegRows:
-        """What is kept, as copies."""
+        """Samples kept, as copies."""
         angles, phases = self._angles[: self.count].copy(), self._phases[: self.count]
         return LegRows(
             self._seq[: self.count].copy(),
@@ -457,7 +457,7 @@ class IdTrack:
 def judge_recorded_ids(
     robot: Robot, samples: Mapping[str, Sequence[ServoSample]]
 ) -> dict[str, str]:
-    """One line for each leg whose recorded samples seem to be another leg's."""
+    """Write one line for each leg whose recorded samples seem to be another leg's."""
     tracks = {}
     for leg, of_leg in samples.items():
         track = tracks[leg] = IdTrack(len(robot.leg(leg).joints), round(robot.period_s * 1e9))
@@ -470,7 +470,7 @@ def judge_recorded_ids(
 
 
 class IdWatch:
-    """Judges when it is time whose samples come under each leg's name.
+    """Judges, when it is time, whose samples come under each leg's name.
 
     Args:
         robot: its description.
@@ -486,14 +486,14 @@ class IdWatch:
         self._pending: int | None = None
 
     def track(self, leg: Leg) -> IdTrack | None:
-        """The track of a described leg, made here."""
+        """Make the track of a described leg."""
         if leg.id not in self._robot.leg_ids:
             return None
         self._tracks[leg.id] = IdTrack(len(leg.joints), round(self._robot.period_s * 1e9))
         return self._tracks[leg.id]
 
     def look(self) -> None:
-        """A tick has passed: judge, if it is time, and take a judgement when it is there."""
+        """Judge, if it is time after this tick, and take a judgement when it is there."""
         self._ticks += 1
         if self._pending is not None:
             owners = self._refitter.collect(_ALL, self._pending)

@@ -1,4 +1,4 @@
-"""Identification: from rows of free motion to a sparse closed-form model, by PySINDy."""
+"""Fits a sparse closed-form model to rows of free motion, by PySINDy."""
 
 from __future__ import annotations
 

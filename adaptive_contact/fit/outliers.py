@@ -1,6 +1,6 @@
-"""Rows to leave out of a fit: what is no noise, and what touched where nobody knows when.
+"""Finds rows to leave out of a fit: wild readings, and ticks that may have touched.
 
-Where nobody knows when a leg touched, a tenth of the ticks may be of touches, and sixty terms
+Where it is not known when a leg touched, a tenth of the ticks may be of touches, and sixty terms
 fitted to four hundred ticks explain them away: residuals of ten deviations shrink to two or three,
 and no bound on the fit's own residuals finds them.  Least trimmed squares (Rousseeuw 1984, by the
 concentration steps of Rousseeuw and Van Driessen 1999) fits the ticks that go together best; the
@@ -65,7 +65,7 @@ CORE_DEVIATION: Final = 1.25
 
 
 def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
-    """Rows that a fit can explain; twice, as the first fit still carries the others.
+    """Find the rows that a fit can explain; twice, as the first fit still carries the others.
 
     Args:
         theta: (n, p) regressors.
@@ -85,7 +85,7 @@ def inliers(theta: Array, target: Array, quantum_rad: float) -> Mask:
 
 
 class Untouched(NamedTuple):
-    """Rows to learn from, where nobody knows whether the leg touched.
+    """Holds which rows to learn from, where it is not known whether the leg touched.
 
     Attributes:
         keep: (n,) False for what is left out.

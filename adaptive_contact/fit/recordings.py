@@ -1,11 +1,11 @@
-"""From messages to stretches of samples to learn from.
+"""Cuts messages into stretches of samples to learn from.
 
 Samples go through the same stream guard as in the learner; a gap, a restart or a rejected sample
 ends a stretch.  What may be learned as free comes from the truth where a recording has it, and
 from the cautious part of each swing where it has not.
 
 A change of the truth tells its time by its source's clock, not which start of the source it is of;
-the next may count the same times anew.  So every run has a truth of its own, and where a change may
+the next may count the same times again.  So every run has its own truth, and where a change may
 be of either of two runs, it makes no tick of either free.
 """
 
@@ -126,7 +126,7 @@ class LegGatherer:
         self._heard.append(_Heard(truth, len(self._runs) - 1, came))
 
     def stretches(self, *, free: bool = False) -> list[Stretch]:
-        """What was collected.
+        """Return the stretches that were collected.
 
         Args:
             free: take every swing for contact-free in a run that has no truth.
@@ -143,12 +143,12 @@ class LegGatherer:
         ]
 
     def motion(self) -> LegMotion:
-        """All samples that were collected, in order of time."""
+        """Return all samples that were collected, in order of time."""
         rows = [row for run in self._runs for stretch in run.stretches for row in stretch]
         return LegMotion.of_samples(sorted(rows, key=lambda row: row.t_ns))
 
     def last_run(self) -> list[ServoSample]:
-        """Samples of the last start of the source, in order."""
+        """Return the samples of the last start of the source, in order."""
         return (
             [row for stretch in self._runs[-1].stretches for row in stretch] if self._runs else []
         )
@@ -178,7 +178,7 @@ class LegGatherer:
         return list({*around, *holding})
 
     def _around(self, heard: _Heard) -> dict[int, int]:
-        """Runs that were being heard, a little before and after too; samples of each by then."""
+        """Runs that were received around a change; samples of each by then."""
         if heard.run < 0:
             return {0: 0}
         t_ns, n = self._runs[heard.run].t_ns, heard.run
@@ -194,7 +194,7 @@ class LegGatherer:
         joints = len(self.leg.joints)
         desired = np.array([s.desired for s in rows])
         swing = self._swing(rows, desired)
-        # A run that told of nothing may have touched nothing, or not know.
+        # A run without changes may have touched nothing, or not know.
         certain = bool(truth.sure) or free
         mask = np.ones(len(rows), dtype=bool) if certain else cautious(swing)
         t_ns = _tick_times(rows, self._period_ns)
@@ -243,7 +243,7 @@ def stray_readings(measured: NDArray[np.float64]) -> Mask:
 
 
 def untouched(t_ns: NDArray[np.int64], truth: Iterable[ContactTruth], period_ns: int) -> Mask:
-    """Ticks that no contact of the truth is near.
+    """Find the ticks that no contact of the truth is near.
 
     A touch that begins and ends between two readings leaves no tick in contact, but its mark on
     the reading after: ticks are excluded by time, not by state.
@@ -335,7 +335,7 @@ def _around(values: list[int], k: int) -> tuple[list[int], list[int]]:
 
 
 class _Heard(NamedTuple):
-    """A change of contact, and when it was heard.
+    """Holds a change of contact, and when it was received.
 
     Attributes:
         change: it.
@@ -369,7 +369,7 @@ def _time(change: ContactTruth) -> int:
 def judge_conventions(
     robot: Robot, gathered: Mapping[str, LegGatherer], *, hangs: bool = False
 ) -> Verdict:
-    """Whether the angles of what was gathered are counted as the robot's description says.
+    """Compare the angles of what was gathered with the robot's description.
 
     A recording is judged a minute at a time, as legs may move by turns.
 

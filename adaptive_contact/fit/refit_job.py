@@ -1,4 +1,4 @@
-"""The periodic sparse refit: a job that can be done anywhere, and its result.
+"""Defines the periodic sparse refit: a job that any process can run, and its result.
 
 The work is a pure function of compressed factors, so that it can run in another process and be
 repeated exactly in a replay.  Who runs it is a :class:`Refitter`; without one, the learner does
@@ -28,7 +28,7 @@ TOLERANCE = 1.005
 
 @dataclasses.dataclass(frozen=True)
 class RefitJob:
-    """What a refit needs.
+    """Holds what a refit needs.
 
     Attributes:
         leg, number: name it.
@@ -53,7 +53,7 @@ class RefitJob:
 
 @dataclasses.dataclass(frozen=True)
 class RefitResult:
-    """What came of it.
+    """Holds the result of a refit.
 
     Attributes:
         status: how the fit ended.
@@ -72,32 +72,32 @@ class RefitResult:
 
 
 class Job(Protocol):
-    """Work on numbers alone, that can be done anywhere: a refit, or a cold start."""
+    """Describes work on numbers alone, for any process: a refit, or a cold start."""
 
     @property
     def leg(self) -> str:
-        """Whose."""
+        """Id of the leg."""
 
     @property
     def number(self) -> int:
-        """Which of that leg's."""
+        """Number of the job among that leg's."""
 
     def run(self) -> object:
-        """Do it."""
+        """Run the job."""
 
 
 class Refitter(Protocol):
-    """Who does jobs."""
+    """Runs jobs."""
 
     def submit(self, job: Job) -> None:
         """Take a job; never blocks."""
 
     def collect(self, leg: str, number: int) -> object | None:
-        """The result, or None while there is none; never blocks."""
+        """Return the result, or None while there is none; never blocks."""
 
 
 class InlineRefitter:
-    """Does a job when its result is asked for; one of each leg waits, the newest."""
+    """Runs a job when its result is asked for; one of each leg waits, the newest."""
 
     def __init__(self) -> None:
         self._jobs: dict[str, Job] = {}
@@ -107,7 +107,7 @@ class InlineRefitter:
         self._jobs[job.leg] = job
 
     def collect(self, leg: str, number: int) -> object | None:
-        """Do it."""
+        """Run the job."""
         job = self._jobs.get(leg)
         if job is None or job.number != number:
             return None

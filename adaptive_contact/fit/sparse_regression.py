@@ -1,4 +1,4 @@
-"""Sparse regression on a compressed factor.
+"""Fits sparse linear models to a compressed factor.
 
 The fit is PySINDy's STLSQ (Brunton et al. 2016; de Silva et al. 2020).
 """
@@ -30,19 +30,19 @@ RANK_CUTOFF: Final = 1e-6
 
 
 class FitStatus(enum.StrEnum):
-    """How a fit ended; everything but ``ok`` and ``emptied`` leaves the coefficients zero."""
+    """Says how a fit ended; all but ``ok`` and ``emptied`` leave the coefficients zero."""
 
     OK = "ok"
     EMPTIED = "emptied"  # the threshold removed every term of at least one joint
     TOO_FEW_ROWS = "too_few_rows"
     NOT_FINITE = "not_finite"
-    # Nobody finished it.  A status is told to people as it is; this one is never computed with.
+    # Never finished.  A status is shown to people as it is; this one is never computed with.
     LOST = "lost: the process that fits died or took too long"
 
 
 @dataclasses.dataclass(frozen=True)
 class FitSettings:
-    """Settings of one sparse fit.
+    """Holds the settings of one sparse fit.
 
     Attributes:
         threshold: λ of STLSQ, on coefficients in units of ``unit`` per column root mean square:
@@ -60,7 +60,7 @@ class FitSettings:
 
 @dataclasses.dataclass(frozen=True)
 class Fit:
-    """Result of a fit.
+    """Holds the result of a fit.
 
     Attributes:
         status: how it ended.
@@ -79,7 +79,7 @@ class Fit:
     condition: float
 
     def usable(self, still: NDArray[np.bool_]) -> bool:
-        """Whether it says of every joint how it moves; of one that stands still nothing says it.
+        """Tell whether it predicts every joint that moves.
 
         Args:
             still: (J,) which stand; not all can.

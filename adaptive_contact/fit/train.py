@@ -1,4 +1,4 @@
-"""Learn a baseline from recorded free motion.
+"""Learns a baseline from recorded free motion.
 
 Every figure that a threshold rests on comes from residuals of swings the model was not fitted to:
 swings are dealt into folds, each fold is predicted by a model of the others, and λ, covariances and
@@ -53,7 +53,7 @@ LAST_TICKS: Final = 6
 
 @dataclasses.dataclass(frozen=True)
 class Stretch:
-    """One leg's samples without a gap.
+    """Holds one leg's samples without a gap.
 
     Attributes:
         measured: (n, J) rad.
@@ -74,7 +74,7 @@ class Stretch:
 
 @dataclasses.dataclass(frozen=True)
 class LegFigures:
-    """How well one leg was learned.
+    """Holds the figures of how well one leg was learned.
 
     Attributes:
         rows: free ticks used, and ``outliers`` left out of them.
@@ -106,7 +106,7 @@ class LegFigures:
 
 @dataclasses.dataclass(frozen=True)
 class Training:
-    """A learned baseline and how good it is.
+    """Holds a learned baseline and how good it is.
 
     Attributes:
         baseline: of the legs that could be learned.
@@ -151,7 +151,7 @@ def learn(
         library: the terms to choose from.
         window: past and future to look at.
         threshold: λ, in units of the residual; chosen on held-out swings where absent.
-        progress: told of each leg as it begins.
+        progress: called with each leg as it begins.
 
     Returns:
         The baseline with its figures.
@@ -347,14 +347,14 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
 
 
 def swing_ticks(swing: Mask) -> Ints:
-    """(n,) how many ticks of its swing have passed at every tick, 1 at the first, 0 in stance."""
+    """Count (n,) ticks of the swing at every tick, 1 at the first, 0 in stance."""
     ticks = np.arange(len(swing))
     last_stance = np.maximum.accumulate(np.where(swing, -1, ticks))
     return np.asarray(np.where(swing, ticks - last_stance, 0))
 
 
 def cautious(swing: Mask) -> Mask:
-    """The part of every swing that is free with some certainty, without truth.
+    """Select the part of every swing that is free with some certainty, without truth.
 
     Args:
         swing: (n,).

@@ -38,7 +38,7 @@ _SHOWN: Final = 3
 
 
 def verdict(robot: Robot, training: Training) -> list[str]:
-    """How good every leg was learned, in words, and what to do about it."""
+    """Describe in words how well every leg was learned, and what to do about it."""
     lines = []
     for leg, figures in training.figures.items():
         noise = _NOISE_STEPS * robot.quantum(leg)
@@ -62,7 +62,7 @@ def verdict(robot: Robot, training: Training) -> list[str]:
 
 
 def refusals(robot: Robot, training: Training) -> list[str]:
-    """Why what was learned is of no use, one line a cause; empty where it is."""
+    """List why what was learned is of no use, one line a cause; empty where it is usable."""
     coarse = [leg for leg in training.figures if robot.quantum(leg) > _COARSEST_RAD]
     if coarse:
         return [

@@ -1,1 +1,1 @@
-"""The swing: from labelled swings to what is known of free motion."""
+"""Learns, swing by swing: from labelled swings to what is known of free motion."""

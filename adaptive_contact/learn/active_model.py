@@ -1,4 +1,4 @@
-"""The model in force, and the recursion that moves it.
+"""Owns the model in force, and the recursion that moves it.
 
 The model of the last good swing is kept with its recursion: one that turns out implausible is
 replaced by it, or by the baseline where there was none.
@@ -45,18 +45,18 @@ class _Good(NamedTuple):
 
 
 class ActiveModel:
-    """One leg's.
+    """Owns one leg's model in force, its recursion and the last good model.
 
     Args:
         known: the baseline.
         recent: knows where the model has been.
         provisional: the baseline is a first model, from a few swings: it may move by what these
             left open.
-        on_fall: told which model is in force again when one was implausible.
+        on_fall: called with the name of the model that replaces an implausible one.
 
     Attributes:
         baseline: the model at the start.
-        loosened: whether the recursion was, since it was begun.
+        inflated: whether the recursion's covariance was, since the recursion began.
     """
 
     def __init__(
@@ -76,7 +76,8 @@ class ActiveModel:
         self._scale = known.scale
         self._scale_column = known.scale[:, None]
         self._model = known.model
-        self._moved = False  # the recursion has, since the model was made
+        self._coefficients = known.model.coefficients
+        self._moved = False  # the recursion has, since they were made
         self._rls = self._recursion(known.model)
         # What a term may move a tick by, at most.
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
@@ -86,50 +87,60 @@ class ActiveModel:
 
     @property
     def model(self) -> LegModel:
-        """In force; made when somebody asks, as most rows are learned while the leg stands."""
+        """Model in force; made on demand, as most rows are learned while the leg stands."""
         if self._moved:
-            self._publish()
-        return self._model
+            self._settle()
+        return self.as_made
+
+    @property
+    def coefficients(self) -> Array:
+        """(p, J) of the model in force; made on demand, as most rows are learned in stances."""
+        if self._moved:
+            self._settle()
+        return self._coefficients
 
     @property
     def as_made(self) -> LegModel:
-        """As it was when somebody last asked for it; rows learned since are not in it."""
+        """Model as it was last asked for; rows learned since are not in it."""
+        if self._coefficients is not self._model.coefficients:
+            self._model = self._model.moved(self._coefficients, max(1, self._model.version))
+            self._coefficients = self._model.coefficients
         return self._model
 
     @property
     def covariance(self) -> Covariance | None:
-        """Of the coefficients while it is inflated, else None."""
+        """Covariance of the coefficients while it is inflated, else None."""
         return self._rls.roots if self.inflated else None
 
     def learn(self, row: Row) -> list[float]:
-        """Learn a row; how far the model was off before, J numbers over the noise."""
+        """Learn a row; return its J innovations over the noise, from before it was learned."""
         self._moved = True
         return self._rls.update(row.theta, row.target)
 
     def inflate(self) -> None:
-        """The leg has changed: let the recursion move along the ways in which legs change."""
+        """Inflate the covariance along the ways in which legs change."""
         self.inflated = True
         self._rls.inflate(change_directions(self.model, self._scale, self._noise))
 
     def remember(self) -> None:
-        """All is well: this is the model to go back to."""
+        """Keep the model in force as the last good one."""
         self._good = _Good(self.model, self._rls.copy(), self.inflated)
 
     def recall(self) -> None:
-        """What was learned since the last good swing was of something else: go back to that."""
+        """Restore the last good model: what was learned since was of something else."""
         good = self._good
         if good is None or good.model.version != self.model.version:
             return
-        self._model, self._moved = good.model, False
+        self._put(good.model)
         self._rls, self.inflated = good.rls.copy(), good.inflated
 
     def replace(self, model: LegModel) -> None:
-        """Another model is in force; the recursion begins from it."""
-        self._model, self._moved = model, False
+        """Put another model in force; the recursion restarts from it."""
+        self._put(model)
         self._rls, self.inflated = self._recursion(model), False
 
     def baseline_is_better(self, rows: Sequence[Row]) -> bool:
-        """Whether the baseline has fitted lifts much better than the model, with this one enough.
+        """Tell whether the baseline has fitted lifts much better than the model, this one included.
 
         Args:
             rows: of a lift, all free.
@@ -144,12 +155,12 @@ class ActiveModel:
         return True
 
     def revert_to_baseline(self) -> None:
-        """Back to what was known; the version goes on."""
+        """Put the baseline in force; the version goes on."""
         self._rls, self.inflated = self._recursion(self.baseline), False
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
-        """What :meth:`restore` and the state's reader need."""
+        """Return the model, its covariance and its support, for :meth:`restore`."""
         return {
             "baseline": pack(self.baseline.coefficients),
             "coefficients": pack(self.model.coefficients),
@@ -171,7 +182,7 @@ class ActiveModel:
         # A promoted model has a support of its own.
         rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
         rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
-        self._model, self._moved = self._model.moved(state.coefficients, state.version), False
+        self._put(self._model.moved(state.coefficients, state.version))
         self._rls, self.inflated = rls, state.inflated
 
     def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
@@ -187,17 +198,20 @@ class ActiveModel:
         return float(np.square(residual / self._noise).mean())
 
     def plausible(self, coefficients: Array) -> bool:
-        """Whether a model moves a typical tick by no more than a servo can; NaN does not."""
+        """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
         return bool(np.abs(coefficients * self._scale_column).max() <= self._most_rad)
 
-    def _publish(self) -> None:
-        version = max(1, self._model.version)
+    def _settle(self) -> None:
+        """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
         coefficients = self._rls.coefficients
         if self.plausible(coefficients):
-            self._model = self._model.moved(coefficients, version)
+            self._coefficients = coefficients
             return
         good = self._good or _Good(self.baseline, self._recursion(self.baseline), inflated=False)
-        self._model = self._model.moved(good.model.coefficients, version)
+        self._coefficients = good.model.coefficients.copy()
         self._rls, self.inflated = good.rls.copy(), good.inflated
         self._on_fall("the baseline" if self._good is None else "the last good model")
+
+    def _put(self, model: LegModel) -> None:
+        self._model, self._coefficients, self._moved = model, model.coefficients, False

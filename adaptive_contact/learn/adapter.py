@@ -1,7 +1,7 @@
 """Follows one leg's model: recursion, refits, return to what was known.
 
-When the monitor says that the leg has changed, the recursion is loosened along the ways in which
-legs change, and learns from the lifts at once.
+When the drift monitor finds that the leg has changed, the covariance of the recursion is inflated
+along the ways in which legs change, and the lifts are learned at once.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ Array = NDArray[np.float64]
 
 # Rows that may wait while nothing has changed: those of one long swing.
 CALM_QUEUE: Final = 24
-# Confirmed ticks whose times are kept for who asks (`drain_confirmed`): some 150 swings.
+# Confirmed ticks whose times are kept for `drain_confirmed`: some 150 swings.
 CONFIRMED_TICKS: Final = 2048
-# A level up to this says nothing of a leg that has not changed; from twice as far on it counts in
-# full.
+# A variance scale up to this counts as 1 for a leg that has not changed; from twice as far on it
+# counts in full.
 STRAY: Final = 1.2
 STEEP: Final = 2.0
-# Covariances and thresholds are made anew after so many swings.
+# Covariances and thresholds are recomputed after so many swings.
 REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
@@ -61,7 +61,7 @@ REFRESH_TICKS: Final = 16
 
 
 class Adapter:
-    """The adapting part of one leg's learner.
+    """Adapts one leg's model: routes labelled swings to drift, recursion, buffer and candidate.
 
     Args:
         leg: its id.
@@ -74,7 +74,7 @@ class Adapter:
 
     Attributes:
         learning: whether it does anything at all.
-        gated: whether it learns from what is confirmed only, and lifts are heard as witnesses.
+        gated: whether only confirmed ticks are learned, and lifts are assessed.
         baseline: the model as the leg was first known.
     """
 
@@ -106,10 +106,10 @@ class Adapter:
         )
         self._queue: deque[Row] = deque()
         self._learned_ns = -1  # the newest row learned
-        self._suspected: list[Row] = []  # the descent after a lift that was not believed
+        self._suspected: list[Row] = []  # the descent after a suspected lift
         self._evidence: ChangeClassifier | None = None  # of the newest change
         self._era = 0
-        self._swings = 0  # since covariances were made anew
+        self._swings = 0  # since covariances were recomputed
         self._learned_swing = False
         self._refresh_in: int | None = None  # ticks
         self._candidate = Candidate(
@@ -120,22 +120,22 @@ class Adapter:
 
     @property
     def model(self) -> LegModel:
-        """In force."""
+        """Model in force."""
         return self._active.model
 
     @property
     def inflated(self) -> bool:
-        """Whether the recursion was let loose, so that a prediction has a doubt of its own."""
+        """Whether the recursion's covariance is inflated, so that predictions are uncertain."""
         return self._active.inflated
 
     @property
     def changed(self) -> bool:
-        """Whether the leg has changed since the model in force was fitted, by what is heard."""
+        """Whether the leg has changed since the model in force was fitted, by its lifts."""
         return self._active.inflated or self.variance_in_force > 1.0
 
     @property
     def variance_in_force(self) -> float:
-        """The level by which this swing is judged.
+        """Variance scale by which this swing is judged.
 
         That of a leg that has not changed strays by a tenth of itself; as it is not followed below
         the baseline's, what it strays upwards would make the detector duller on average.
@@ -147,7 +147,7 @@ class Adapter:
 
     @property
     def status(self) -> Status:
-        """What is thought of the leg."""
+        """Status of the leg: valid, adapting or ambiguous."""
         status = self.monitor.status
         return "ambiguous" if status == "valid" and self._early.told else status
 
@@ -159,16 +159,16 @@ class Adapter:
 
     @property
     def note(self) -> str | None:
-        """One line for a person on what is thought of the leg, None when all is well."""
+        """One line for a person on the state of the leg, None when all is well."""
         return self.monitor.note or self._early.note
 
     @property
     def refits(self) -> RefitCounts:
-        """For the status."""
+        """Counts of refits, for the status."""
         return self._candidate.counts
 
     def free_motion(self, *, wanted: bool) -> FreeMotion:
-        """What the next tick is to judge by.
+        """Publish what the next tick is judged by.
 
         Args:
             wanted: the leg is in a swing; while it stands no tick needs the coefficients, and most
@@ -176,7 +176,7 @@ class Adapter:
         """
         noise = self._noise_tracker
         return FreeMotion(
-            self.model.coefficients if wanted else None,
+            self._active.coefficients if wanted else None,
             self.variance_in_force,
             self._active.covariance,
             self.changed,
@@ -211,7 +211,7 @@ class Adapter:
                 self._end_swing(part.early)
 
     def _lift(self, rows: list[Row], region: int, t_ns: int) -> None:
-        """The top of a swing has been passed."""
+        """Assess the lift of a swing whose top has been passed."""
         heard = self.monitor.assess_lift(rows, t_ns)
         waiting, self._suspected = self._suspected, []
         if heard.changed:
@@ -223,14 +223,14 @@ class Adapter:
             self._confirm(waiting, region)
 
     def _descent(self, rows: list[Row], region: int) -> None:
-        """The confirmed part of a descent; that of a suspected lift waits for the next one."""
+        """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
         if self.monitor.trusted:
             self._confirm(rows, region)
         else:
             self._suspected = rows
 
     def distrust(self, since_ns: int) -> None:
-        """The ticks from a time on were of another length: what was confirmed of them is dropped.
+        """Drop what was confirmed since a time: those ticks were of another length.
 
         A row or two of them may have been learned, which the next swings outweigh; the buffer
         would have kept them.
@@ -245,13 +245,13 @@ class Adapter:
         self.confirmed_ns = deque(kept, maxlen=CONFIRMED_TICKS)
 
     def retract(self, since_ns: int) -> None:
-        """The ticks from a time on were not of this leg: nothing of them stays learned."""
+        """Drop what was confirmed and learned since a time: those ticks were not of this leg."""
         self.distrust(since_ns)
         if self._learned_ns >= since_ns:
             self._active.recall()
 
     def new_source(self) -> None:
-        """The source began anew: times from before do not compare with its own."""
+        """Follow a restart of the source: times from before do not compare with its own."""
         while self._queue:
             self._learn(self._queue.popleft())
         self._suspected.clear()
@@ -261,18 +261,18 @@ class Adapter:
         self.monitor.new_clock()
 
     def _end_swing(self, early: bool | None) -> None:
-        """A swing has been resolved.
+        """End a swing that is resolved: count it, and request a refit that is due.
 
         Args:
             early: a touch was reported in it before the foot had begun to come down; None where
-                nobody can tell.
+                that is not known.
         """
         learned, self._learned_swing = self._learned_swing, False
         if not self.gated:
             return
         known = self.monitor.status == "valid"
         if known and early is not None and self._early.hear(early):
-            # They were none.  None come while it is told, so that no refit is promoted, either.
+            # They were not contacts.  None are stored meanwhile, so that no refit is promoted.
             self._candidate.contacts.clear()
         self._swings += 1
         if self._swings >= REFRESH_SWINGS:
@@ -283,7 +283,7 @@ class Adapter:
             self._candidate.swing_done(self.model, self.buffer, self._era, learned=learned)
 
     def tick(self, budget: int) -> bool:
-        """Once per control tick: learn a few rows, collect a result that is due.
+        """Learn a few rows and collect a refit that is due; once per control tick.
 
         Args:
             budget: rows at most.
@@ -317,7 +317,7 @@ class Adapter:
         return budget if self.monitor.status != "valid" or len(self._queue) > CALM_QUEUE else 1
 
     def snapshot(self) -> dict[str, Any]:
-        """What has been learned, for :meth:`restore`."""
+        """Return what has been learned, for :meth:`restore`."""
         return {
             "format": FORMAT,
             "library": library_key(self.model.library),
@@ -360,7 +360,7 @@ class Adapter:
     # -- private ----------------------------------------------------------------------------------
 
     def _change(self, *, first: bool) -> None:
-        """Something about the leg has changed: let the recursion move."""
+        """Begin a new era, as the leg has changed: inflate the covariance, drop the candidate."""
         if first:
             self._early.forget()
             self._evidence = ChangeClassifier(self.model, self._noise)
@@ -389,7 +389,7 @@ class Adapter:
                 self._compare(row)
 
     def _consider_baseline(self, rows: list[Row]) -> None:
-        """Mud is washed off, a battery is changed: what was known may hold again."""
+        """Return to the baseline where it fits again: mud is washed off, a battery is changed."""
         if not self._active.baseline_is_better(rows):
             return
         self._active.revert_to_baseline()
@@ -406,7 +406,7 @@ class Adapter:
         self._learned_ns = row.t_ns
         innovations = self._active.learn(row)
         if self._candidate.trying:
-            # Made anew for the row that decides only: it stands by as it was when it was displaced.
+            # Remade only for the row that decides: that is the model which stands by if replaced.
             deciding, active = self._candidate.deciding, self._active
             self._try(row, innovations, active.model if deciding else active.as_made)
 
@@ -423,7 +423,7 @@ class Adapter:
             self._refresh()
 
     def _refresh(self, *, at_once: bool = True) -> None:
-        """Make covariances and thresholds those of the model in force and the leg as it is.
+        """Recompute covariances and thresholds for the model in force and the present era.
 
         Args:
             at_once: now, as what they are of is another model or leg; else within a few ticks.
@@ -434,7 +434,7 @@ class Adapter:
         refresh(segments, self.model.coefficients)
 
     def _fallen(self, back_to: str) -> None:
-        """The model was not finite, or implausible, and another is in force again."""
+        """Follow a return to another model, as the one in force was implausible."""
         self._queue.clear()
         self._candidate.withdraw()
         self._candidate.rolled_back(

@@ -1,4 +1,4 @@
-"""Sparse refits against the model in force: asked for, tried on new ticks, promoted or refused."""
+"""Compares sparse refits with the active model on new ticks, and promotes or refuses them."""
 
 from __future__ import annotations
 
@@ -62,18 +62,18 @@ ROOM: Final = 1.3
 
 
 def rows_for_refit(model: LegModel) -> int:
-    """Rows that a buffer must hold for refits of a model's library."""
+    """Compute how many rows a buffer must hold for refits of a model's library."""
     return math.ceil(ROOM * MIN_ROWS_PER_TERM * model.library.size / FITTED_SHARE)
 
 
 def first_refit_after(leg: str) -> tuple[int, float]:
-    """Swings, or s, after which a leg's first refit is asked for."""
+    """Compute after how many swings, or s, a leg's first refit is asked for."""
     later = 1.0 + SPREAD * zlib.crc32(leg.encode()) / 2**32
     return round(later * REFIT_EVERY_SWINGS), later * REFIT_EVERY_S
 
 
 class Candidate:
-    """The refits of one leg.
+    """Requests and tries the refits of one leg.
 
     Args:
         leg: its id.
@@ -121,7 +121,7 @@ class Candidate:
 
     @property
     def counts(self) -> RefitCounts:
-        """For the status."""
+        """Counts of refits, for the status."""
         reasons = "; ".join(filter(None, (self._reason, self._wait))) or None
         return RefitCounts(**self._counts, last_reason=reasons)
 
@@ -209,7 +209,7 @@ class Candidate:
     def compare(
         self, row: Row, off: Sequence[float], model: LegModel, *, known: bool = True
     ) -> LegModel | None:
-        """Try the candidate on a row that neither has seen; the new model if it has won.
+        """Compare the candidate on a new row; return it as the new model if it has won.
 
         Args:
             row: of a confirmed tick.
@@ -263,14 +263,14 @@ class Candidate:
         return model.moved(coefficients, model.version + 1)
 
     def withdraw(self) -> None:
-        """The leg has changed: what was fitted to its past is void, a new fit does not wait."""
+        """Drop refit and candidate, as the leg has changed; a new fit does not wait."""
         self._pending, self._candidate, self._probation = None, None, False
         self._early, self._retries, self._wait, self._again = True, 1, None, 0
         self.domain = self._of_baseline
         self.contacts.clear()
 
     def resume(self, buffer: ReplayBuffer, terms: int, era: int) -> None:
-        """The leg has been where its saved buffer says."""
+        """Widen the training domain by a restored buffer."""
         if self._of_baseline is not None:
             fit, _ = buffer.factors(terms, len(self._noise), era=era)
             self.domain = self._of_baseline.widened(fit)
@@ -281,7 +281,7 @@ class Candidate:
         self._reason = f"rolled back: {why}"
 
     def snapshot(self) -> dict[str, object]:
-        """Counts, and who stands by while a promoted model proves itself, for :meth:`restore`."""
+        """Return the counts, and the replaced model while it is on probation."""
         displaced = self._candidate if self._probation else None
         return {
             **self._counts,
@@ -301,7 +301,7 @@ class Candidate:
         shape = (len(self._scale), len(self._noise))
         try:
             displaced = array_of(saved.get("displaced"), shape, "the model before")
-        except ImplausibleError:  # nobody stood by
+        except ImplausibleError:  # there was none
             return
         if self._plausible(displaced):
             self._try(displaced, probation=True)

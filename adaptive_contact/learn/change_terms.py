@@ -1,4 +1,4 @@
-"""Terms for what may happen to a leg, which its baseline has not (decision 21)."""
+"""Adds to a baseline the terms of what may happen to its leg (decision 21)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SOFT_NOISES: Final = 5.0
 
 
 def ready_for_changes(known: LegBaseline) -> LegBaseline:
-    """A leg's baseline with terms for what may happen to it, zero as long as it is as it was.
+    """Add terms for changes to a leg's baseline, with coefficients of zero.
 
     Args:
         known: of q terms.

@@ -1,6 +1,6 @@
-"""Learning a leg nobody has described: from nothing to a first model.
+"""Learns the first model of a leg that has no baseline.
 
-Until there is a model there is no alarm to tell a contact by, so only the cautious part of each
+Until there is a model there is no alarm to detect a contact, so only the cautious part of each
 swing is taken (not its first ticks, not its last), and what touches there all the same is trimmed
 (:mod:`adaptive_contact.fit.outliers`).  As soon as there are enough, and then with every few
 swings more, a fit is tried; it is taken when its error on held-out swings is a small part of the
@@ -47,7 +47,7 @@ PRIOR_SHAPE: Final = 0.1
 
 
 def prior_tails(joints: int) -> tuple[Tail, ...]:
-    """Tails of the statistic for a leg with too few free ticks of its own.
+    """Compute tails of the statistic for a leg with too few free ticks of its own.
 
     Gaussian residuals make it chi-square with J degrees of freedom; its tail beyond 1 % is taken a
     little heavier, as real ones are.
@@ -62,7 +62,7 @@ def prior_tails(joints: int) -> tuple[Tail, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class ColdResult:
-    """What a try gave.
+    """Holds the result of one try.
 
     Attributes:
         known: the leg's first model, None if it was not good enough.
@@ -76,7 +76,7 @@ class ColdResult:
 
 @dataclasses.dataclass(frozen=True)
 class ColdJob:
-    """A first fit, to be done anywhere."""
+    """Describes a first fit, to be run in any process."""
 
     leg: str
     number: int
@@ -86,7 +86,7 @@ class ColdJob:
     quantum_rad: float
 
     def run(self) -> ColdResult:
-        """Fit, and say whether it is good."""
+        """Fit a first model, and tell whether it is good enough."""
         try:
             known, figures, _ = learn_leg(
                 self.described, self.library, self.stretches, self.quantum_rad, None, first=True
@@ -149,19 +149,19 @@ class ColdStart:
 
     @property
     def progress(self) -> str:
-        """How far it is to the next try, such as ``12 of 20 swings``."""
+        """Progress to the next try, such as ``12 of 20 swings``."""
         if self._pending is not None:
             return f"a first model is being fitted to {self.swings} swings"
         return f"{self.swings} of {self._next_try} swings"
 
     def interrupt(self) -> None:
-        """The stream broke off here."""
+        """End the stretch of samples: the stream broke off here."""
         if self._starts[-1] < self.samples:
             self._starts.append(self.samples)
         self._swung = False
 
     def drop_newest(self, ticks: int) -> None:
-        """So many ticks, the newest, have turned out to say nothing of the leg."""
+        """Drop the newest samples, which turn out not to be of the leg."""
         self.samples = max(self.samples - ticks, self._starts[-1])
         self.interrupt()
 
@@ -191,7 +191,7 @@ class ColdStart:
         self._starts = [0, *(start for start in moved if start > 0)]
 
     def poll(self, refitter: Refitter) -> ColdResult | None:
-        """Hand in a fit when it is time; its result, once, when it is there."""
+        """Submit a fit when it is time; return its result, once, when it is there."""
         if self._pending is None:
             job = self.job()
             if job is not None:
@@ -206,7 +206,7 @@ class ColdStart:
         return result
 
     def job(self) -> ColdJob | None:
-        """A fit to try, when it is time."""
+        """Make the next job, when it is time."""
         if self.swings < self._next_try:
             return None
         self._next_try = self.swings + TRY_EVERY

@@ -1,7 +1,7 @@
-"""Contacts that were reported, kept to try new models on.
+"""Stores contacts that were reported, to try new models on.
 
 A sparse refit is chosen on free ticks, which say nothing about what it would make of a touch: one
-that explains how legs stop on the ground would win there, and be blind.
+that explains how legs stop on the ground would win there, and detect no contact.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST: Final = 40
 
 
 class StoredContacts:
-    """The newest contacts of one leg as it is now."""
+    """Stores the newest contacts of one leg in its present era."""
 
     def __init__(self) -> None:
         self._kept: deque[tuple[Touch, ...]] = deque(maxlen=MOST)
@@ -34,15 +34,15 @@ class StoredContacts:
         return len(self._kept)
 
     def add(self, ticks: Sequence[Touch]) -> None:
-        """Keep one, the ticks from its alarm on; the oldest goes if there are too many."""
+        """Store a contact, the ticks from its alarm on; the oldest goes if there are too many."""
         self._kept.append(tuple(ticks))
 
     def clear(self) -> None:
-        """The leg has changed: what looked like contacts may have been the change."""
+        """Drop all, as the leg has changed: they may have been the change."""
         self._kept.clear()
 
     def found(self, coefficients: Array) -> NDArray[np.bool_]:
-        """Which of them a model reports, whatever happened before.
+        """Tell which of them a model reports, whatever happened before.
 
         In any of their ticks: an alarm that came too early, which a better model would not raise,
         is followed by the touch itself.

@@ -1,10 +1,12 @@
-"""Hears the lifts of one leg: is this still the leg that the model knows?
+"""Detects drift from the residuals of lift phases.
 
-The lift is the witness.  What presses on a foot presses from below, so a lift that no longer fits
-the model speaks of the leg.  Once in a row that is only doubted: for this swing the threshold
-widens to what the lift shows, and nothing is learned.  Twice in a row it is taken for a change; so
-is a level that crept up without any lift standing out.  A leg that will not fit again is never
-called valid: it is ambiguous, as a foot that drags looks the same.
+What presses on a foot presses from below, so a lift that no longer fits the model shows a change of
+the leg.  One such lift is suspected: the threshold of this swing widens to the lift's NIS, and
+nothing is learned.  Two in a row are a change.  So is a variance scale that crept up without any
+suspected lift.  A leg that does not fit again is never valid: it is ambiguous, as a foot that drags
+looks the same.
+
+A *level* here is a NIS: of a lift, or followed over lifts as the variance scale.
 """
 
 from __future__ import annotations
@@ -29,11 +31,11 @@ __all__ = [
     "LiftAssessment",
 ]
 
-# A good model's lift exceeds the doubt level once in so many.
+# The probability with which a good model's lift is suspected.
 SUSPICION_PROBABILITY: Final = 1e-4
 SUSPICIONS: Final = 2  # in a row, for a change
-# A doubt is taken back when the mean level of so many ticks in a row after it is below this: a foot
-# that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
+# A suspicion is withdrawn when the mean level of so many ticks in a row after it is below this: a
+# foot that let go late made it.  A good model's is in 9 of 10, one whose level is 4 in 1 of 20.
 TAKE_BACK_TICKS: Final = 3
 TAKE_BACK_LEVEL: Final = 1.5
 # Share of a new lift in the followed level, and while adapting.
@@ -57,23 +59,23 @@ OBSTRUCTED_SWINGS: Final = 2
 # the worst of the simulator's, a drive gone twice as soft, came to 80; a foot that is caught and
 # still gives is at 115 to 180.
 FAR_LEVEL: Final = 100.0
-# It is let go of after so many lifts in a row that tell nothing of it: where little way is asked,
+# It is free again after so many lifts in a row without a sign of that: where little way is asked,
 # a foot on a leash comes all of it.
 RELEASE_SWINGS: Final = 3
 # A baseline whose very first lifts are all further off than this (five times the noise) is of
-# another leg; a leg that merely changed overnight is followed instead.  One that fitted by chance
-# takes longer to tell: nine in ten, for as long as a leg is given to settle.
+# another leg; a leg that merely changed overnight is followed instead.  With lifts that fitted by
+# chance it takes longer: nine in ten, for as long as a leg is given to settle.
 UNFIT_LEVEL: Final = 25.0
 UNFIT_LIFTS: Final = 3
 UNFIT_SHARE: Final = 0.9
 
 
 class LiftAssessment(NamedTuple):
-    """What a lift told.
+    """Holds the assessment of a lift.
 
     Attributes:
-        rows: to learn from now; none where the lift is doubted.
-        changed: the leg has changed, and the recursion is to be let loose.
+        rows: to learn from now; none where the lift is suspected.
+        changed: the leg has changed, and the covariance is to be inflated.
         first: that was not known before.
     """
 
@@ -83,7 +85,7 @@ class LiftAssessment(NamedTuple):
 
 
 class DriftMonitor:
-    """Follows the level of one leg's residuals, swing by swing.
+    """Follows one leg's variance scale and status, swing by swing.
 
     Args:
         joints: J.
@@ -91,8 +93,8 @@ class DriftMonitor:
 
     Attributes:
         variance_scale: of the residuals over the baseline's, followed from lift to lift.
-        status: what is thought of the leg.
-        kind: of the newest change, where it can be told.
+        status: of the leg: valid, adapting or ambiguous.
+        kind: of the newest change, where it is known.
     """
 
     def __init__(self, joints: int, least: float = LEAST_LEVEL) -> None:
@@ -108,7 +110,7 @@ class DriftMonitor:
         self._newest: deque[float] = deque(maxlen=TAKE_BACK_TICKS)
         self._settled = 0
         self._since_ns: int | None = None
-        self._swings_adapting = self._swings_loose = 0  # since the change, since it was let loose
+        self._swings_adapting = self._swings_loose = 0  # since the change, since the inflation
         self._worn_swings = 0
         self._obstructed_swings = self._far_swings = self._free_swings = 0
         self._sign = ""
@@ -119,12 +121,12 @@ class DriftMonitor:
 
     @property
     def variance_in_force(self) -> float:
-        """The level by which this swing is judged."""
+        """Variance scale by which this swing is judged."""
         return self.variance_scale if self._swing_level is None else self._swing_level
 
     @property
     def drift(self) -> DriftLevel:
-        """For the status."""
+        """Variance scale, time and kind of the newest change, for the status."""
         return DriftLevel(level=self.variance_scale, since_ns=self._since_ns, kind=self.kind)
 
     @property
@@ -167,7 +169,7 @@ class DriftMonitor:
         return None
 
     def begin_swing(self) -> None:
-        """A new swing: doubts of the last one's lift are not carried over."""
+        """Begin a swing: the suspicion of the last one's lift does not widen its threshold."""
         self._swing_level = None
         self._newest.clear()
         self._trusted = not self.obstructed
@@ -175,11 +177,11 @@ class DriftMonitor:
 
     @property
     def trusted(self) -> bool:
-        """Whether the descent of this swing may be learned: its lift was not, where it may not."""
+        """Whether the descent of this swing may be learned; not where its lift was not."""
         return self._trusted
 
     def assess_lift(self, rows: Sequence[Row], t_ns: int) -> LiftAssessment:
-        """Take in a lift, at its top.
+        """Assess a lift at its top, and update status and variance scale.
 
         Args:
             rows: its ticks, at least one, all free.
@@ -207,28 +209,28 @@ class DriftMonitor:
         return LiftAssessment(list(rows))
 
     def distrust(self, since_ns: int) -> None:
-        """A lift in doubt that was heard at or after a time speaks for no change."""
+        """Drop the suspicion if its lift was at or after a time."""
         if self._suspected_ns >= since_ns:
             self._drop_suspicions()
 
     def new_clock(self) -> None:
-        """Times from before do not compare with those to come."""
+        """Drop all times: those from before do not compare with those to come."""
         self._since_ns = None
         self._drop_suspicions()
 
     def mark_unchanged(self) -> None:
-        """The leg is again what it was before any change."""
+        """Mark the leg as what it was before any change."""
         self.variance_scale, self._since_ns, self.kind = 1.0, None, None
 
     @property
     def watches(self) -> bool:
-        """Whether the levels of this swing's ticks may change how it is judged."""
+        """Whether the NIS of this swing's ticks may change how it is judged."""
         return self._swing_level is not None or bool(self._swings_adapting)
 
     def look(self, level: float) -> None:
-        """Take in the level of a tick, which may belie what was told of this swing or the last.
+        """Take in the NIS of a tick, which may contradict the assessment of a lift.
 
-        A doubt is taken back; a leg that has just changed may have been learned since, from that
+        A suspicion is withdrawn; a leg that has just changed may have been learned since, from that
         very lift, and is judged by how it fits now.
         """
         doubted = self._swing_level is not None and self._suspicions == 1
@@ -247,7 +249,7 @@ class DriftMonitor:
             self._trusted = True
 
     def note_travel(self, *, obstructed: bool, travel_ratio: float) -> None:
-        """Tell whether the foot failed to rise with its command in the swing that ends.
+        """Note whether the foot followed its command in the lift.
 
         A foot that is caught and a leg that has lost its strength look alike; neither is learned.
 
@@ -256,7 +258,7 @@ class DriftMonitor:
             travel_ratio: share of its command's way that it went.
         """
         if not obstructed:
-            if self.obstructed or not self._far_swings:  # else its lift is yet to be heard
+            if self.obstructed or not self._far_swings:  # else its lift is yet to be assessed
                 self._note_free()
         else:
             self._far_swings = 0
@@ -277,20 +279,20 @@ class DriftMonitor:
         obstructed: bool = False,
         heard: tuple[int, int] = (1, 0),
     ) -> None:
-        """Go on from a saved state; since when is of another clock, perhaps.
+        """Resume a saved state; its times may be of another clock and are dropped.
 
         Args:
             level: followed.
-            status: what was thought of the leg.
+            status: of the leg.
             obstructed: whether that was because of a foot that did not rise.
-            heard: as it was saved; the model is this leg's where it was not.
+            heard: lifts, and those far off; where not saved, the model is this leg's.
         """
         self.variance_scale, self.status, self._since_ns = level, status, None
         self._obstructed_swings = OBSTRUCTED_SWINGS if obstructed else 0
         self._sign = "the foot was held when the state was saved"
         adapting = {"adapting": 1, "ambiguous": PATIENCE_SWINGS}
         self._swings_adapting = 0 if obstructed else adapting.get(status, 0)
-        self._swings_loose = LOOSEN_EVERY  # a doubt that comes now is of something new
+        self._swings_loose = LOOSEN_EVERY  # a suspicion that comes now is of something new
         self._lifts, self._lifts_far = heard
 
     def _drop_suspicions(self) -> None:
@@ -312,7 +314,7 @@ class DriftMonitor:
         return heard
 
     def _assess_far(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
-        """A lift further off than any drift: held by something, or, if it lasts, another leg."""
+        """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
         self._swing_level = float(np.clip(level, *self._range))
         self._newest.clear()
         self._settled = 0
@@ -334,7 +336,7 @@ class DriftMonitor:
         self._trusted = False
         if self.obstructed:
             self.status = "ambiguous"
-            # Of what held the foot, perhaps; they speak for no change after it.
+            # They may be of what held the foot, and are no evidence of a change after it.
             self._drop_suspicions()
 
     def _note_free(self) -> None:
@@ -352,13 +354,13 @@ class DriftMonitor:
         self.status = "adapting" if self._swings_adapting else "valid"
 
     def _crept(self) -> bool:
-        """Whether the leg has left its model so slowly that no lift was doubted."""
+        """Whether the leg has left its model so slowly that no lift was suspected."""
         worn = self.status == "valid" and self.variance_scale > WORN_LEVEL
         self._worn_swings = self._worn_swings + 1 if worn else 0
         return self._worn_swings >= LOOSEN_EVERY
 
     def _changed(self, rows: list[Row], since_ns: int) -> LiftAssessment:
-        """The leg is another than the model's, for the first time or still."""
+        """Set status and counts for a leg that has changed, for the first time or still."""
         first = self._swings_adapting == 0
         if first:
             self.status, self._since_ns, self.kind = "adapting", since_ns, None
@@ -391,5 +393,5 @@ class DriftMonitor:
 
 @functools.cache
 def _suspicion_limit(dof: int) -> float:
-    """Mean level of so many degrees of freedom above which a lift is doubted."""
+    """Mean level of so many degrees of freedom above which a lift is suspected."""
     return float(chdtri(dof, SUSPICION_PROBABILITY)) / dof

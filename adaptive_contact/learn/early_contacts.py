@@ -1,9 +1,9 @@
-"""Touches that the foot belies: a change of the leg that no lift shows.
+"""Counts early contacts: the sign of a change that no lift shows.
 
-Lifts are the witnesses of a change (``monitor.py``).  One that shows on descents only leaves every
-lift as it was, and makes each descent look like a touch: the swing is quarantined from there on,
-and nothing would ever tell.  But the foot does: it cannot have met the ground in swing after swing
-where it has hardly begun to come down.
+Lifts show whether a leg has changed (``drift.py``).  A change that shows on descents only leaves
+every lift as it was, and makes each descent look like a contact: nothing is learned from there on.
+The foot's height shows it: a foot cannot meet the ground in swing after swing where it has hardly
+begun to come down.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Final
 
 __all__ = ["EarlyContacts"]
 
-# Of so many swings, how many begin the doubt, and with how many it ends.  Legs in pose that meet
+# Of so many swings, how many set `told`, and with how many it ends.  Legs in pose that meet
 # obstacles up to the top of every second swing come to 16, walking ones to 5 (decision 17).
 SWINGS: Final = 30
 BEGIN: Final = 22
@@ -21,10 +21,10 @@ END: Final = 15
 
 
 class EarlyContacts:
-    """How many of the last swings of one leg reported a touch that its foot belied.
+    """Counts the last swings of one leg that reported an early contact.
 
     Attributes:
-        told: too many to be touches.
+        told: early contacts are too many to be contacts.
     """
 
     def __init__(self) -> None:
@@ -32,10 +32,10 @@ class EarlyContacts:
         self._lately: deque[bool] = deque(maxlen=SWINGS)
 
     def hear(self, belied: bool) -> bool:
-        """Take in a swing; True if it is the one with which the doubt begins.
+        """Count a swing; True if it is the one with which the count becomes too high.
 
         Args:
-            belied: it reported a touch, and the foot belied it.
+            belied: it reported an early contact.
         """
         self._lately.append(belied)
         count, before = sum(self._lately), self.told
@@ -43,7 +43,7 @@ class EarlyContacts:
         return self.told and not before
 
     def forget(self) -> None:
-        """The leg is known to have changed: what was heard before is of another."""
+        """Drop the counts, as the leg is known to have changed."""
         self.told = False
         self._lately.clear()
 
@@ -58,11 +58,11 @@ class EarlyContacts:
         )
 
     def snapshot(self) -> dict[str, Any]:
-        """What was heard, for :meth:`restore`."""
+        """Return the counts, for :meth:`restore`."""
         return {"lately": [int(belied) for belied in self._lately], "told": self.told}
 
     def restore(self, saved: Any) -> None:
-        """Take over what was heard; what is none is left."""
+        """Take over saved counts; what is not usable is left."""
         if not isinstance(saved, dict) or not isinstance(saved.get("lately"), list):
             return
         self.forget()

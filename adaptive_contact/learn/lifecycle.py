@@ -1,8 +1,7 @@
-"""What is known of one leg, and where that came from.
+"""Decides which model a leg begins with: a baseline, its own first swings, or a saved state.
 
-A leg's model begins with a baseline, with the leg's own first swings where there is none or an
-unfit one, or with what was saved of it.  From then on a detector judges with it and a follower
-keeps it up to date; both are made here, together, and nowhere else.
+The leg's own first swings are used where there is no baseline, or an unfit one.  From then on an
+adapter keeps the model up to date; it is made here and nowhere else.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 class Lifecycle:
-    """Of one leg.
+    """Makes and replaces the adapter of one leg.
 
     Args:
         robot: the robot's description.
@@ -47,8 +46,8 @@ class Lifecycle:
         refitter: does the sparse refits, and first fits.
 
     Attributes:
-        follower, recent: keep the model, covariances and thresholds; None while there is no model.
-        begun: raised whenever another follower takes over, or none does.
+        adapter, recent: keep the model, covariances and thresholds; None while there is no model.
+        begun: raised whenever another adapter takes over, or none does.
         cold: collects samples for a first model, None where there is one or none is wanted.
         origin: how the model began, for people.
         note: what is wrong with what is known, None when nothing is.
@@ -91,7 +90,7 @@ class Lifecycle:
 
     @property
     def library(self) -> Library:
-        """Of the model, or of the first one that a leg without will get."""
+        """Library of the model, or of the first one that a leg without will get."""
         if self.adapter is not None:
             return self.adapter.model.library
         plain = leg_library(self._robot, self._leg)
@@ -112,7 +111,7 @@ class Lifecycle:
         return floor
 
     def collect(self, sample: ServoSample, *, swing: bool, broken: bool, off: int) -> None:
-        """A sample for a first model, where one is wanted.
+        """Collect a sample for a first model, where one is wanted.
 
         Args:
             sample: accepted.
@@ -131,7 +130,7 @@ class Lifecycle:
         self.cold.add(sample.measured, sample.desired, swing=swing, sound=sound)
 
     def try_cold(self) -> None:
-        """Hand in a first fit when it is time, and take its result when it is there."""
+        """Submit a first fit when it is time, and take its result when it is there."""
         if self.cold is None:
             return
         result = self.cold.poll(self._refitter)
@@ -144,7 +143,7 @@ class Lifecycle:
             self.cold, self._started_cold = None, True
 
     def forget(self) -> None:
-        """The baseline was never this leg's: start cold, and say so."""
+        """Start cold: the baseline was never this leg's."""
         self._known = self.adapter = self.recent = None
         self.begun += 1
         self.origin = None
@@ -160,7 +159,7 @@ class Lifecycle:
         return f"{self.note} ({self.cold.progress})"
 
     def snapshot(self) -> dict[str, Any]:
-        """What has been learned, as a tree that msgpack can write.
+        """Return what has been learned, as a tree that msgpack can write.
 
         Without a model that is what became of the baseline; the swings of a cold start are not
         kept, as the next twenty bring as much.
@@ -176,7 +175,7 @@ class Lifecycle:
         return tree
 
     def restore_last_good(self) -> None:
-        """Go back to the last snapshot; where that has been tried since it was made, to the start.
+        """Restore the last snapshot; the start, if that snapshot was restored before.
 
         What a snapshot is refused for leaves the leg as it starts.
         """

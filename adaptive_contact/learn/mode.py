@@ -1,4 +1,4 @@
-"""What a learner may do to follow its leg, and to report of one that is ambiguous."""
+"""Names what a learner may do to follow its leg, and to report of one that is ambiguous."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["LearnerMode", "WhenAmbiguous"]
 
 
 class LearnerMode(enum.StrEnum):
-    """How a learner follows its leg; the lesser ones are there for comparison."""
+    """Selects how a learner follows its leg; the lesser ones are there for comparison."""
 
     FROZEN = "frozen"
     UNGATED = "ungated"
@@ -18,22 +18,22 @@ class LearnerMode(enum.StrEnum):
 
     @property
     def recursive(self) -> bool:
-        """Whether it moves by recursive least squares over confirmed ticks."""
+        """Whether the model moves by recursive least squares over confirmed ticks."""
         return self in (LearnerMode.RLS, LearnerMode.FULL)
 
     @property
     def refits(self) -> bool:
-        """Whether it asks for sparse refits."""
+        """Whether sparse refits are requested."""
         return self in (LearnerMode.REFIT, LearnerMode.FULL)
 
     @property
     def gated(self) -> bool:
-        """Whether it learns from what is confirmed only, and lifts are heard as witnesses."""
+        """Whether only confirmed ticks are learned, and lifts are assessed."""
         return self.recursive or self.refits
 
 
 class WhenAmbiguous(enum.StrEnum):
-    """What becomes of the contacts of a leg whose status is ``ambiguous`` (decision 24).
+    """Selects which contacts of a leg are reported while it is ``ambiguous`` (decision 24).
 
     WITHHOLD reports none where the readings do not follow the leg, or something holds its foot, and
     releases one that stands.  It reports those of a leg that only fits its model badly

@@ -1,4 +1,4 @@
-r"""What the residuals of a leg look like lately: covariance and tail that follow.
+r"""Follows the covariance and the tail of a leg's residuals.
 
 A baseline's covariances and tails are of the day it was learned.  A joint that has grown noisier,
 a reading that has become rougher, a model that fits one direction less well show in the confirmed
@@ -60,7 +60,7 @@ MOST: Final = 4.0
 
 
 class NoiseTracker:
-    """Covariances and thresholds of one leg, from a baseline's and its confirmed free ticks.
+    """Follows covariances and thresholds of one leg, from a baseline and confirmed free ticks.
 
     Args:
         noise: of the baseline.
@@ -98,7 +98,7 @@ class NoiseTracker:
         self._ticks = self._above = self._excess = 0.0
 
     def count(self, rows: Sequence[Row]) -> None:
-        """Take in the free ticks of a lift of a leg that is known."""
+        """Count the exceedances in a lift of a leg that is known."""
         tail = self._tails[0]
         level = tail.level
         self._ticks += len(rows)
@@ -119,7 +119,7 @@ class NoiseTracker:
             self._excess *= fade
 
     def refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
-        """Make covariances and thresholds those of now.
+        """Recompute covariances and thresholds at once.
 
         Args:
             segments: confirmed ticks of the leg as it is.
@@ -130,15 +130,15 @@ class NoiseTracker:
             self.go_on()
 
     def begin_refresh(self, segments: Sequence[Segment], coefficients: Array) -> None:
-        """Begin to do so; some segments a tick, with :meth:`go_on`.  What was begun is dropped."""
+        """Begin to recompute, some segments a tick with :meth:`go_on`; drops one under way."""
         self._under_way = _Shaping(self._noise.whiten, tuple(segments), coefficients)
 
     def drop_refresh(self) -> None:
-        """What was begun is of ticks that were dropped since."""
+        """Drop a recomputation under way: its ticks were dropped since."""
         self._under_way = None
 
     def go_on(self) -> bool:
-        """A tick's share of what was begun, if anything was; True if it is done."""
+        """Compute a tick's share of what is under way; True if it is done."""
         shaping = self._under_way
         if shaping is None or not shaping.advance(SEGMENTS_PER_TICK):
             return False
@@ -157,7 +157,7 @@ class NoiseTracker:
 
     @property
     def tail_factors(self) -> tuple[float, float]:
-        """How many times as often, and as far, the statistic passes its level; 1 for as before."""
+        """Factors on rate and mean excess of the baseline's tail, at least 1."""
         tail = self._tails[0]
         mean = tail.scale / (1.0 - tail.shape)
         above = PRIOR_EXCEEDANCES + self._above
@@ -166,11 +166,11 @@ class NoiseTracker:
         return min(max(often, 1.0), MOST), min(max(wide, 1.0), MOST)
 
     def snapshot(self) -> dict[str, float]:
-        """What was counted, for :meth:`restore`."""
+        """Return the counts of the tail, for :meth:`restore`."""
         return {"ticks": self._ticks, "above": self._above, "excess": self._excess}
 
     def restore(self, saved: Any) -> None:
-        """Take over saved counts; what is none is left."""
+        """Take over saved counts; what is not usable is left."""
         if not isinstance(saved, dict):
             return
         values = [saved.get(name) for name in ("ticks", "above", "excess")]

@@ -1,8 +1,8 @@
-"""The sliding buffer of confirmed free ticks.
+"""Buffers the newest confirmed free ticks.
 
 Newest segments first, with a quota per direction and region of the workspace, so that a
 monotonous gait does not forget the rest; bounded in segments.  Each segment keeps its raw rows:
-covariances are made anew from residuals under the model in force.  Evicting is dropping.
+covariances are computed from residuals under the model in force.  Evicting is dropping.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MOST_ROWS: Final = 12_000
 
 
 class Segment(NamedTuple):
-    """Confirmed rows of one lift or one descent.
+    """Holds the confirmed rows of one lift or one descent.
 
     Attributes:
         theta: (n, p); target: (n, J) rad.
@@ -51,7 +51,7 @@ class Segment(NamedTuple):
 
 @dataclasses.dataclass
 class ReplayBuffer:
-    """Confirmed segments of one leg.
+    """Buffers the confirmed segments of one leg.
 
     Attributes:
         limit: segments kept, more where they hold less than ``rows`` rows.
@@ -66,12 +66,12 @@ class ReplayBuffer:
 
     @property
     def segments(self) -> list[Segment]:
-        """Oldest first."""
+        """Segments, oldest first."""
         return list(self._segments)
 
     @property
     def counts(self) -> BufferCounts:
-        """For the status."""
+        """Counts of swings and ticks, for the status."""
         lifts = [len(segment.target) for segment in self._segments if segment.cell[0] == 0]
         return BufferCounts(
             swings=max(len(lifts), len(self._segments) - len(lifts)),
@@ -123,13 +123,13 @@ class ReplayBuffer:
         self._held = sum(len(segment.target) for segment in self._segments)
 
     def new_source(self) -> None:
-        """The source began anew: times from before do not compare with its own."""
+        """Mark all segments as of an earlier source: their times do not compare with its own."""
         self._of_source = 0
 
     def factors(
         self, terms: int, joints: int, *, era: int, every: int = 5
     ) -> tuple[Factor, Factor]:
-        """Compressed factors to fit to and to choose by.
+        """Compress the segments of an era into a factor to fit to and one to choose by.
 
         Args:
             terms: p.
@@ -138,8 +138,8 @@ class ReplayBuffer:
             every: each so-manyth segment is held out.
 
         Returns:
-            The factor of the rest, and of those held out; their rows are compressed by whoever
-            first asks something of them.
+            The factor of the rest, and of those held out; their rows are compressed on
+            first use.
         """
         fit, held_out = Factor(terms, joints), Factor(terms, joints)
         of_era = [s for s in self._segments if s.era == era]

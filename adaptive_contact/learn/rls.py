@@ -1,4 +1,4 @@
-r"""Recursive least squares that forgets only where it learns.
+r"""Estimates coefficients by recursive least squares that forgets only where it learns.
 
 One estimator for the J joints of a leg.  Each joint has its own covariance over the terms of its
 own support, as a square-root factor :math:`P_j = S_j S_j^\top`; joints with fewer terms than the
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class RlsSettings:
-    """Settings of the recursion.
+    """Holds the settings of the recursion.
 
     Attributes:
         forgetting: λ per row in the direction of the row; 0.998 remembers about 500 rows of
@@ -55,7 +55,7 @@ class RlsSettings:
 
 
 class RecursiveLeastSquares:
-    """Follows the coefficients of one leg.
+    """Estimates the coefficients of one leg, row by row.
 
     Args:
         coefficients: (p, J) to start from.
@@ -99,7 +99,7 @@ class RecursiveLeastSquares:
 
     @property
     def coefficients(self) -> Array:
-        """(p, J) at present."""
+        """(p, J) coefficients at present."""
         # By flat indices: two such calls take half the time of pairs and masks.
         raw = (self._xi * self._to_raw).take(self._moving)
         self._full.reshape(-1)[self._flat_places] = raw
@@ -107,7 +107,7 @@ class RecursiveLeastSquares:
 
     @property
     def covariance(self) -> Array:
-        """(J, q, q) of the scaled coefficients of :attr:`terms`."""
+        """(J, q, q) covariance of the scaled coefficients of :attr:`terms`."""
         factor = self.factor
         return np.asarray(factor @ factor.transpose(0, 2, 1))
 
@@ -145,20 +145,20 @@ class RecursiveLeastSquares:
         self._bound()
 
     def copy(self) -> RecursiveLeastSquares:
-        """One that goes its own way from here; what never changes is shared."""
+        """Return one that goes its own way from here; what never changes is shared."""
         twin = copy.copy(self)
         twin._full, twin._xi, twin._s = self._full.copy(), self._xi.copy(), self._s.copy()
         twin._innovations, twin._room = self._innovations.copy(), self._room.copy()
         return twin
 
     def reset_covariance(self) -> None:
-        """Back to the prior: every term free to move by as much as it says."""
+        """Reset the covariance to the prior: every term may move by as much as it says."""
         self._s[:] = 0.0
         index = np.arange(self._s.shape[1])
         self._s[:, index, index] = self.settings.prior * self._held
 
     def reseed(self, coefficients: Array) -> None:
-        """Take over the coefficients of an accepted refit; what was known of them stays known."""
+        """Take over the coefficients of an accepted refit; the covariance stays."""
         self._full = coefficients.copy()
         self._xi = self._scaled(coefficients)
 
@@ -173,7 +173,7 @@ class RecursiveLeastSquares:
         return Covariance(self._index, self._per_scale, self._s)
 
     def uncertainty(self, theta: Array) -> Array:
-        """Variance of a prediction that comes from the coefficients, over the noise's.
+        """Compute the variance of predictions that comes from the coefficients, over the noise's.
 
         Args:
             theta: (..., p) regressors.
@@ -186,7 +186,7 @@ class RecursiveLeastSquares:
         return np.asarray(np.square(v).sum(axis=-1))
 
     def update(self, theta: Array, target: Array) -> list[float]:
-        """Take in one row.
+        """Learn one row.
 
         Args:
             theta: (p,) regressors.
@@ -210,7 +210,7 @@ class RecursiveLeastSquares:
         return innovations
 
     def doubt(self, gram: Array) -> None:
-        """Let the coefficients move by what the fit they come from leaves open.
+        """Widen the covariance by what the fit that the coefficients come from leaves open.
 
         Args:
             gram: (p, p) positive definite, sum over that fit's rows of the scaled regressors'
@@ -227,7 +227,7 @@ class RecursiveLeastSquares:
         self._bound()
 
     def inflate(self, directions: Array) -> None:
-        """Let the coefficients move along some directions: something about the leg has changed.
+        """Inflate the covariance along some directions, as the leg has changed.
 
         Args:
             directions: (J, d, p) standard deviations of a change along each direction, in raw
@@ -265,7 +265,7 @@ class RecursiveLeastSquares:
 def learn_row(
     theta, target, index, per_scale, per_noise, xi, s, forgetting, huber, innovations, room
 ):  # fmt: skip
-    """Take in one row, in place; one whose innovations are not finite leaves all as it is.
+    """Learn one row, in place; one whose innovations are not finite leaves all as it is.
 
     Of (p,) theta, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
     coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.

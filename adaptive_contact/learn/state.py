@@ -1,4 +1,4 @@
-"""A follower's state as a tree that msgpack can write, and back.
+"""Packs an adapter's state as a tree that msgpack can write, and reads it back.
 
 Arrays travel as ``{"shape": [...], "data": bytes}`` of little-endian float64.  What is read is
 checked for form and for sense before anything is changed: a snapshot is used whole or not at all.
@@ -35,17 +35,17 @@ FORMAT: Final = 3
 
 
 class ImplausibleError(Exception):
-    """Why a snapshot is not used; `restore` catches it, it never leaves the package."""
+    """Says why a snapshot is not used; `restore` catches it, it never leaves the package."""
 
 
 def pack(array: Array) -> dict[str, object]:
-    """An array for a snapshot."""
+    """Pack an array for a snapshot."""
     data = np.ascontiguousarray(array, dtype="<f8")
     return {"shape": list(data.shape), "data": data.tobytes()}
 
 
 def array_of(value: object, shape: tuple[int, ...], what: str) -> Array:
-    """An array from a snapshot; -1 in ``shape`` takes any length.
+    """Unpack an array from a snapshot; -1 in ``shape`` takes any length.
 
     Raises:
         ImplausibleError: it is no array of that shape, or not finite.
@@ -68,7 +68,7 @@ def array_of(value: object, shape: tuple[int, ...], what: str) -> Array:
 
 
 def library_key(library: Library) -> dict[str, object]:
-    """What a library's regressors depend on; a snapshot of another is of no use."""
+    """Describe what a library's regressors depend on; a snapshot of another is of no use."""
     window = library.window
     return {
         "name": library.name,
@@ -81,7 +81,7 @@ def library_key(library: Library) -> dict[str, object]:
 
 
 def segment_of(segment: Segment) -> dict[str, Any]:
-    """A segment for a snapshot."""
+    """Pack a segment for a snapshot."""
     return {
         "theta": pack(segment.theta),
         "target": pack(segment.target),
@@ -93,15 +93,15 @@ def segment_of(segment: Segment) -> dict[str, Any]:
 
 
 class SavedState(NamedTuple):
-    """What a snapshot holds of a follower, read and found to make sense.
+    """Holds a snapshot of an adapter, read and checked.
 
     Attributes:
         coefficients: (p, J) of the model that was in force.
         support: (p, J) of its recursion.
         segments: of the buffer, oldest first.
         version, era: of the model, and of the leg as it was.
-        level, status, held, heard, kind: of the monitor.
-        loosened: whether the recursion was.
+        level, status, held, heard, kind: of the drift monitor.
+        inflated: whether the recursion's covariance was.
     """
 
     coefficients: Array
@@ -118,10 +118,10 @@ class SavedState(NamedTuple):
 
 
 def read_state(saved: dict[str, Any], baseline: LegModel, contexts: int) -> SavedState:
-    """Read a follower's snapshot.
+    """Read an adapter's snapshot.
 
     Args:
-        saved: as :meth:`~adaptive_contact.learn.adapter.Follower.snapshot` gave it.
+        saved: as :meth:`~adaptive_contact.learn.adapter.Adapter.snapshot` gave it.
         baseline: from which it must have been learned.
         contexts: of covariances.
 

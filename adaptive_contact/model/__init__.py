@@ -1,4 +1,4 @@
-"""What is known of a leg's free motion: library, model, noise, tail, and the file of them."""
+"""Describes a leg's free motion: library, model, noise, tail, and the file of them."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-r"""Directions in which a leg's coefficients move when the leg itself changes.
+r"""Models how a leg's coefficients move when the leg itself changes.
 
 A hundred coefficients cannot be found again from two swings, but a leg that has changed has
 mostly changed in few ways, and each moves a joint's coefficients along a known direction: friction
 and softness have terms of their own (:class:`~adaptive_contact.model.ChangeLibrary`), a drive
-that is weaker scales the terms of its law, mud moves gravity and the speeds.  Loosening the
-recursion along these, and little elsewhere, lets one or two swings say what happened; and as soon
-as they have, the prediction is certain again everywhere, not only where the leg has been since
-(decision 21).
+that is weaker scales the terms of its law, mud moves gravity and the speeds.  The
+covariance of the recursion is inflated along these directions, and little elsewhere.  Then one or
+two swings identify the change, and the prediction is certain again everywhere, not only where the
+leg has been since (decision 21).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 # sags from 12 V to 9.4 V takes a fifth off a drive's; a wider prior leaves the end of a descent,
 # where the law saturates, in doubt for ten swings.
 FAMILY_SHARE: Final = 0.1
-# Of the softness that the first model foretells: 1 is a servo half as stiff.
+# Of the softness that the first model predicts: 1 is a servo half as stiff.
 SOFT_SHARE: Final = 0.5
-# Of friction against the movement that the first model foretells, at each knee, in noise units:
+# Of friction against the movement that the first model predicts, at each knee, in noise units:
 # four times as much moves a prediction by 2 to 4 units, six times by up to 7.
 FRICTION_UNITS: Final = 2.0
 # Of what friction against the last movement and a joint's own speed add to that.
@@ -43,7 +43,7 @@ OTHER_UNITS: Final = 0.1
 
 
 def core_support(model: LegModel) -> NDArray[np.bool_]:
-    """The model's support, and the terms a change of the leg may need.
+    """Return the terms that the recursion may move: the support, and what a change may need.
 
     Returns:
         (p, J) bool: what the recursion may move.
@@ -58,7 +58,7 @@ def core_support(model: LegModel) -> NDArray[np.bool_]:
 
 
 def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
-    """Likely changes of the coefficients.
+    """Compute the likely changes of the coefficients, a deviation along each direction.
 
     Args:
         model: in force.
@@ -95,7 +95,7 @@ def change_directions(model: LegModel, scale: Array, noise: Array) -> Array:
 
 
 def speaks_of(term: str, joint: str) -> bool:
-    """Whether a term is of a joint; one whose name begins alike is another."""
+    """Tell whether a term is of a joint; one whose name begins alike is another."""
     return re.search(rf"_{re.escape(joint)}(?!\w)", term) is not None
 
 

@@ -1,4 +1,4 @@
-r"""Rows of a regression on a compressed factor.
+r"""Compresses the rows of a regression into a triangular factor.
 
 Rows :math:`(\Theta, Y)` enter a QR factorisation of :math:`[\Theta\; Y]` and are forgotten; what
 stays is the triangle
@@ -24,13 +24,13 @@ __all__ = ["Factor"]
 
 Array = NDArray[np.float64]
 
-# Raw rows wait until there are so many, or until somebody asks: a tick that hands its rows over
+# Raw rows wait until there are so many, or until they are needed: a tick that hands its rows over
 # does not pay for the factorisation, and one of a thousand rows costs less than ten of a hundred.
 COMPRESS_ROWS: Final = 4096
 
 
 class Factor:
-    """Triangle of the QR factorisation of [Θ Y], fed block by block.
+    """Holds the triangle of the QR factorisation of [Θ Y], fed block by block.
 
     Attributes:
         terms: p, columns of Θ.
@@ -82,7 +82,7 @@ class Factor:
 
     @classmethod
     def merged(cls, factors: Iterable[Factor], terms: int, outputs: int) -> Factor:
-        """One factor of what several hold."""
+        """Merge several factors into a new one."""
         total = cls(terms, outputs)
         for factor in factors:
             total.merge(factor)
@@ -119,14 +119,14 @@ class Factor:
         return self._triangle[:, : self.terms], self._triangle[:, self.terms :]
 
     def scale(self) -> Array:
-        """(p,) root mean square of each column of Θ, 1 where a column is zero throughout."""
+        """Compute (p,) root mean squares of the columns of Θ, 1 where a column is all zero."""
         if self.rows <= 0:
             return np.ones(self.terms)
         rms = np.sqrt(np.square(self._triangle[:, : self.terms]).sum(axis=0) / self.rows)
         return np.where(rms > 1e-12, rms, 1.0)
 
     def rms(self, coefficients: Array) -> Array:
-        """Root mean square error of a linear model on everything the factor holds.
+        """Compute the root mean square error of a linear model on all that the factor holds.
 
         Args:
             coefficients: (p, J).
@@ -140,7 +140,7 @@ class Factor:
         return np.asarray(np.sqrt(np.square(qty - r @ coefficients).sum(axis=0) / self.rows))
 
     def condition(self) -> float:
-        """Condition number of Θ with its columns scaled to unit root mean square."""
+        """Compute the condition number of Θ with its columns scaled to unit root mean square."""
         r, _ = self.system
         if self.rows < self.terms:
             return float("inf")

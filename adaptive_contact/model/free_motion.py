@@ -1,6 +1,6 @@
-"""What detection needs to know of a leg's free motion: the learning makes it, a tick judges by it.
+"""Defines what detection needs to know of a leg's free motion; the learning publishes it.
 
-One of the two values that pass between the two; the other is
+The value that passes the other way is
 :class:`~adaptive_contact.model.labelled_swing.LabelledSwing`.
 """
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Covariance(NamedTuple):
-    """How uncertain a model's coefficients are, over the noise's variance.
+    """Holds the covariance of a model's coefficients, over the noise's variance.
 
     Attributes:
         terms: (J, n) which of the p terms each joint's recursion moves.
@@ -33,7 +33,7 @@ class Covariance(NamedTuple):
 
 
 class FreeMotion(NamedTuple):
-    """A leg's free motion, as it is known now.
+    """Holds all that a tick needs to judge a leg: model, whitening, thresholds, variance scale.
 
     Attributes:
         coefficients: (p, J) of the model in force; None while the leg stands, when no tick needs

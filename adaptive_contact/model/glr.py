@@ -1,4 +1,4 @@
-r"""The likelihood-ratio statistic of a contact.
+r"""Computes the likelihood-ratio statistic of a contact.
 
 Free residuals are :math:`r \sim N(0, \Sigma_c)` in context c; a contact that began w ticks ago
 adds an unknown mean to the last w of them.  The generalised likelihood ratio of that against no
@@ -9,7 +9,7 @@ contact is
 
 for w = 1, 2, 3, so that a hard contact shows in one tick and a soft one adds up.  A contact holds
 the leg back: windows whose whitened sum does not oppose the predicted motion count as zero.  How
-far the last tick is from free motion in *any* direction is told beside it: a foot that is still
+far the last tick is from free motion in *any* direction is returned beside it: a foot that is still
 loaded after a stance is pushed along, not held back.
 """
 
@@ -29,7 +29,7 @@ Ints = NDArray[np.int64]
 
 
 class Statistic(NamedTuple):
-    """What a tick's residuals say.
+    """Holds the statistic of a tick's residuals.
 
     Attributes:
         value: (..., windows) T, zero where it does not oppose the motion, NaN where the window
@@ -61,7 +61,7 @@ def statistic(residual: Array, increment: Array, whiten: Array, usable: Ints) ->
 
 
 def whitened(history: Array, whiten: Array) -> tuple[Array, Array]:
-    """The whitened sums of every window.
+    """Compute the whitened sums of every window: squared length, product with the motion.
 
     Args:
         history: (2, ..., 3, J) rad, residuals and predicted increments, lag 0 first.
@@ -79,7 +79,7 @@ def whitened(history: Array, whiten: Array) -> tuple[Array, Array]:
 def stream_statistic(
     residual: Array, increment: Array, where: Ints, usable: Ints, noise: NoiseModel
 ) -> Array:
-    """The same for a whole stream at once.
+    """Compute T for every window of every tick of a stream.
 
     Args:
         residual: (n, 3, J) rad, lag 0 first.

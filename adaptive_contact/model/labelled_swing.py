@@ -1,6 +1,6 @@
-"""What detection has found a swing to hold: the tick makes it, the learning learns from it.
+"""Defines the parts of a swing, with labels, that detection passes to the learning.
 
-One of the two values that pass between the two; the other is
+Detection makes them, the learning learns from them.  The value that passes the other way is
 :class:`~adaptive_contact.model.free_motion.FreeMotion`.
 """
 
@@ -25,7 +25,7 @@ SEGMENTS: Final = 120
 
 
 class Push(NamedTuple):
-    """What a residual shows of a foot being pushed up.
+    """Holds the part of a residual that a push from the ground can have made.
 
     Attributes:
         sigma: how far it lies that way, in its own standard deviations; negative for a foot below
@@ -38,7 +38,7 @@ class Push(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One tick to learn from.
+    """Holds one tick to learn from: regressors, target, NIS and what was known of it.
 
     Attributes:
         theta: (p,) regressors that predicted it.
@@ -67,13 +67,13 @@ class Row(NamedTuple):
 
 
 def residuals_of(rows: Sequence[Row], coefficients: Array) -> tuple[Array, Array]:
-    """Regressors (n, p) of rows; what (p, J) coefficients leave of their targets, (n, J) rad."""
+    """Compute regressors (n, p) and residuals (n, J) rad of rows under (p, J) coefficients."""
     theta = np.array([row.theta for row in rows])
     return theta, np.array([row.target for row in rows]) - theta @ coefficients
 
 
 class Touch(NamedTuple):
-    """A tick in contact with those before it, and how they were judged.
+    """Holds a tick in contact with the two before it, and how they were judged.
 
     Attributes:
         theta: (3, p) regressors, lag 0 first; zero before the first usable one.
@@ -93,7 +93,7 @@ class Touch(NamedTuple):
     def of(
         cls, thetas: Sequence[Array], target: Array, whiten: Array, limits: Array, usable: int
     ) -> Touch:
-        """From the regressors of the last ticks, newest first, of which some may be missing."""
+        """Make one from the regressors of the last ticks, newest first; some may be missing."""
         theta = np.zeros((max(WINDOWS), len(thetas[0])))
         known = min(usable, len(thetas))
         theta[:known] = thetas[:known]
@@ -101,7 +101,7 @@ class Touch(NamedTuple):
 
 
 class Label(enum.Enum):
-    """What a part of a swing is."""
+    """Names what a part of a swing is."""
 
     BEGIN = enum.auto()  # a swing begins
     TICK = enum.auto()  # a tick that may be learned was judged
@@ -114,7 +114,7 @@ class Label(enum.Enum):
 
 
 class LabelledSwing(NamedTuple):
-    """A part of a swing, and what it is.
+    """Holds a part of a swing and its label.
 
     Attributes:
         label: what; says which of the others are given.
@@ -126,7 +126,7 @@ class LabelledSwing(NamedTuple):
         obstructed: the foot did not follow its command.
         travel_ratio: share of its command's way that the foot went.
         early: the swing's contact was reported before the foot had begun to come down; None where
-            nobody can tell.
+            that is not known.
     """
 
     label: Label

@@ -1,4 +1,4 @@
-r"""The closed-form leg model: a library and a sparse matrix of coefficients.
+r"""Defines the closed-form leg model: a library and a sparse matrix of coefficients.
 
 .. math:: \hat\theta[k+1] = \theta[k] + \Xi^\top \Theta(x[k], u[k])
 """
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class LegModel:
-    """One leg's contact-free dynamics, one step ahead.
+    """Predicts one leg's contact-free motion, one tick ahead.
 
     Attributes:
         library: the terms.
@@ -44,7 +44,7 @@ class LegModel:
             raise IdentificationError("model: a coefficient is not finite; fit it anew")
 
     def moved(self, coefficients: Array, version: int) -> LegModel:
-        """The same model with other coefficients."""
+        """Return the same model with other coefficients."""
         return LegModel(self.library, coefficients, version)
 
     @property
@@ -66,11 +66,11 @@ class LegModel:
         return self.library.evaluate(measured, desired, preview) @ self.coefficients
 
     def residual(self, rows: Rows) -> Array:
-        """(n, J) rad, measured minus predicted, for windows cut from a stream."""
+        """Compute (n, J) rad, measured minus predicted, for windows cut from a stream."""
         return rows.increment - self.increment(rows.measured, rows.desired, rows.preview)
 
     def equations(self, digits: int = 4) -> list[str]:
-        """One equation per joint as text, its largest coefficients first."""
+        """Write one equation per joint as text, its largest coefficients first."""
         lines = []
         for joint, name in enumerate(self.library.joints):
             parts = [f"{c:+.{digits}g}·{term}" for term, c in self.terms(joint)]
@@ -78,7 +78,7 @@ class LegModel:
         return lines
 
     def terms(self, joint: int) -> list[tuple[str, float]]:
-        """A joint's terms and coefficients, largest first."""
+        """Return a joint's terms and coefficients, largest first."""
         column = self.coefficients[:, joint]
         order = np.argsort(-np.abs(column), kind="stable")
         return [(self.library.names[i], float(column[i])) for i in order if column[i] != 0.0]

@@ -1,4 +1,4 @@
-r"""Candidate libraries: the terms a leg model may be made of.
+r"""Defines the candidate libraries: the terms a leg model may be made of.
 
 ``servo``
     what the physics of a position servo says.  With :math:`e = \theta^{des} - \theta`, velocities
@@ -50,8 +50,8 @@ LibraryName = Literal["servo", "paper", "linear"]
 # Knee of the friction shape, rad per second: the Stribeck region of small gear servos ends at
 # 0.1 to 0.3 rad/s (Rhoban/bam identifications); the readings do not resolve less.
 FRICTION_KNEE_RAD_S: Final = 0.5
-# Knees of friction against a movement foretold, rad per second: from what a joint must be asked for
-# to break away to what it does at its fastest.
+# Knees of friction against a predicted movement, rad per second: from the command that makes a
+# joint break away to its fastest movement.
 FORETOLD_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
@@ -74,7 +74,7 @@ class _ServoShape(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Library:
-    """A named set of terms over a window.
+    """Evaluates a named set of terms over a window.
 
     Attributes:
         name: which of the libraries above.
@@ -263,10 +263,10 @@ class Library:
 
 @dataclasses.dataclass(frozen=True)
 class ChangeLibrary(Library):
-    r"""A library with the shapes of what may happen to the leg, as its first model foretells them.
+    r"""Adds to a library the terms of a change, which its first model's prediction shapes.
 
     With :math:`\delta = \Xi_0^\top \Theta` the movement that the model of the leg as it was first
-    known foretells:
+    known predicts:
 
     - friction, :math:`\tanh(\delta_j / \kappa)` for several knees κ, as what stops a slow joint
       only slows a fast one.  Against the movement *before*, as in ``servo``, a joint that is about
@@ -284,13 +284,13 @@ class ChangeLibrary(Library):
 
     @cached_property
     def foretelling(self) -> Array:
-        """(q, K J), what the terms without changes foretell, over each knee of friction."""
+        """(q, K J), first model's coefficients over each knee, for the friction terms."""
         knees = [knee * self.period_s for knee in FORETOLD_KNEES_RAD_S]
         return np.concatenate([self.first / knee for knee in knees], axis=1)
 
     @cached_property
     def softening(self) -> Array:
-        """(c, J), what the law's terms foretell."""
+        """(c, J), first model's coefficients of the law's terms."""
         return self.first[self._servo_shape.clipped] if self.knows_law else self.first[:0]
 
     @property
@@ -299,7 +299,7 @@ class ChangeLibrary(Library):
         return self.name == "servo"
 
     def parts(self, window: Array) -> tuple[Array, Array]:
-        """What the terms are made of that all legs of equal libraries share.
+        """Return what the terms are made of that all legs of equal libraries share.
 
         Args:
             window: as in :meth:`evaluate_flat`.
@@ -335,17 +335,17 @@ class ChangeLibrary(Library):
 
 
 def friction_terms(joint: str) -> tuple[str, ...]:
-    """Names of a joint's friction against the movement that was foretold first."""
+    """Return the names of a joint's friction terms against the first model's prediction."""
     return tuple(f"tanh(δ_{joint}/{knee:g})" for knee in FORETOLD_KNEES_RAD_S)
 
 
 def soft_term(joint: str) -> str:
-    """Name of what a joint half as stiff would do besides."""
+    """Return the name of the term of a joint half as stiff."""
     return f"δ_{joint}(2s)-δ_{joint}"
 
 
 def with_changes(library: Library, first: Array) -> ChangeLibrary:
-    """A library with the shapes of changes.
+    """Return a library with the terms of a change added.
 
     Args:
         library: plain.
@@ -358,7 +358,7 @@ def with_changes(library: Library, first: Array) -> ChangeLibrary:
 def leg_library(
     robot: Robot, leg: Leg, name: LibraryName = "servo", window: Window | None = None
 ) -> Library:
-    """The library of a leg, from the robot's description."""
+    """Return the library of a leg, from the robot's description."""
     return Library(
         name=name,
         joints=leg.joints,

@@ -1,4 +1,4 @@
-"""A learned baseline: model, noise and tails of a robot's legs, in one JSON file.
+"""Reads and writes a baseline: model, noise and tails of a robot's legs, in one JSON file.
 
 JSON, because a person can read the equations in it, a diff shows what a relearning changed, and
 there is nothing to execute in it.  It carries a format version, the robot's name and everything
@@ -47,7 +47,7 @@ FORMAT: Final = 1
 
 @dataclasses.dataclass(frozen=True)
 class LegBaseline:
-    """What is known of one leg's free motion.
+    """Holds what is known of one leg's free motion.
 
     Attributes:
         model: one step ahead.
@@ -66,7 +66,7 @@ class LegBaseline:
 
 @dataclasses.dataclass(frozen=True)
 class Baseline:
-    """What is known of a robot's legs.
+    """Holds what is known of a robot's legs.
 
     Attributes:
         robot: name of the robot it belongs to.
@@ -83,7 +83,7 @@ class Baseline:
     tails: tuple[Tail, ...]
 
     def thresholds(self, false_alarms_per_hour: float) -> Array:
-        """(windows,) thresholds for a rate of false alarms.
+        """Compute (windows,) thresholds for a rate of false alarms.
 
         The rate is split evenly over the windows, which can only make alarms rarer.
         """
@@ -118,7 +118,7 @@ class Baseline:
 
 
 def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Array:
-    """(windows,) thresholds from tails, with 95 % confidence; see :meth:`Baseline.thresholds`."""
+    """Compute (windows,) thresholds from tails, with 95 % confidence."""
     per_tick = false_alarms_per_hour / ROBOT_HOUR_TICKS / len(tails)
     return np.array([t.cautious().quantile(min(per_tick, t.rate)) for t in tails])
 
@@ -162,7 +162,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def dump_baseline(baseline: Baseline) -> str:
-    """The text of a baseline file.
+    """Return the text of a baseline file.
 
     Raises:
         BaselineError: it has no legs, or its legs' libraries differ.
@@ -222,7 +222,7 @@ def load_baseline(path: str | Path) -> Baseline:
 
 
 def shipped_baseline(robot: str) -> Baseline | None:
-    """The baseline that ships for a robot of this name, or None."""
+    """Load the baseline that ships for a robot of this name; None if there is none."""
     root = resources.files("adaptive_contact_models")
     for folder in sorted(root.iterdir(), key=lambda entry: entry.name):
         file = folder.joinpath("baseline.json") if folder.is_dir() else None
@@ -258,7 +258,7 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
 
 
 def leg_tree(known: LegBaseline) -> dict[str, object]:
-    """One leg's baseline as plain maps, lists, numbers and texts, for a snapshot."""
+    """Return one leg's baseline as plain maps, lists, numbers and texts, for a snapshot."""
     library = known.model.library
     return {
         "library": msgspec.to_builtins(_library_file(library)),
@@ -267,7 +267,7 @@ def leg_tree(known: LegBaseline) -> dict[str, object]:
 
 
 def leg_of_tree(tree: object, library: Library) -> LegBaseline:
-    """A leg's baseline from :func:`leg_tree`.
+    """Make a leg's baseline from the result of :func:`leg_tree`.
 
     Args:
         tree: as it was read.
@@ -300,7 +300,7 @@ def _library_file(library: Library) -> _LibraryFile:
 def leg_library_of(
     file_library: _LibraryFile, joints: tuple[str, ...], axes: tuple[Axis, ...]
 ) -> Library:
-    """The library that a file's leg was fitted with."""
+    """Return the library that a file's leg was fitted with."""
     return Library(
         name=file_library.name,
         joints=joints,

@@ -1,4 +1,4 @@
-r"""What residuals look like on free ticks, conditional on what the leg is doing.
+r"""Estimates the covariance of residuals on free ticks, per context of the motion.
 
 Residuals of a good leg model are nearly white, but not equally large everywhere: fast motion
 carries model error, slow motion sticks and slips.  Contexts are formed from the command alone
@@ -38,7 +38,7 @@ MIN_TICKS: Final = 300
 
 
 def context(desired: Array, before: Array, direction: Ints, quantum_rad: float) -> Ints:
-    """Context of a tick, from its command and the one before.
+    """Compute the context of a tick, from its command and the one before.
 
     Args:
         desired: (..., J) rad.
@@ -59,7 +59,7 @@ def context(desired: Array, before: Array, direction: Ints, quantum_rad: float) 
 def context_of(
     desired: Sequence[float], before: Sequence[float], direction: int, quantum_rad: float
 ) -> int:
-    """:func:`context` of one tick in plain floats, for the control loop."""
+    """Compute :func:`context` of one tick in plain floats, for the control loop."""
     steps = [abs(a - b) for a, b in zip(desired, before, strict=True)]
     speed = max(steps) / quantum_rad
     return direction * (len(SPEED_EDGES_QUANTA) + 1) + bisect.bisect_right(
@@ -68,7 +68,7 @@ def context_of(
 
 
 def lagged(values: Array, depth: int) -> Array:
-    """(n, J) to (n, depth, J), lag 0 first; rows before the start are NaN."""
+    """Stack (n, J) into (n, depth, J), lag 0 first; rows before the start are NaN."""
     out = np.full((len(values), depth, values.shape[1]), np.nan)
     for lag in range(depth):
         out[lag:, lag] = values[: len(values) - lag]
@@ -77,7 +77,7 @@ def lagged(values: Array, depth: int) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class NoiseModel:
-    """Covariances of residual sums on free ticks.
+    """Holds the covariances of residual sums on free ticks.
 
     Attributes:
         covariance: (contexts, windows, J, J) rad².

@@ -1,4 +1,4 @@
-"""A model as it is told to people and programs."""
+"""Reports a model to people and programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["report_of"]
 
 
 def report_of(leg: Leg, model: LegModel, threshold: float, origin: str | None) -> ModelReport:
-    """Terms, coefficients and equations of a leg's model.
+    """Report the terms, coefficients and equations of a leg's model.
 
     Args:
         leg: whose.

@@ -1,4 +1,4 @@
-"""Where a leg would have gone by its model, had nothing touched it."""
+"""Predicts where the commands of a swing take a leg that nothing touches."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def rollout(model: LegModel, window: Array, commands: Sequence[Sequence[float]]) -> list[Array]:
-    """Run a model on by itself, each prediction taken for the next reading.
+    """Predict positions several ticks ahead, each prediction taken for the next reading.
 
     Args:
         model: of the leg free of contact; of a library without preview.

@@ -1,4 +1,4 @@
-r"""A threshold far beyond counting, from a fitted tail.
+r"""Extrapolates thresholds far beyond counting, from a fitted tail.
 
 One false alarm per robot-hour is a probability of :math:`2\cdot10^{-6}` per tick; no affordable
 number of free ticks shows such an event often enough to count.  Exceedances of a high level
@@ -39,7 +39,7 @@ PRIOR_EXCEEDANCES: Final = 200
 
 @dataclasses.dataclass(frozen=True)
 class Tail:
-    """Upper tail of a statistic.
+    """Models the upper tail of a statistic.
 
     Attributes:
         level: t0, in the unit of the statistic.
@@ -56,7 +56,7 @@ class Tail:
     ticks: int
 
     def cautious(self) -> Tail:
-        """The tail with its shape at the upper end of its 95 % confidence interval (one-sided).
+        """Return the tail with its shape at the upper end of its one-sided 95 % interval.
 
         An aim for rare false alarms is one to keep, not to meet on average: a quantile read at 1/60
         of the lowest rate that was seen leans on the shape, and errs to both sides.  The mean
@@ -78,7 +78,7 @@ class Tail:
         return dataclasses.replace(self, shape=shape, scale=mean * (1.0 - shape))
 
     def exceedance(self, value: float) -> float:
-        """Probability that a free tick's statistic is above ``value`` (at least ``level``)."""
+        """Compute the probability that a free tick's statistic is above ``value`` (≥ ``level``)."""
         y = max(value - self.level, 0.0) / self.scale
         if abs(self.shape) < 1e-9:
             return self.rate * math.exp(-y)
@@ -86,7 +86,7 @@ class Tail:
         return 0.0 if base <= 0.0 else self.rate * math.pow(base, -1.0 / self.shape)
 
     def quantile(self, probability: float) -> float:
-        """The value that a free tick exceeds with the given probability.
+        """Compute the value that a free tick exceeds with the given probability.
 
         Raises:
             IdentificationError: the probability lies above the tail's own rate.

@@ -1,4 +1,4 @@
-r"""How far a row of regressors lies outside of what a fit has seen.
+r"""Computes the leverage of a row: how far it lies outside of what a fit has seen.
 
 Least squares on rows :math:`\varphi_i` knows its prediction at :math:`\varphi` to
 
@@ -8,8 +8,8 @@ Least squares on rows :math:`\varphi_i` knows its prediction at :math:`\varphi` 
 
 times the noise variance (the leverage), so that a residual there has variance :math:`1 + h`.
 Where the leg has been, h is a few hundredths; in a motion that no swing of a short recording held,
-it is 10 or 100, and a residual there speaks of the model, not of the ground.  ρ is what is known of
-a term beforehand, and keeps h finite for one that was never excited.
+it is 10 or 100, and a residual there is evidence on the model, not on the ground.  ρ is the prior
+of a term, and keeps h finite for one that was never excited.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["Domain"]
 
 Array = NDArray[np.float64]
 
-# A term of typical size that was never seen is believed to move a tick by less than twenty times
+# A term of typical size that was never seen is assumed to move a tick by less than twenty times
 # the noise (6 degrees for an AX-12A's leg).
 PRIOR_DEVIATIONS: Final = 20.0
 # And one that was no part of the fit to move it by nothing.
@@ -38,7 +38,7 @@ BEYOND_DEVIATIONS: Final = 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class Domain:
-    """Where in the space of its regressors a fit has been.
+    """Describes where in the space of its regressors a fit has been.
 
     Attributes:
         triangle: (p, p) upper triangle R with :math:`R^T R` the sum over rows of the regressors'
@@ -68,7 +68,7 @@ class Domain:
 
     @classmethod
     def of(cls, factor: Factor, scale: Array) -> Domain:
-        """The domain of a fit.
+        """Make the domain of a fit.
 
         Args:
             factor: what it was fitted to.
@@ -84,7 +84,7 @@ class Domain:
         return cls(triangle, scale)
 
     def widened(self, factor: Factor) -> Domain:
-        """The domain, with the rows of another fit."""
+        """Return the domain with the rows of another fit added."""
         p = len(self.scale)
         stacked = np.concatenate([self.triangle, factor.system[0][:, :p] / self.scale])
         triangle = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]
@@ -92,11 +92,11 @@ class Domain:
 
     @property
     def rows(self) -> float:
-        """How many it has seen: the constant, which comes first, is one in every row."""
+        """Number of rows seen: the constant, which comes first, is one in every row."""
         return float(np.square(self.triangle[:, 0] * self.scale[0]).sum())
 
     def rows_like(self, most: float) -> Array:
-        """Rows that stand for those it has seen, in raw units.
+        """Return rows that stand for those it has seen, in raw units.
 
         Args:
             most: weigh like so many of them, or like all there are where these are fewer.
@@ -125,7 +125,7 @@ class Domain:
         return self._reach
 
     def leverage(self, theta: Array) -> Array:
-        """Leverage h of rows.
+        """Compute the leverage h of rows.
 
         Args:
             theta: (..., p + beyond) regressors.

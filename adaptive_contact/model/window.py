@@ -1,4 +1,4 @@
-r"""The window of recent samples that one prediction rests on.
+r"""Defines the window of recent samples that one prediction rests on.
 
 .. math:: x[k] = (\theta[k], \dots, \theta[k-N]), \quad
           u[k] = (\theta^{des}[k+M], \dots, \theta^{des}[k], \dots, \theta^{des}[k-N'])
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Window:
-    """How far a model looks: N past positions, N' past and M future commands."""
+    """Sets how far a model looks: N past positions, N' past and M future commands."""
 
     past_measured: int = 3
     past_desired: int = 3
@@ -42,7 +42,7 @@ class Window:
 
 
 class Rows(NamedTuple):
-    """Windows cut from a stream, each with what came next.
+    """Holds windows cut from a stream, each with what came next.
 
     Attributes:
         measured: (n, N + 1, J) rad, lag 0 first.

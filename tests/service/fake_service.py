@@ -5,15 +5,13 @@ Contact is ``|measured[0] - desired[0]| > 0.2`` rad.  Everything else is the rea
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 import types
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from adaptive_contact import wire
+from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import (
     ContactEvent,
@@ -28,22 +26,6 @@ from adaptive_contact.wire import (
 )
 
 MAX_LEGS = 8
-
-
-def _stream() -> types.ModuleType:
-    """The real checks of a stream, without the half a second of imports that come with adapt."""
-    path = Path(wire.__file__).parents[1] / "adapt" / "stream.py"
-    spec = importlib.util.spec_from_file_location("stream_guard", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["stream_guard"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-STREAM = _stream()
-StreamGuard = STREAM.StreamGuard
 
 
 class FakeLearner:
@@ -184,12 +166,9 @@ def no_process(**_: object) -> None:
 
 
 def main() -> None:
-    module = types.ModuleType("adaptive_contact.adapt")
-    module.LearnerBank = FakeBank  # type: ignore[attr-defined]
-    module.SNAPSHOT_FORMAT = 3  # type: ignore[attr-defined]
-    module.WhenAmbiguous = str  # type: ignore[attr-defined]
-    sys.modules["adaptive_contact.adapt"] = module
-    sys.modules["adaptive_contact.detect.stream"] = STREAM
+    bank = types.ModuleType("adaptive_contact.bank")
+    bank.LearnerBank = FakeBank  # type: ignore[attr-defined]
+    sys.modules["adaptive_contact.bank"] = bank
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refits"] = refits

@@ -162,8 +162,9 @@ def test_a_service_restarted_under_a_running_robot(
         ready = time.monotonic()
         assert listener.wait_event("rf", robot, after=ready) - ready < RECOVERY_S
         listener.steady(robot, "rf")
+        # A long gap counts once a few samples have confirmed it.
+        listener.wait(lambda me: me.statuses["rf"].missed > 10)
         status = listener.statuses["rf"]
-        assert status.missed > 10, "what passed while the service was down is counted"
         assert status.ticks + status.missed <= robot.seq
         assert f" {status.missed} " in rig.watched(listener.link)
     assert second.stop() == 0

@@ -1,6 +1,6 @@
 """Strangers who may write a leg's key, a file or the state's folder: what becomes of the service.
 
-Real processes and real Zenoh.  ``tests/adapt/test_stream.py`` has the leg's part sample by sample,
+Real processes and real Zenoh.  ``tests/learner/test_stream.py`` has the leg's part, by sample,
 ``tests/state/test_store.py`` the folder's file by file.
 """
 

@@ -1,0 +1,64 @@
+"""The units and rules of `packaging/`: what systemd and the commands say of them."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from adaptive_contact.cli import main
+
+PACKAGING = Path(__file__).parents[2] / "packaging"
+UNITS = sorted(PACKAGING.glob("*.service"))
+PROGRAM = "/opt/adaptive-contact/bin/adaptive-contact"
+
+
+def exec_start(unit: Path) -> list[str]:
+    text = unit.read_text(encoding="utf-8").replace("\\\n", " ")
+    (line,) = re.findall(r"^ExecStart=(.*)$", text, flags=re.MULTILINE)
+    return shlex.split(line)
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_the_command_of_a_unit_has_its_options(unit: Path) -> None:
+    program, *words = exec_start(unit)
+    assert program == PROGRAM
+    if not main.app.registered_commands:
+        main._register()
+    command: Any = get_command(main.app)
+    while hasattr(command, "commands"):
+        command = command.commands[words.pop(0)]
+    options = {name for parameter in command.params for name in parameter.opts}
+    assert {word for word in words if word.startswith("-")} <= options
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_understands_a_unit(unit: Path, tmp_path: Path) -> None:
+    for other in UNITS:
+        text = other.read_text(encoding="utf-8").replace(PROGRAM, "/bin/true")
+        (tmp_path / other.name).write_text(text, encoding="utf-8")
+    said = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    ours = [line for line in said.stderr.splitlines() if "adaptive-contact" in line]
+    assert ours == []
+
+
+def test_the_rules_set_what_the_bridge_advises() -> None:
+    rules = (PACKAGING / "60-adaptive-contact.rules").read_text(encoding="utf-8")
+    lines = [line for line in rules.splitlines() if line and not line.startswith("#")]
+    assert any('ATTR{latency_timer}="1"' in line for line in lines)
+    for line in lines:
+        for part in line.split(", "):
+            assert re.fullmatch(r'[A-Z]+(\{[^}]+\})?(==|=|\+=)"[^"]*"', part), part
