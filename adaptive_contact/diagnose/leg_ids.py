@@ -232,7 +232,11 @@ def judge_ids(
 def _places(legs: Sequence[Leg], rows: Sequence[LegRows], period_s: float) -> _Places | None:
     """The places of legs on the body, where the description tells enough of them."""
     alike = len({leg.joint_axes for leg in legs}) == 1
-    if not alike or not 3 <= len(legs) <= MOST_LEGS or any(leg.chain is None for leg in legs):
+    if (
+        not alike
+        or not 3 <= len(legs) <= MOST_LEGS
+        or any(leg.chain is None or not leg.chain.is_straight for leg in legs)
+    ):
         return None
     if len({leg.mount for leg in legs}) < len(legs):
         return None
