@@ -37,10 +37,10 @@ def aside(robot: Robot, yaw_rad: float = 0.7) -> Robot:
     return msgspec.structs.replace(robot, legs=(leg,))
 
 
-def learned(robot: Robot, streams: Streams, leg: str) -> ContactLearner:
+def baseline_of(robot: Robot, streams: Streams) -> Baseline:
     measured, desired, swing, _ = streams
     stretch = Stretch(measured, desired, swing, swing, np.ones(len(swing), dtype=bool))
-    return ContactLearner(robot, leg, learn(robot, {leg: [stretch]}, origin="test").baseline)
+    return learn(robot, {robot.legs[0].id: [stretch]}, origin="test").baseline
 
 
 def without_phase(stream: list[ServoSample]) -> list[ServoSample]:
@@ -120,7 +120,8 @@ def walk(swings: int, seed: int, *, touching: bool) -> Streams:
 def test_touches_of_a_hip_that_rolls_are_found() -> None:
     """Without any phase from the source: swings are those of the chain's foot."""
     robot = rolling()
-    learner = learned(robot, walk(400, 1, touching=False), "fl")
+    baseline = baseline_of(robot, walk(400, 1, touching=False))
+    learner = ContactLearner(robot, "fl", baseline)
     measured, desired, swing, held = walk(90, 2, touching=True)
     touches = play(learner, without_phase(samples(measured, desired, swing)))
     ticks = np.array([event.t_ns // PERIOD for event in touches if event.contact])
