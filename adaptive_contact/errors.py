@@ -13,11 +13,14 @@
     ├── BusError                    a Dynamixel bus that cannot be used
     └── SimulationDivergedError          the simulated robot left the range of the possible
 
-Every message is one line: what was found, what was expected, what to do.
+Every message is one line: what was found, what was expected, what to do.  A bus of which several
+things are wrong says all of them, a line each.
 Bad *samples* never raise; they are counted by :class:`adaptive_contact.wire.Reject`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 __all__ = [
     "AdaptiveContactError",
@@ -35,6 +38,11 @@ __all__ = [
 
 class AdaptiveContactError(Exception):
     """Base of everything this package raises on purpose."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The message as it is printed."""
+        return (str(self),)
 
 
 class ConfigurationError(AdaptiveContactError):
@@ -82,7 +90,21 @@ class LinkError(AdaptiveContactError):
 
 
 class BusError(AdaptiveContactError):
-    """A Dynamixel bus cannot be used."""
+    """A Dynamixel bus cannot be used.
+
+    Args:
+        message: what stands in the way.
+        things: each of them, where they are several.
+    """
+
+    def __init__(self, message: str, things: Sequence[str] = ()) -> None:
+        self._lines = (message, *(f"  - {thing}" for thing in things))
+        super().__init__("\n".join(self._lines))
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The message as it is printed."""
+        return self._lines
 
 
 class SimulationDivergedError(AdaptiveContactError):

@@ -1,6 +1,6 @@
 """A Dynamixel bus over the real DynamixelSDK: ping, read, write, with a result per servo.
 
-What the SDK's packet handlers get wrong (4.1.0) is worked around here:
+What the SDK's packet handlers get wrong (4.1.0; 3.8.4 and 3.7.31 alike) is worked around here:
 
 - ``read2ByteTxRx`` raises IndexError on an error status without data, and ``readTxRx`` takes the
   check bytes for data, or cuts off what is too long: the length in the packet is checked here.
@@ -17,6 +17,7 @@ import termios
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from typing import Any, Final, NamedTuple, TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
@@ -26,6 +27,7 @@ from adaptive_contact.bridge.port import SdkPort
 from adaptive_contact.bridge.protocol1 import ERROR_BITS
 from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, split_fast_sync
 from adaptive_contact.bridge.tables import Block, Register
+from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 __all__ = ["MODEL_NUMBER", "Bus", "Fault", "Pong", "Reading"]
@@ -81,13 +83,19 @@ class Reading(NamedTuple):
 
 
 class Pong(NamedTuple):
-    """A servo that answered a ping: its model number; ``doubled`` if several seem to answer.
+    """A servo that answered a ping.
 
-    The model number is None where the servo answers to pings, but not to reads.
+    Attributes:
+        model_number: None where neither a ping (of protocol 2.0) nor a read tells it.
+        doubled: several seem to answer.
+        reads: it answers reads; at a status return level of 0 it does not.
+        brand: what it is in words, where that is no Dynamixel.
     """
 
     model_number: int | None
     doubled: bool = False
+    reads: bool = True
+    brand: str | None = None
 
 
 class Bus:
@@ -107,6 +115,8 @@ class Bus:
         self._fast = port.fast
         self._port = SdkPort(name, port)
         self._packets: Any = PacketHandler(float(port.protocol))
+        # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
+        self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
         self.late: Counter[int] = Counter()
         self._unanswered: set[int] = set()
 
@@ -135,6 +145,11 @@ class Bus:
         Raises:
             BusError: it cannot be opened; one line, with what to do.
         """
+        if self._fast and not self._knows_fast:
+            raise BusError(
+                f"port {self.name}: fast needs dynamixel-sdk 3.8 or newer; update it, or "
+                f"remove fast from [port.{self.name}]"
+            )
         self._port.open()
 
     def close(self) -> None:
@@ -148,6 +163,15 @@ class Bus:
             PortLostError: the port is gone.
         """
         return self._guarded(lambda: self._ping(servo))
+
+    def answers(self, servo: int) -> bool:
+        """Whether a servo answers a ping, without asking who it is.
+
+        Raises:
+            PortLostError: the port is gone.
+        """
+        result, _ = self._guarded(lambda: self._ping_alone(servo))
+        return result == int(COMM_SUCCESS)
 
     def read(
         self,
@@ -261,8 +285,12 @@ class Bus:
         return None
 
     def put(self, servo: int, register: Register, value: int) -> bool:
-        """Write one register; True when the servo has confirmed it."""
+        """Write one register; True when the servo has confirmed it, or holds the value after.
+
+        At a status return level of 0 or 1 a servo does not confirm; at 1 it can be asked.
+        """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
+        block = Block(register.address, register.size)
         for _ in range(_TRIES):
             result, error = self._guarded(
                 lambda: self._packets.writeTxRx(
@@ -271,6 +299,9 @@ class Bus:
             )
             if result == COMM_SUCCESS:
                 return (int(error) & ~_ALERT) == 0
+            now = self._guarded(lambda: self._read_one(servo, block)).data
+            if now is not None and block.part(now, register) == value:
+                return True
         return False
 
     def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
@@ -320,12 +351,12 @@ class Bus:
             raise self._port.lost(error) from error
 
     def _ping(self, servo: int) -> Pong | None:
-        result = self._ping_alone(servo)
+        result, number = self._ping_alone(servo)
         if result not in (COMM_SUCCESS, _TIMEOUT, COMM_TX_FAIL):
             # Two servos that talk at once garble each other; once may be noise.
-            result = self._ping_alone(servo)
+            result, number = self._ping_alone(servo)
             if result not in (COMM_SUCCESS, _TIMEOUT):
-                return Pong(None, doubled=True)
+                return Pong(None, doubled=True, reads=False)
         if result != COMM_SUCCESS:
             return None
         doubled = self._second_answer()
@@ -333,7 +364,7 @@ class Bus:
             data = self._read_one(servo, MODEL_NUMBER).data
             if data is not None:
                 return Pong(int.from_bytes(data, "little"), doubled)
-        return Pong(None, doubled)
+        return Pong(number, doubled, reads=False)
 
     def _drain(self) -> None:
         """Throw away what arrived too late, and count whose it was."""
@@ -349,8 +380,12 @@ class Bus:
     def _note(self, servo: int, *, answered: bool) -> None:
         (self._unanswered.discard if answered else self._unanswered.add)(servo)
 
-    def _ping_alone(self, servo: int) -> int:
-        """Ping and nothing else: the SDK's own reads the model too, and hides what failed."""
+    def _ping_alone(self, servo: int) -> tuple[int, int | None]:
+        """Ping and nothing else: the SDK's own reads the model too, and hides what failed.
+
+        Returns:
+            The SDK's result, and the model number where the answer holds it (protocol 2.0).
+        """
         self._drain()
         if self.protocol == 1:
             packet = [0, 0, servo, 2, Instruction.PING, 0]
@@ -361,7 +396,9 @@ class Bus:
         if self._port.received - before > len(answer or ()):
             self._count_late()
         self._note(servo, answered=result != _TIMEOUT)
-        return int(result)
+        told = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
+        number = told[0] + (told[1] << 8) if len(told) >= MODEL_NUMBER.size else None
+        return int(result), number
 
     def _second_answer(self) -> bool:
         """Whether bytes follow an answer: another servo of the same id, a little slower."""
@@ -413,7 +450,12 @@ class Bus:
         self._drain()
         at_s = time.monotonic()
         result = self._packets.syncReadTx(
-            self._port, block.address, block.size, list(servos), len(servos), self._fast
+            self._port,
+            block.address,
+            block.size,
+            list(servos),
+            len(servos),
+            *((self._fast,) if self._knows_fast else ()),
         )
         if result != COMM_SUCCESS:
             return found, False
@@ -430,7 +472,9 @@ class Bus:
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
             return found, self._port.received - before > understood
         while len(found) < len(servos):
-            packet, result = self._packets.rxPacket(self._port, False)
+            packet, result = self._packets.rxPacket(
+                self._port, *((False,) if self._knows_fast else ())
+            )
             if result == _TIMEOUT:
                 break
             if result != COMM_SUCCESS:

@@ -9,7 +9,7 @@ this tick gets no goal in it: what it holds, and whether it drives, is not known
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
@@ -18,8 +18,8 @@ from adaptive_contact.bridge.health import SILENT_AFTER, Punctuality, ServoHealt
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
 from adaptive_contact.bridge.status import ServoCounts
-from adaptive_contact.bridge.tables import Block
-from adaptive_contact.bridge.wake import Place, Register, Standing, Waker, standing
+from adaptive_contact.bridge.tables import Block, Register, ServoModel
+from adaptive_contact.bridge.wake import GoalRegister, Place, Standing, Waker, standing
 from adaptive_contact.wire import ServoSample
 
 __all__ = ["Cycle"]
@@ -62,7 +62,7 @@ class _Servo:
     valid: bool = False
     fresh: bool = False
     stands: Standing | None = None
-    register: Register = Register.TAKEN
+    register: GoalRegister = GoalRegister.TAKEN
     shut_seen: bool = False
     look_at: int = 0
     punctual: Punctuality = dataclasses.field(default_factory=Punctuality)
@@ -98,7 +98,6 @@ class Cycle:
         self.mode = mode
         self._mailbox = mailbox
         self._run = run
-        self._model = plan.joints[0].model
         self._servos = {
             joint.servo: _Servo(joint, Waker(joint, leg.max_step_rad))
             for leg in plan.legs
@@ -212,32 +211,35 @@ class Cycle:
             return
         first = self._count % len(asked)
         end_s = now_ns / 1e9 + _ASK_SHARE * self.plan.period_s
-        readings = self.bus.read(asked[first:] + asked[:first], self._model.state, 0.0, end_s)
-        for number, reading in readings.items():
+        readings = self._read_of(asked[first:] + asked[:first], _state, 0.0, end_s)
+        for number, (reading, block) in readings.items():
             if reading.data is not None:
-                stands = standing(self._model, self._model.state, reading.data)
+                servo = self._servos[number]
+                stands = standing(servo.joint.model, block, reading.data)
                 if stands.alarms:
                     self.health[number].alarm(stands.alarms)
-                self._judge(self._servos[number], stands)
+                self._judge(servo, stands)
 
     # -- private -------------------------------------------------------------------------------
 
     def _read(self, now_ns: int, due_ns: int) -> None:
-        block = self._model.watched if self.mode == "drive" else self._model.goal_and_motion
-        # Every other tick a byte more: a late answer cannot be taken for one to the next question.
-        block = block.longer if self._count % 2 else block
+        def block_of(model: ServoModel) -> Block:
+            block = model.watched if self.mode == "drive" else model.goal_and_motion
+            # Every other tick a byte more: a late answer is not taken for one to the next question.
+            return block.longer if self._count % 2 else block
+
         asked = due(self.health, self._count, hurry=self._count < self._hurry_until)
         now_s, period_s = now_ns / 1e9, self.plan.period_s
         self._until_s = now_s + _RETRY_SHARE * period_s
         self._end_s = max(due_ns / 1e9 + _END_SHARE * period_s, now_s + _LEAST_SHARE * period_s)
-        readings = self.bus.read(asked, block, self._until_s, self._end_s)
+        readings = self._read_of(asked, block_of, self._until_s, self._end_s)
         for number, servo in self._servos.items():
             servo.last_goal = servo.goal
             servo.fresh, servo.stands = False, None
-            reading = readings.get(number)
-            if reading is None:  # not asked, or no time was left
+            if number not in readings:  # not asked, or no time was left
                 servo.valid = False
                 continue
+            reading, block = readings[number]
             was_silent = self.health[number].silent
             self.health[number].note(reading)
             if was_silent and reading.data is not None:
@@ -248,19 +250,37 @@ class Cycle:
             servo.fresh = reading.data is not None
             servo.valid = servo.fresh and self._take(servo, reading, block, due_ns)
 
+    def _read_of(
+        self,
+        servos: Sequence[int],
+        block_of: Callable[[ServoModel], Block],
+        until_s: float,
+        end_s: float,
+    ) -> dict[int, tuple[Reading, Block]]:
+        """Read registers of servos, those of one control table in one go: readings, and of what."""
+        by_block: dict[Block, list[int]] = {}
+        for number in servos:
+            by_block.setdefault(block_of(self._servos[number].joint.model), []).append(number)
+        return {
+            number: (reading, block)
+            for block, numbers in by_block.items()
+            for number, reading in self.bus.read(numbers, block, until_s, end_s).items()
+        }
+
     def _take(self, servo: _Servo, reading: Reading, block: Block, due_ns: int) -> bool:
         """Take a reading's values; False if the position is not one of this tick."""
         assert reading.data is not None
-        model, registers = self._model, self._model.registers
+        model = servo.joint.model
+        registers = model.registers
         faults = self.health[servo.joint.servo].faults
         steps = block.part(reading.data, registers["present_position"])
         speed = model.signed_speed(block.part(reading.data, registers["present_speed"]))
         servo.goal = block.part(reading.data, registers["goal_position"])
         if self.mode == "drive":
             servo.register = servo.waker.compare(servo.goal)
-            if servo.register is Register.FOREIGN:
+            if servo.register is GoalRegister.FOREIGN:
                 faults["foreign_goal"] += 1
-            if model.protocol == 1:
+            if model.compact:
                 self._judge(servo, standing(model, block, reading.data))
         stale = servo.steps is not None and is_stale(
             steps, servo.steps, speed, servo.speed_rad_s, model.step_rad / self.plan.period_s
@@ -324,9 +344,17 @@ class Cycle:
                 else:
                     servo.goal = here[number] = waker.wrote(place.steps)
         # Sync writes are not answered: each is seen in the next tick's reading, or written again.
-        registers = self._model.registers
-        self.bus.put_all(registers["goal_position"], here | goals)
-        self.bus.put_all(registers["torque_enable"], on)
+        self._put("goal_position", here | goals)
+        self._put("torque_enable", on)
+
+    def _put(self, name: str, values: Mapping[int, int]) -> None:
+        """Write a register of servos, with one sync write for each place that it has in them."""
+        places: dict[Register, dict[int, int]] = {}
+        for number, value in values.items():
+            register = self._servos[number].joint.model.registers[name]
+            places.setdefault(register, {})[number] = value
+        for register, some in places.items():
+            self.bus.put_all(register, some)
 
     def _place(self, servo: _Servo) -> Place | None:
         """From where a servo can be moved in this tick."""
@@ -340,7 +368,7 @@ class Cycle:
             return None
         at = servo.joint.angle(place.steps)
         driver.bounds[j] = servo.waker.bounds()
-        ours = servo.waker.awake and servo.register is not Register.FOREIGN
+        ours = servo.waker.awake and servo.register is not GoalRegister.FOREIGN
         if not ours:
             driver.found(j, at)
         elif driver.goal is not None and servo.joint.steps(driver.goal[j]) != place.steps:
@@ -366,14 +394,13 @@ class Cycle:
                     self._servos[number].waker.learn(reading.data)
 
     def _look(self, servos: Sequence[_Servo]) -> None:
-        """See how servos stand, where the tick's reading does not say (protocol 2.0).
+        """See how servos stand, where the tick's reading does not say (X-series).
 
         Those that are awake take turns; the others, and those whose goal is not the one written,
         are looked at in every tick.
         """
-        if self._model.protocol == 1:
-            return
-        awake = [s for s in servos if s.waker.awake and s.register is Register.TAKEN]
+        servos = [servo for servo in servos if not servo.joint.model.compact]
+        awake = [s for s in servos if s.waker.awake and s.register is GoalRegister.TAKEN]
         turn = awake[self._count % len(awake)] if awake else None
         asked = []
         for servo in servos:
@@ -381,12 +408,11 @@ class Cycle:
                 servo.stands = Standing(torque=True)
             elif self._count >= servo.look_at:
                 asked.append(servo.joint.servo)
-        for number, reading in self.bus.read(
-            asked, self._model.state, self._until_s, self._end_s
-        ).items():
+        readings = self._read_of(asked, _state, self._until_s, self._end_s)
+        for number, (reading, block) in readings.items():
             servo = self._servos[number]
             if reading.data is not None:
-                self._judge(servo, standing(self._model, self._model.state, reading.data))
+                self._judge(servo, standing(servo.joint.model, block, reading.data))
 
     def _lacks(self, servo: _Servo, place: Place | None, *, begun: bool) -> bool:
         """Whether a leg's command has to do without a servo, for more than a tick."""
@@ -449,3 +475,7 @@ class Cycle:
             valid=None if all(valid) else valid,
             run=self._run,
         )
+
+
+def _state(model: ServoModel) -> Block:
+    return model.state

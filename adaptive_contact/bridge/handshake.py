@@ -2,8 +2,10 @@
 
 Everything that is wrong is told in one message, and nothing for one answer alone: settings are read
 in one block and twice alike, a servo that seems to be wrong is asked again when the line is quiet,
-and where many answers come late, that is told, and no servo is blamed for it.  Nothing is written
-to a servo's EEPROM unless ``configure`` is asked for, and then only the return delay.
+and where many answers come late, that is told, and no servo is blamed for it.  A servo that is
+missing is looked for at other baud rates and in the other protocol, by pings.  Nothing is written
+to a servo's EEPROM unless ``configure`` is asked for, and then only the return delay, and the
+status return level of a servo that answers no reads.
 """
 
 from __future__ import annotations
@@ -11,18 +13,50 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from typing import Final, Literal
+
+import msgspec
 
 from adaptive_contact.bridge.bus import MODEL_NUMBER, Bus, Pong
 from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import latency_advice
-from adaptive_contact.bridge.tables import Block, ServoModel, model_of_number
+from adaptive_contact.bridge.tables import (
+    FEETECH_MARK,
+    MODELS,
+    Block,
+    ServoModel,
+    feetech_name,
+    model_of_number,
+    number_name,
+)
 from adaptive_contact.bridge.wake import remedy, standing
 from adaptive_contact.errors import BusError
+from adaptive_contact.robot import Port
 
-__all__ = ["BUSY", "Findings", "check_ports", "crowd", "scan", "scan_again"]
+__all__ = [
+    "BUSY",
+    "USUAL_BAUDS",
+    "Findings",
+    "Place",
+    "check_ports",
+    "crowd",
+    "let_answer",
+    "look_elsewhere",
+    "named",
+    "scan",
+    "scan_again",
+]
+
+# A baud rate, and a protocol.
+Place = tuple[int, Literal[1, 2]]
+
+# Rates that servos are delivered with, and those set most; then others that they can have.
+USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
+_OTHER_BAUDS: Final = (3_000_000, 500_000, 19_200, 9_600)
+# The usual status return level: a servo answers everything.
+_ANSWER_ALL: Final = 2
 
 BUSY: Final = (
     "this computer is too busy, or its adapter holds bytes back; end other programs, run with "
@@ -66,8 +100,8 @@ class Findings:
         if len(self.errors) == 1:
             raise BusError(self.errors[0])
         if self.errors:
-            lines = "".join(f"\n  - {line}" for line in self.errors)
-            raise BusError(f"{len(self.errors)} things stand in the way of the bridge:{lines}")
+            count = len(self.errors)
+            raise BusError(f"{count} things stand in the way of the bridge:", self.errors)
 
 
 def crowd(servos: int) -> int:
@@ -128,18 +162,88 @@ def scan_again(bus: Bus, found: dict[int, Pong], ids: Iterable[int]) -> dict[int
     heard = dict(found)
     for servo in sorted({*ids, *found}):
         pong = heard.get(servo)
-        if pong is None or pong.model_number is None or pong.doubled:
+        if pong is None or not pong.reads or pong.doubled:
             pong = _again(bus, servo, pong)
         if pong is None:
             continue
-        number = bus.confirmed(servo, MODEL_NUMBER) if pong.model_number is not None else None
+        number = bus.confirmed(servo, MODEL_NUMBER) if pong.reads else None
         if number is not None:  # what a scan took for it may have been another answer
             pong = pong._replace(model_number=int.from_bytes(number, "little"))
         model = None if pong.model_number is None else model_of_number(pong.model_number)
+        if model is None and pong.reads and bus.protocol == 1:
+            mark = bus.confirmed(servo, FEETECH_MARK)
+            pong = pong._replace(brand=None if mark is None else feetech_name(mark, servo))
         if model is not None and not pong.doubled and not _is_clear(bus, servo, model):
             pong = pong._replace(doubled=True)
         heard[servo] = pong
     return dict(sorted(heard.items()))
+
+
+def named(pong: Pong) -> str:
+    """What a servo is, in words."""
+    if pong.brand is not None:
+        return pong.brand
+    return "answers pings only" if pong.model_number is None else (number_name(pong.model_number))
+
+
+def look_elsewhere(
+    name: str, port: Port, ids: Sequence[int], bauds: Sequence[int] = USUAL_BAUDS
+) -> dict[Place, list[int]]:
+    """Look for servos that do not answer as the port is set; writes nothing.
+
+    Args:
+        name: of the port.
+        port: as it is set; closed.
+        ids: whom to look for.
+        bauds: rates to try, in both protocols.
+
+    Returns:
+        Ids by the baud rate and the protocol at which they answer.
+    """
+    found: dict[Place, list[int]] = {}
+    left = list(ids)
+    other: Literal[1, 2] = 2 if port.protocol == 1 else 1
+    for protocol in (port.protocol, other):
+        for baud in bauds:
+            if not left or (baud, protocol) == (port.baud, port.protocol):
+                continue
+            bus = Bus(name, msgspec.structs.replace(port, baud=baud, protocol=protocol, fast=False))
+            try:
+                bus.open()
+                here = [servo for servo in left if bus.answers(servo)]
+            except BusError:  # a rate that this adapter cannot have
+                continue
+            finally:
+                bus.close()
+            if here:
+                found[baud, protocol] = here
+                left = [servo for servo in left if servo not in here]
+    return found
+
+
+def let_answer(bus: Bus, servo: int, pong: Pong, model: ServoModel | None) -> str | None:
+    """Let a servo answer everything that answers pings only: write its status return level.
+
+    Args:
+        bus: its port.
+        servo: which.
+        pong: what it answered.
+        model: what it is expected to be; all models of protocol 1.0 have the register at one place.
+
+    Returns:
+        Why that was not done, in words; None when it was.
+    """
+    own = None if pong.model_number is None else model_of_number(pong.model_number)
+    model = own or model or (MODELS[0] if bus.protocol == 1 else None)
+    if model is None:
+        return f"({named(pong)}) has its status return level at a place that is unknown here"
+    register = model.registers["status_return"]
+    if bus.put(servo, register, _ANSWER_ALL):
+        return None
+    locked = register.eeprom and model.protocol == 2
+    return "did not take a status return level of 2" + (
+        "; switch its torque off first (the leg will go limp)" if locked else ""
+    )
 
 
 def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
@@ -153,7 +257,7 @@ def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
             bus.settle()
         pong = bus.ping(servo)
         if pong is not None:
-            if pong.model_number is not None and not pong.doubled:
+            if pong.reads and not pong.doubled:
                 return pong
             worst = pong
     return worst
@@ -177,12 +281,24 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         return findings
     try:
         expected = {joint.servo: joint for joint in plan.joints}
-        found = scan(bus, range(MAX_ID + 1) if full else expected)
+        ignored = set(plan.port.ignore)
+        asked = range(MAX_ID + 1) if full else expected
+        found = scan(bus, [servo for servo in asked if servo not in ignored])
         if found:  # a bus where nobody answers is asked once
             found = scan_again(bus, found, expected)
-        if not set(expected) <= set(found):
+        mute = [s for s, pong in found.items() if s in expected and not pong.reads]
+        for servo in mute if configure else ():
+            _let_answer(plan, bus, found, expected[servo], findings)
+        missing = [servo for servo in expected if servo not in found]
+        elsewhere: dict[Place, list[int]] = {}
+        if missing:
             bus.settle()  # were they late?
-        _compare(plan, bus, expected, found, findings)
+            if not _many_late(plan, bus, missing):
+                bus.close()
+                bauds = (*USUAL_BAUDS, *_OTHER_BAUDS)
+                elsewhere = look_elsewhere(plan.name, plan.port, missing, bauds)
+                bus.open()
+        _compare(plan, bus, expected, found, elsewhere, findings)
         present = [] if findings.errors else list(plan.joints)
         unread = [j.servo for j in present if not _settings(plan, bus, j, drive, findings)]
         if unread:
@@ -219,17 +335,25 @@ def _compare(
     bus: Bus,
     expected: dict[int, JointPlan],
     found: dict[int, Pong],
+    elsewhere: dict[Place, list[int]],
     findings: Findings,
 ) -> None:
     where = f"port {plan.name} ({bus.device})"
     legs = {joint.servo: leg.id for leg in plan.legs for joint in leg.joints}
+    astray = [servo for ids in elsewhere.values() for servo in ids]
     if not found and not _many_late(plan, bus, list(expected)):
+        remedy = "check the servos' power, the cable and the baud rate"
+        if astray:
+            remedy = "; ".join(_elsewhere(plan, place, ids) for place, ids in elsewhere.items())
         findings.errors.append(
             f"{where}: no servo answers at {plan.port.baud} baud, protocol {plan.port.protocol}; "
-            "check the servos' power, the cable and the baud rate"
+            f"{remedy}"
         )
         return
-    missing = [servo for servo in expected if servo not in found]
+    findings.errors += [
+        f"{where}: {_elsewhere(plan, place, ids)}" for place, ids in elsewhere.items()
+    ]
+    missing = [servo for servo in expected if servo not in found and servo not in astray]
     if _many_late(plan, bus, missing):
         findings.errors.append(f"{where}: answers of {len(missing)} servos come too late: {BUSY}")
     elif missing:
@@ -237,11 +361,10 @@ def _compare(
         findings.errors.append(
             f"{where}: missing servo {told}; check cable, power, id and baud rate"
         )
+    aside = sorted({*plan.port.ignore, *(servo for servo in found if servo not in expected)})
     for servo, pong in found.items():
         joint = expected.get(servo)
         number = pong.model_number
-        model = None if number is None else model_of_number(number)
-        name = model.name if model else f"model number {number}"
         if pong.doubled:
             findings.errors.append(
                 f"{where}: several servos answer to id {servo} (or its line is disturbed); connect "
@@ -249,19 +372,55 @@ def _compare(
             )
         elif joint is None:
             findings.errors.append(
-                f"{where}: unexpected servo {servo} ({name}); add it to a leg, or disconnect it"
+                f"{where}: unexpected servo {servo} ({named(pong)}); add it to a leg, or "
+                f"disconnect it, or, if it is no leg's, write ignore = {aside} in "
+                f"[port.{plan.name}]"
             )
-        elif number is None:
+        elif not pong.reads:
             findings.errors.append(
                 f"{where}: servo {servo} answers to pings but not to reads; set its status return "
-                "level to 2 with DYNAMIXEL Wizard"
+                "level to 2 with DYNAMIXEL Wizard, or run once with --configure"
+            )
+        elif pong.brand is not None:
+            wanted = " or ".join(m.name for m in joint.models)
+            findings.errors.append(
+                f"{where}: servo {servo} ({legs[servo]} {joint.name}) is a {pong.brand}, expected "
+                f"{wanted}; this bridge cannot drive it"
             )
         elif number not in [m.number for m in joint.models]:
             wanted = " or ".join(m.name for m in joint.models)
             findings.errors.append(
-                f"{where}: servo {servo} ({legs[servo]} {joint.name}) is {name}, expected "
+                f"{where}: servo {servo} ({legs[servo]} {joint.name}) is {named(pong)}, expected "
                 f"{wanted}; correct servos.model of leg '{legs[servo]}'"
             )
+
+
+def _elsewhere(plan: PortPlan, place: Place, ids: Sequence[int]) -> str:
+    """What to say of servos that answer at another rate, or in the other protocol."""
+    baud, protocol = place
+    own = f"{plan.port.baud} baud, protocol {plan.port.protocol}"
+    told = f"servo {', '.join(map(str, ids))}"
+    does = "answers" if len(ids) == 1 else "answer"
+    if set(ids) == {joint.servo for joint in plan.joints}:
+        remedy = f"set baud = {baud} and protocol = {protocol} in [port.{plan.name}]"
+    else:
+        what = "baud rate" if protocol == plan.port.protocol else "baud rate and protocol"
+        remedy = f"set its {what} with DYNAMIXEL Wizard, as all servos of a port have one"
+    return f"{told} {does} at {baud} baud, protocol {protocol}, not at {own}; {remedy}"
+
+
+def _let_answer(
+    plan: PortPlan, bus: Bus, found: dict[int, Pong], joint: JointPlan, findings: Findings
+) -> None:
+    servo = joint.servo
+    trouble = let_answer(bus, servo, found[servo], joint.model)
+    if trouble is not None:
+        findings.advice.append(f"port {plan.name}: servo {servo} {trouble}")
+        return
+    findings.done.append(f"port {plan.name}: servo {servo}: status return level set to 2")
+    pong = bus.ping(servo)
+    if pong is not None:
+        found |= scan_again(bus, {servo: pong}, ())
 
 
 def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, drive: bool, findings: Findings) -> bool:
@@ -308,7 +467,7 @@ def _configure(plan: PortPlan, bus: Bus, joint: JointPlan, findings: Findings) -
     registers, servo = joint.model.registers, joint.servo
     torque = bus.get(servo, registers["torque_enable"])
     if torque and joint.model.protocol == 2:
-        # X-series lock their EEPROM while they drive; letting go would drop the robot.
+        # Those of protocol 2.0 lock their EEPROM while they drive; letting go would drop the robot.
         findings.advice.append(
             f"port {plan.name}: servo {servo} drives, so its return delay cannot be set; switch "
             "its torque off first (the leg will go limp), then run with --configure again"

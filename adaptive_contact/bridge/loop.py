@@ -128,16 +128,16 @@ class PortLoop:
             stop.wait(max(due_ns - lead_ns - time.monotonic_ns(), 0) / _NS)
             # Late already: the main reading comes first.
             if time.monotonic_ns() < due_ns - lead_ns // 2:
-                before = self._goal(joint.servo)
+                before = self._goal(joint)
         stop.wait(max(due_ns - time.monotonic_ns(), 0) / _NS)
         self._watched = joint
         return time.monotonic_ns(), before
 
-    def _goal(self, servo: int) -> int | None:
-        register = self.plan.joints[0].model.registers["goal_position"]
+    def _goal(self, joint: JointPlan) -> int | None:
+        register = joint.model.registers["goal_position"]
         block = Block(register.address, register.size)
         try:
-            data = self.bus.read([servo], block)[servo].data
+            data = self.bus.read([joint.servo], block)[joint.servo].data
         except PortLostError:
             return None  # the main reading will tell
         return None if data is None else block.part(data, register)

@@ -8,11 +8,13 @@ whether it turns towards them at all:
 =====================================  ====================  ======================================
 found                                  goals it takes        here
 =====================================  ====================  ======================================
-AX, MX: limits lo < hi                 lo to hi              driven
-AX, MX: both limits 0 (wheel)          ignored               refused
+AX, RX, MX, XL-320: limits lo < hi     lo to hi              driven
+AX, RX, MX: both limits 0 (wheel)      ignored               refused
+XL-320: control mode 1 (wheel)         ignored               refused
 MX: both limits 4095 (multi-turn)      -28672 to 28672       driven within its turn, 0 to 4095;
                                                              refused with a resolution divider
-MX-64: torque control on               ignored               refused
+MX-64, MX-106: torque control on       ignored               refused
+MX-106: drive mode, slave              ignored               refused
 X: mode 3 (position)                   min to max limit      driven, homing offset considered
 X: mode 4, 5 (extended, current-based) +-1048575             driven within its turn, 0 to 4095
 X: mode 0, 1, 16 (current, velocity,   ignored               refused
@@ -22,6 +24,8 @@ X: drive mode, torque on by goal       as the mode           observed, not drive
 X: drive mode, reverse, time-based     as the mode           driven
 =====================================  ====================  ======================================
 
+MX is here MX with protocol 1.0; with protocol 2.0 they are as X-series servos are.
+
 A multi-turn servo forgets its turns with its power: a position beyond one turn says nothing of the
 joint, so goals stay within the turn that ``robot.toml`` describes.
 
@@ -30,7 +34,8 @@ woken, for it could run the whole turn back.  With a homing offset h, an X-serie
 mode sets its position to one of h to h + 4095 when its torque comes on: another turn than before,
 where it stood outside.
 
-Sources: ROBOTIS e-manual, MX-64 "CW/CCW Angle Limit(6, 8)", "Resolution Divider (22)", "Torque
+Sources: ROBOTIS e-manual, XL-320 "Control Mode(11)"; MX-106 "Drive Mode(10)"; MX-64
+"CW/CCW Angle Limit(6, 8)", "Resolution Divider (22)", "Torque
 Control Mode Enable (70)"; XM430-W350 "Drive Mode(10)", "Operating Mode(11)", "Homing Offset(20)",
 "Min/Max Position Limit(48, 52)", "Torque Enable(64)", "Present Position(132)"; ROBOTIS forum 7814
 (the turn that is lost as torque comes on).
@@ -54,6 +59,8 @@ _MODES: Final = {
     16: "PWM",
 }
 _POSITION: Final = 3
+# XL-320's control mode that follows goal positions.
+_JOINT: Final = 2
 _MULTI_TURN: Final = (4, 5)
 # Beyond this, position mode ignores a homing offset.
 _MOST_HOMING: Final = 1024
@@ -103,13 +110,12 @@ def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
         name: block.part(part, register)
         for block, part in zip(model.settings, data, strict=True)
         for name, register in model.registers.items()
-        if block.address <= register.address
-        and register.address + register.size <= block.address + block.size
+        if block.holds(register)
     }
-    return _protocol1(model, values) if model.protocol == 1 else _protocol2(model, values)
+    return _by_limits(model, values) if model.compact else _by_mode(model, values)
 
 
-def _protocol1(model: ServoModel, values: dict[str, int]) -> Setting:
+def _by_limits(model: ServoModel, values: dict[str, int]) -> Setting:
     lower, upper = values["lower_limit"], values["upper_limit"]
     usual = f"{model.lowest} and {model.highest}, {_WIZARD}"
     full = Setting(model.lowest, model.highest, values, ends=(model.lowest, model.highest))
@@ -118,6 +124,13 @@ def _protocol1(model: ServoModel, values: dict[str, int]) -> Setting:
             wrong="is in torque control mode (register 70 is 1), expected 0: it ignores goal "
             "positions; write 0 to that register, or switch its power off and on"
         )
+    if values.get("control_mode", _JOINT) != _JOINT:
+        return full._replace(
+            wrong=f"is in wheel mode (its control mode is {values['control_mode']}), expected "
+            f"{_JOINT} (joint); set it {_WIZARD}"
+        )
+    if values.get("drive_mode", 0) & DriveMode.SLAVE:
+        return full._replace(wrong=_slave(values["drive_mode"]))
     if lower == upper == 0:
         return full._replace(
             wrong=f"is in wheel mode (both angle limits are 0); set limits, such as {usual}"
@@ -142,7 +155,7 @@ def _protocol1(model: ServoModel, values: dict[str, int]) -> Setting:
     return full._replace(lowest=max(lower, model.lowest), highest=min(upper, model.highest))
 
 
-def _protocol2(model: ServoModel, values: dict[str, int]) -> Setting:
+def _by_mode(model: ServoModel, values: dict[str, int]) -> Setting:
     mode, drive = values["operating_mode"], values["drive_mode"]
     full = Setting(model.lowest, model.highest, values)
     if drive & DriveMode.TORQUE_BY_GOAL:
@@ -157,10 +170,7 @@ def _protocol2(model: ServoModel, values: dict[str, int]) -> Setting:
             f"{_WIZARD}"
         )
     if drive & DriveMode.SLAVE:
-        return full._replace(
-            wrong=f"has drive mode {drive} (slave: it follows another servo's cable), expected "
-            f"that bit (2) clear; clear it {_WIZARD}"
-        )
+        return full._replace(wrong=_slave(drive))
     if mode in _MULTI_TURN:
         return full
     lower, upper = values["lower_limit"], values["upper_limit"]
@@ -177,3 +187,10 @@ def _protocol2(model: ServoModel, values: dict[str, int]) -> Setting:
         )
     ends = model.lowest + homing, model.highest + homing
     return full._replace(lowest=lowest, highest=highest, ends=ends)
+
+
+def _slave(drive: int) -> str:
+    return (
+        f"has drive mode {drive} (slave: it follows another servo's cable), expected that bit (2) "
+        f"clear; clear it {_WIZARD}"
+    )

@@ -24,6 +24,7 @@ class Instruction(enum.IntEnum):
     ACTION = 0x05
     FACTORY_RESET = 0x06
     REBOOT = 0x08
+    CLEAR = 0x10
     STATUS = 0x55
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83

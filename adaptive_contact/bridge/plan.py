@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import msgspec
 
-from adaptive_contact.bridge.tables import BAUDS, ServoModel, models_named
+from adaptive_contact.bridge.tables import BAUDS, MODELS, ServoModel, models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import AngleFrame, Leg, Port, Robot, ServoBus
 from adaptive_contact.robot.angles import angles_text
@@ -147,19 +147,11 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
     servos = leg.servos
     assert servos is not None
     _refuse_angles(leg, servos)
-    try:
-        models = models_named(servos.model)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"[[leg]] '{leg.id}': {error}") from error
-    if any(model.protocol != port.protocol for model in models):
-        raise ConfigurationError(
-            f"[[leg]] '{leg.id}': {servos.model} speaks protocol {models[0].protocol}, "
-            f"[port.{name}] is set to {port.protocol}; set protocol = {models[0].protocol} there"
-        )
     joints = []
     for j, (servo, joint) in enumerate(zip(servos.ids, leg.joints, strict=True)):
         direction = 1 if servos.directions is None else servos.directions[j]
         offset = 0.0 if servos.offsets_rad is None else servos.offsets_rad[j]
+        models = _models(f"[[leg]] '{leg.id}'", servos.models[j], name, port)
         model = models[0]
         ends = [
             direction * (steps - model.centre) * model.step_rad + offset
@@ -177,6 +169,27 @@ def _leg(leg: Leg, name: str, port: Port) -> LegPlan:
             )
         joints.append(JointPlan(servo, joint, models, direction, offset, lower, upper))
     return LegPlan(leg.id, tuple(joints), servos.max_step_rad)
+
+
+def _models(where: str, wanted: str, name: str, port: Port) -> tuple[ServoModel, ...]:
+    """What a model of the description may be on a port."""
+    try:
+        models = models_named(wanted)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}") from error
+    model = models[0]
+    if model.protocol != port.protocol:
+        other = next((m for m in MODELS if m.name == f"{model.name}(2.0)"), None)
+        also = f', or model = "{other.name}" if it has that firmware' if other else ""
+        raise ConfigurationError(
+            f"{where}: {wanted} speaks protocol {model.protocol}, [port.{name}] is set to "
+            f"{port.protocol}; set protocol = {model.protocol} there{also}"
+        )
+    if port.fast and model.compact:
+        raise ConfigurationError(
+            f"{where}: {wanted} knows no fast sync read; remove fast from [port.{name}]"
+        )
+    return models
 
 
 def _refuse_angles(leg: Leg, servos: ServoBus) -> None:
@@ -203,5 +216,5 @@ def _protocol_of(robot: Robot) -> Literal[1, 2]:
     """Protocol of the robot's servos, for a port that is given on the command line."""
     for leg in robot.legs:
         if leg.servos is not None:
-            return 1 if models_named(leg.servos.model)[0].protocol == 1 else 2
+            return 1 if models_named(leg.servos.models[0])[0].protocol == 1 else 2
     return 1

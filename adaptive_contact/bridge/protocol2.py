@@ -20,7 +20,6 @@ from adaptive_contact.bridge.packets import BROADCAST_ID, Frame, Instruction, St
 
 __all__ = [
     "ERROR_NUMBERS",
-    "HARDWARE_ERROR_BITS",
     "Protocol2",
     "crc16",
     "fast_sync_status",
@@ -45,14 +44,6 @@ ERROR_NUMBERS: Final = {
     5: "data_length",
     6: "data_limit",
     7: "access",
-}
-# Bits of the register Hardware Error Status (70), told by the alert bit of the error byte.
-HARDWARE_ERROR_BITS: Final = {
-    0x01: "voltage",
-    0x04: "overheating",
-    0x08: "encoder",
-    0x10: "electrical_shock",
-    0x20: "overload",
 }
 
 

@@ -1,27 +1,43 @@
-"""Asking a bus who is there, and taking its servos for legs."""
+"""Asking a bus who is there, and writing a robot description down, with comments."""
 
 from __future__ import annotations
 
 import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 
 from adaptive_contact.bridge.bus import Bus, Pong
-from adaptive_contact.bridge.handshake import scan, scan_again
+from adaptive_contact.bridge.handshake import (
+    USUAL_BAUDS,
+    Place,
+    let_answer,
+    look_elsewhere,
+    named,
+    scan,
+    scan_again,
+)
 from adaptive_contact.bridge.law import read_slope
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
-from adaptive_contact.errors import BusError
+from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
 from adaptive_contact.robot.write import write_robot
 
-__all__ = ["Found", "describe", "find_servos", "group", "steepness", "write_robot"]
+__all__ = [
+    "Found",
+    "Wanted",
+    "describe",
+    "find_servos",
+    "group",
+    "steepness",
+    "wanted_legs",
+    "write_robot",
+]
 
-# Rates tried where none is given, those that servos are delivered with first.
-USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
+_PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last heard, all are asked again.
 _BEYOND: Final = 8
 
@@ -33,47 +49,145 @@ class Found:
     Attributes:
         name: of the port.
         port: device, baud rate and protocol at which they answer.
-        servos: model by id; None for a model number that is not known.
-        numbers: model number by id.
+        servos: model by id; None for one without a control table here.
+        names: what each is, in words, by id.
         slopes_rad: how steep each servo's controller is, by id, where it tells.
+        mute: ids of those that answer pings and no reads.
+        elsewhere: ids that answer at another baud rate and protocol, by these.
+        done: what was written.
     """
 
     name: str
     port: Port
     servos: dict[int, ServoModel | None]
-    numbers: dict[int, int | None]
+    names: dict[int, str]
     slopes_rad: dict[int, float] = dataclasses.field(default_factory=dict)
+    mute: tuple[int, ...] = ()
+    elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
+    done: tuple[str, ...] = ()
 
 
-def find_servos(name: str, device: str, bauds: Sequence[int] = USUAL_BAUDS) -> Found:
-    """Ask a port at all usual rates, in both protocols, who is there; writes nothing.
+class Wanted(NamedTuple):
+    """The servos of one leg, from the body outwards, and their port where it was named."""
+
+    port: str | None
+    ids: tuple[int, ...]
+
+
+def wanted_legs(text: str) -> tuple[Wanted, ...]:
+    """The legs of ``--ids``: ``2,4,6/8,10,12``, with a port's name where there are several.
+
+    Raises:
+        ConfigurationError: it cannot be read, or an id is there twice.
+    """
+
+    def refuse(what: str) -> ConfigurationError:
+        return ConfigurationError(
+            f"--ids {text}: {what}; give each leg's ids from the body outwards, and '/' between "
+            "legs, such as 2,4,6/8,10,12 (with several ports left:2,4,6/right:2,4,6)"
+        )
+
+    legs: list[Wanted] = []
+    taken: set[tuple[str | None, int]] = set()
+    for leg in text.split("/"):
+        port, colon, rest = leg.rpartition(":")
+        words = [word.strip() for word in rest.split(",")]
+        if not all(word.isascii() and word.isdigit() for word in words):
+            raise refuse(f"'{leg}' is no list of ids")
+        ids = tuple(int(word) for word in words)
+        if max(ids) > MAX_ID:
+            raise refuse(f"{max(ids)} is no id (0 to {MAX_ID})")
+        legs.append(Wanted(port.strip() if colon else None, ids))
+        for servo in ids:
+            if (legs[-1].port, servo) in taken:
+                raise refuse(f"{servo} is there twice")
+            taken.add((legs[-1].port, servo))
+    return tuple(legs)
+
+
+def find_servos(
+    name: str,
+    device: str,
+    bauds: Sequence[int] = USUAL_BAUDS,
+    *,
+    ids: Sequence[int] = (),
+    configure: bool = False,
+) -> Found:
+    """Ask a port at all usual rates, in both protocols, who is there.
+
+    Writes nothing, but with ``configure`` the status return level of servos that answer no reads.
+
+    Args:
+        name: of the port.
+        device: its path.
+        bauds: rates to try.
+        ids: of servos that ought to be there; those that are not are looked for at other rates.
+            Without, ids that are missing in the row are.
+        configure: let servos answer reads.
 
     Raises:
         BusError: the port cannot be opened, or nobody answers.
     """
-    for baud in bauds:
-        for protocol in (1, 2):
-            port = Port(device=device, baud=baud, protocol=1 if protocol == 1 else 2)
-            bus = Bus(name, port)
-            bus.open()
-            try:
-                pongs = scan(bus)
-                if pongs:
-                    last = min(max(pongs) + _BEYOND, MAX_ID)
-                    return _found(bus, port, scan_again(bus, pongs, range(last + 1)))
-            finally:
-                bus.close()
-    raise BusError(
-        f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; check "
-        "power and cable, or give the rate with --baud"
-    )
+    places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
+    found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
+    if found is None:
+        raise BusError(
+            f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
+            "check power and cable, or give the rate with --baud"
+        )
+    place = found.port.baud, found.port.protocol
+    others = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
+    most = max(others, key=lambda at: others[at], default=place)
+    if others.get(most, 0) > len(found.servos):  # the one that was found first is the odd one
+        place = most
+    elif not (configure and found.mute):
+        return found
+    return _ask(name, device, place, ids, configure=configure) or found
 
 
-def steepness(found: Iterable[Found]) -> dict[str, float]:
-    """How steep servos are, by model: the median, rad."""
+def _ask(
+    name: str,
+    device: str,
+    place: Place,
+    ids: Sequence[int],
+    *,
+    configure: bool = False,
+) -> Found | None:
+    """Ask a port at one baud rate and protocol who is there; None where nobody is."""
+    port = Port(device=device, baud=place[0], protocol=place[1])
+    bus = Bus(name, port)
+    bus.open()
+    try:
+        pongs = scan(bus)
+        if not pongs:
+            return None
+        row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)
+        pongs = scan_again(bus, pongs, row)
+        mute = [servo for servo, pong in pongs.items() if not pong.reads and not pong.doubled]
+        done = []
+        for servo in mute if configure else ():
+            if ids and servo not in ids:
+                continue
+            trouble = let_answer(bus, servo, pongs[servo], None)
+            done.append(f"servo {servo}: " + (trouble or "status return level set to 2"))
+            again = None if trouble else bus.ping(servo)
+            if again is not None:
+                pongs |= scan_again(bus, {servo: again}, ())
+        found = dataclasses.replace(_found(bus, port, pongs), done=tuple(done))
+    finally:
+        bus.close()
+    missing = [servo for servo in ids or row[1:] if servo not in found.servos]
+    return dataclasses.replace(found, elsewhere=look_elsewhere(name, port, missing))
+
+
+def steepness(found: Iterable[Found], robot: Robot) -> dict[str, float]:
+    """How steep a robot's servos are, by model: the median, rad."""
     by_model: dict[str, list[float]] = {}
     for one in found:
+        ignored = robot.ports[one.name].ignore if one.name in robot.ports else one.servos
         for servo, slope in one.slopes_rad.items():
+            if servo in ignored:
+                continue
             model = one.servos[servo]
             assert model is not None
             by_model.setdefault(model.name, []).append(slope)
@@ -85,6 +199,7 @@ def group(
     joints: int,
     legs: Sequence[str] = (),
     names: Sequence[str] = (),
+    wanted: Sequence[Wanted] = (),
 ) -> Robot:
     """Take servos in the order of their ids for legs, so many joints each.
 
@@ -93,53 +208,119 @@ def group(
         joints: per leg.
         legs: ids; ``leg1`` and so on where left out.
         names: of the joints; the usual ones where left out.
+        wanted: which servos make a leg; the others are ignored.
 
     Raises:
         BusError: the servos do not make whole legs, or one is of no known model.
     """
-    names = tuple(names) or _joint_names(joints)
-    quantum = next((_quantum(m) for one in found for m in one.servos.values() if m), 0.0)
-    made: list[Leg] = []
-    for one in found:
-        unknown = [f"{s} (model number {one.numbers[s]})" for s, m in one.servos.items() if not m]
-        if unknown:
-            raise BusError(
-                f"port {one.name}: servo {', '.join(unknown)} is of no known model; see "
-                "docs/bridge.md for those that are"
-            )
-        ids = sorted(one.servos)
-        if len(ids) % joints:
-            raise BusError(
-                f"port {one.name}: {len(ids)} servos do not make legs of {joints} joints "
-                f"(ids {', '.join(map(str, ids))}); give --joints, or find the one that is missing"
-            )
-        for first in range(0, len(ids), joints):
-            part = ids[first : first + joints]
-            models = {model.name: model for s in part if (model := one.servos[s]) is not None}
-            if len(models) > 1:
-                raise BusError(
-                    f"port {one.name}: servos {', '.join(map(str, part))} would make a leg of "
-                    f"different models ({', '.join(sorted(models))}); write robot.toml by hand"
-                )
-            [model] = models.values()
-            name = legs[len(made)] if len(made) < len(legs) else f"leg{len(made) + 1}"
-            servos = ServoBus(ids=tuple(part), model=model.name, port=one.name)
-            own = None if _quantum(model) == quantum else _quantum(model)
-            leg = Leg(id=name, joints=tuple(names), servos=servos, quantum_rad=own)
-            made.append(msgspec.structs.replace(leg, axes=leg.joint_axes))
-    if legs and len(legs) != len(made):
+    parts = _chosen(found, wanted) if wanted else _dealt(found, joints)
+    if legs and len(legs) != len(parts):
         raise BusError(
-            f"{len(legs)} legs are named, but the servos make {len(made)}; correct --legs, --joints"
+            f"{len(legs)} legs are named, but the servos make {len(parts)}; correct --legs, "
+            f"{'--ids' if wanted else '--joints'}"
         )
-    slopes = [slope for one in found for slope in one.slopes_rad.values()]
+    models = [_models(one, part) for one, part in parts]
+    quantum = _quantum(models[0])
+    made: list[Leg] = []
+    used: dict[str, set[int]] = {}
+    for (one, part), own_models in zip(parts, models, strict=True):
+        name = legs[len(made)] if legs else f"leg{len(made) + 1}"
+        alike = len({model.name for model in own_models}) == 1
+        servos = ServoBus(
+            ids=part,
+            model=own_models[0].name if alike else tuple(model.name for model in own_models),
+            port=one.name,
+        )
+        own = None if _quantum(own_models) == quantum else _quantum(own_models)
+        own_names = tuple(names) or _joint_names(len(part))
+        leg = Leg(id=name, joints=own_names, servos=servos, quantum_rad=own)
+        made.append(msgspec.structs.replace(leg, axes=leg.joint_axes))
+        used.setdefault(one.name, set()).update(part)
+    slopes = [s for one in found for servo, s in one.slopes_rad.items() if servo in used[one.name]]
+    ports = {
+        one.name: msgspec.structs.replace(
+            one.port, ignore=tuple(sorted(set(one.servos) - used[one.name]))
+        )
+        for one in found
+        if one.name in used
+    }
     return Robot(
         name="my-robot",
         period_s=0.02,
         quantum_rad=quantum,
         legs=tuple(made),
         servo=ServoLaw(round(statistics.median(slopes), 3)) if slopes else ServoLaw(),
-        ports={one.name: one.port for one in found},
+        ports=ports,
     )
+
+
+def _dealt(found: Sequence[Found], joints: int) -> list[tuple[Found, tuple[int, ...]]]:
+    """All servos in the order of their ids, so many a leg."""
+    parts: list[tuple[Found, tuple[int, ...]]] = []
+    for one in found:
+        _refuse_unknown(one, sorted(one.servos))
+        ids = sorted(one.servos)
+        if len(ids) % joints:
+            raise BusError(
+                f"port {one.name}: {len(ids)} servos do not make legs of {joints} joints "
+                f"(ids {', '.join(map(str, ids))}); give --joints, or find the one that is "
+                "missing, or name the servos of the legs with --ids"
+            )
+        parts += [(one, tuple(ids[at : at + joints])) for at in range(0, len(ids), joints)]
+    return parts
+
+
+def _chosen(
+    found: Sequence[Found], wanted: Sequence[Wanted]
+) -> list[tuple[Found, tuple[int, ...]]]:
+    """The legs of ``--ids``, each on the port where its servos are."""
+    parts = []
+    for port, ids in wanted:
+        told = ",".join(map(str, ids))
+        here = [one for one in found if port in (one.name, None)]
+        if not here:
+            raise BusError(
+                f"--ids {port}:{told}: there is no port '{port}'; ports are "
+                f"{', '.join(one.name for one in found)}"
+            )
+        on = [one for one in here if set(ids) <= set(one.servos)]
+        if len(on) > 1:
+            raise BusError(
+                f"--ids {told}: ports {', '.join(one.name for one in on)} all have these servos; "
+                f"name the port, such as {on[0].name}:{told}"
+            )
+        if not on:
+            near = max(here, key=lambda one: len(set(ids) & set(one.servos)))
+            lacking = [str(servo) for servo in ids if servo not in near.servos]
+            raise BusError(
+                f"--ids {told}: port {near.name} has no servo {', '.join(lacking)} (ids there are "
+                f"{_ranges(sorted(near.servos))}); check its cable, power, id and baud rate"
+            )
+        _refuse_unknown(on[0], ids)
+        parts.append((on[0], ids))
+    return parts
+
+
+def _refuse_unknown(one: Found, ids: Sequence[int]) -> None:
+    mute = [str(servo) for servo in ids if servo in one.mute]
+    if mute:
+        raise BusError(
+            f"port {one.name}: servo {', '.join(mute)} answers to pings but not to reads (its "
+            "status return level is 0); run this once with --configure, which sets it to 2, or "
+            "name the servos of the legs with --ids"
+        )
+    unknown = [f"{servo} ({one.names[servo]})" for servo in ids if one.servos[servo] is None]
+    if unknown:
+        raise BusError(
+            f"port {one.name}: servo {', '.join(unknown)} is of no known model; see docs/bridge.md "
+            "for those that are, or name the servos of the legs with --ids"
+        )
+
+
+def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
+    models = tuple(model for servo in ids if (model := one.servos[servo]) is not None)
+    assert len(models) == len(ids)
+    return models
 
 
 def describe(found: Iterable[Found]) -> list[str]:
@@ -148,13 +329,21 @@ def describe(found: Iterable[Found]) -> list[str]:
     for one in found:
         models: dict[str, list[int]] = {}
         for servo, model in sorted(one.servos.items()):
-            name = model.name if model else f"unknown model {one.numbers[servo]}"
+            name = model.name if model else f"unknown model ({one.names[servo]})"
             models.setdefault(name, []).append(servo)
         told = "; ".join(f"{len(ids)} x {name}, ids {_ranges(ids)}" for name, ids in models.items())
         lines.append(
             f"port {one.name} ({one.port.device}): {told}; {one.port.baud} baud, protocol "
             f"{one.port.protocol}"
         )
+        lines += [f"port {one.name}: {line}" for line in one.done]
+        for (baud, protocol), ids in one.elsewhere.items():
+            does = "answers" if len(ids) == 1 else "answer"
+            lines.append(
+                f"port {one.name}: servo {_ranges(ids)} {does} at {baud} baud, protocol "
+                f"{protocol}: all servos of a port need one baud rate and protocol; set them with "
+                "DYNAMIXEL Wizard"
+            )
     return lines
 
 
@@ -168,15 +357,28 @@ def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
             f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
             "their line is disturbed); connect them one by one and give each an id of its own"
         )
-    numbers = {servo: pong.model_number for servo, pong in pongs.items()}
-    models = {s: None if n is None else model_of_number(n) for s, n in numbers.items()}
-    slopes = {s: read_slope(bus, s, model) for s, model in models.items() if model is not None}
-    told = {servo: slope for servo, slope in slopes.items() if slope is not None}
-    return Found(bus.name, port, models, numbers, told)
+    models = {
+        servo: None if pong.model_number is None else model_of_number(pong.model_number)
+        for servo, pong in pongs.items()
+    }
+    slopes = {
+        servo: read_slope(bus, servo, model)
+        for servo, model in models.items()
+        if model is not None and pongs[servo].reads
+    }
+    return Found(
+        bus.name,
+        port,
+        models,
+        {servo: named(pong) for servo, pong in pongs.items()},
+        {servo: slope for servo, slope in slopes.items() if slope is not None},
+        tuple(servo for servo, pong in pongs.items() if not pong.reads),
+    )
 
 
-def _quantum(model: ServoModel) -> float:
-    return round(model.step_rad, 6)
+def _quantum(models: Sequence[ServoModel]) -> float:
+    """A leg's position step: the largest of its servos', as one number stands for all of them."""
+    return round(max(model.step_rad for model in models), 6)
 
 
 def _joint_names(joints: int) -> tuple[str, ...]:

@@ -10,11 +10,11 @@ position say where to begin.  So a goal is written
 
 Torque is switched on where the same reading shows the goal within a few steps of the horn.
 
-An alarm that the servo's shutdown register names switches its drive off for good.  An AX or MX
-servo sets its torque limit to 0, and drives again as soon as that is written; an X-series one
-switches its torque off and stays so until a reboot.
+An alarm that the servo's shutdown register names switches its drive off for good.  An AX, RX, MX
+or XL-320 servo sets its torque limit to 0, and drives again as soon as that is written; an X-series
+one, or an MX with protocol 2.0, switches its torque off and stays so until a reboot.
 
-Source: ROBOTIS e-manual, AX-12A "Shutdown (18)" and XL330-M288 "Shutdown (63)".
+Source: ROBOTIS e-manual, AX-12A "Shutdown (18)", XL-320 "Shutdown(18)", XL330-M288 "Shutdown (63)".
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from typing import Final, NamedTuple
 from adaptive_contact.bridge.drive import EASY_SHARE
 from adaptive_contact.bridge.modes import Setting, setting
 from adaptive_contact.bridge.plan import JointPlan
-from adaptive_contact.bridge.protocol2 import HARDWARE_ERROR_BITS
 from adaptive_contact.bridge.tables import Block, ServoModel
 
-__all__ = ["Place", "Register", "Standing", "Waker", "remedy", "standing"]
+__all__ = ["GoalRegister", "Place", "Standing", "Waker", "remedy", "standing"]
 
 # A goal this close to where a servo is, or within one step of the easy pace, is where it is.
 _NEAR_STEPS: Final = 2
@@ -43,7 +42,7 @@ class Standing(NamedTuple):
     Attributes:
         torque: it drives to its goal.
         shut: it has shut itself down.
-        alarms: names of what is behind the alert of protocol 2.0.
+        alarms: names of what is behind the alert of protocol 2.0, where the block holds them.
     """
 
     torque: bool
@@ -64,11 +63,12 @@ def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
         return block.part(data, model.registers[name])
 
     torque = value("torque_enable") != 0
-    if model.protocol == 1:
+    told = model.registers.get("hardware_error")
+    errors = 0 if told is None or not block.holds(told) else block.part(data, told)
+    alarms = tuple(name for bit, name in model.error_bits.items() if errors & bit)
+    if model.compact:
         limit = value("torque_limit")
-        return Standing(torque and limit > 0, limit == 0)
-    errors = value("hardware_error")
-    alarms = tuple(name for bit, name in HARDWARE_ERROR_BITS.items() if errors & bit)
+        return Standing(torque and limit > 0, limit == 0, alarms)
     return Standing(torque, not torque and bool(errors & value("shutdown")), alarms)
 
 
@@ -86,7 +86,7 @@ class Place(NamedTuple):
     at_goal: bool
 
 
-class Register(enum.Enum):
+class GoalRegister(enum.Enum):
     """What the goal register held, against what was written."""
 
     TAKEN = enum.auto()
@@ -196,17 +196,17 @@ class Waker:
         at = min(max(at, low), high)
         return Place(at, False, abs(goal - steps) <= self._near)
 
-    def compare(self, goal: int) -> Register:
+    def compare(self, goal: int) -> GoalRegister:
         """What became of the last write, by the goal register read now."""
         before, self._before = self._before, goal
         written, self._written = self._written, None
         if goal == written or (written is None and (goal == before or not self.awake)):
             self._heedless = 0
-            return Register.TAKEN
+            return GoalRegister.TAKEN
         if before is None:
-            return Register.FOREIGN
+            return GoalRegister.FOREIGN
         self._heedless += 1
-        return Register.LOST if goal == before else Register.FOREIGN
+        return GoalRegister.LOST if goal == before else GoalRegister.FOREIGN
 
     def step(self, place: Place, angle_rad: float) -> int:
         """The goal to write for an angle: one step from the goal in force at the most."""
@@ -260,7 +260,7 @@ class Waker:
 
 def remedy(model: ServoModel) -> str:
     """What to do for a servo that has shut itself down."""
-    if model.protocol == 1:
+    if model.compact:
         limit = model.registers["torque_limit"].address
         return (
             "shut down, its torque limit is 0; take the load off it, let it cool, then switch its "

@@ -19,6 +19,7 @@ from adaptive_contact.service.settings import DEFAULT_ENDPOINT, LinkSettings, cl
 
 if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.recording import Recording
 
 __all__ = [
     "AmbiguousOption",
@@ -42,6 +43,7 @@ __all__ = [
     "check_output",
     "client",
     "recorded_robot",
+    "say_damage",
     "seconds_option",
 ]
 
@@ -281,6 +283,13 @@ def check_output(path: Path, option: str) -> None:
         raise ConfigurationError(f"{path}: cannot be written ({why}); give another {option}")
 
 
+def say_damage(recording: Recording) -> None:
+    """Say what the last pass over a recording met, a line each."""
+    lines = recording.notes if recording.damage is None else (recording.damage, *recording.notes)
+    for line in lines:
+        say(f"adaptive-contact: {recording.path}: {line}", err=True)
+
+
 def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
     """The robot that recordings are taken for; said where it is the shipped one.
 
@@ -288,12 +297,14 @@ def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
         ConfigurationError: a recording is of another robot, by its own word.
     """
     from adaptive_contact.robot import load_robot, shipped_robot
-    from adaptive_contact.service.recording import read_recording
+    from adaptive_contact.service.recording import is_bag, read_recording
 
     if config is not None:
         return load_robot(config)
     robot = shipped_robot()
     for path in recordings:
+        if is_bag(path):
+            read_recording(path)  # says that a bag needs a --config
         name = read_recording(path).about.get("robot", robot.name)
         if name != robot.name:
             raise ConfigurationError(

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 import typer
@@ -22,6 +22,9 @@ from adaptive_contact.robot.kinematics import Vector
 from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import is_leg_id
+
+if TYPE_CHECKING:
+    from adaptive_contact.bridge.survey import Wanted
 
 __all__ = ["Wishes", "write_description"]
 
@@ -39,6 +42,7 @@ class Wishes:
     devices: Mapping[str, str]
     out: Path
     joints: str | None
+    ids: str | None
     legs: str | None
     lengths: str | None
     urdf: Path | None
@@ -48,6 +52,7 @@ class Wishes:
     resolution: float | None
     rate: float | None
     baud: int | None
+    configure: bool
     force: bool
 
 
@@ -84,7 +89,7 @@ def write_description(wishes: Wishes) -> None:
         robot = _of_bus(wishes, devices, tuple(feet), names, read)
     else:
         robot = _of_answers(wishes, tuple(feet), names, read)
-    if wishes.lengths is not None:
+    if wishes.lengths is not None and not devices:
         measured = _lengths(wishes.lengths, len(robot.legs[0].joints))
         alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
         robot = msgspec.structs.replace(robot, legs=alike)
@@ -213,37 +218,68 @@ def _of_bus(
 ) -> Robot:
     """The robot whose servos answer, with a URDF's geometry where there is one."""
     with needs_sdk():
-        from adaptive_contact.bridge.survey import describe, find_servos, group, steepness
+        from adaptive_contact.bridge.survey import (
+            describe,
+            find_servos,
+            group,
+            steepness,
+            wanted_legs,
+        )
         from adaptive_contact.bridge.tables import BAUDS
 
+    wanted = () if wishes.ids is None else wanted_legs(wishes.ids)
+    joints = names if isinstance(names, int) else len(names)
+    if read is not None:
+        joints = len(read.legs[0].joints)
+        counts = sorted({len(leg.joints) for leg in read.legs})
+        if len(counts) > 1 and not wanted:
+            raise ConfigurationError(
+                f"the URDF's legs have {' and '.join(map(str, counts))} joints; give --ids, the "
+                "servos of each leg"
+            )
+    _check_wanted(wishes, wanted, joints, devices, read)
     baud = wishes.baud
     if baud is not None and baud not in BAUDS:
         raise ConfigurationError(
             f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
         )
-    if read is not None:
-        counts = sorted({len(leg.joints) for leg in read.legs})
-        if len(counts) > 1:
+    measured = None
+    if wishes.lengths is not None:
+        numbers = {len(leg.ids) for leg in wanted} or {joints}
+        if len(numbers) > 1:
             raise ConfigurationError(
-                f"the URDF's legs have {' and '.join(map(str, counts))} joints; servos are taken "
-                "in the order of their ids for legs of one number: leave --device out, and fill "
-                "[leg.servos] in by hand"
+                "--lengths is for legs that are alike, and --ids has legs of "
+                f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
             )
-        names = counts[0]
+        measured = _lengths(wishes.lengths, numbers.pop())
     found = [
-        find_servos(port, path, *(() if baud is None else ((baud,),)))
+        find_servos(
+            port,
+            path,
+            *(() if baud is None else ((baud,),)),
+            ids=[s for leg in wanted if leg.port in (port, None) for s in leg.ids]
+            if len(devices) == 1 or all(leg.port for leg in wanted)
+            else (),
+            configure=wishes.configure,
+        )
         for port, path in devices.items()
     ]
     for line in describe(found):
         say(line)
-    joints = names if isinstance(names, int) else len(names)
-    robot = group(found, joints, ids, () if isinstance(names, int) else names)
+    own_names = () if isinstance(names, int) else names
+    robot = group(found, joints, ids, own_names, wanted=wanted)
     robot = msgspec.structs.replace(robot, name=wishes.name or "my-robot")
+    for port, settings in robot.ports.items():
+        if settings.ignore:
+            say(f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored")
     if wishes.rate is not None:
         robot = msgspec.structs.replace(robot, period_s=1.0 / wishes.rate)
     if wishes.resolution is not None:
         robot = msgspec.structs.replace(robot, quantum_rad=wishes.resolution)
-    slopes = steepness(found)
+    if measured is not None:
+        alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
+        robot = msgspec.structs.replace(robot, legs=alike)
+    slopes = steepness(found, robot)
     if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
         told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
         say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
@@ -254,6 +290,34 @@ def _of_bus(
         for leg, own in zip(read.legs, robot.legs, strict=True)
     )
     return msgspec.structs.replace(robot, legs=legs)
+
+
+def _check_wanted(
+    wishes: Wishes,
+    wanted: Sequence[Wanted],
+    joints: int,
+    devices: Mapping[str, str],
+    read: UrdfLegs | None,
+) -> None:
+    """Refuse servos of ``--ids`` that do not fit the joints or the ports."""
+    for leg in wanted:
+        if leg.port is not None and leg.port not in devices:
+            raise ConfigurationError(
+                f"--ids names port '{leg.port}'; --device gives {', '.join(devices)}"
+            )
+        if read is None and wishes.joints is not None and len(leg.ids) != joints:
+            raise ConfigurationError(
+                f"--ids has a leg of {len(leg.ids)} servos ({','.join(map(str, leg.ids))}), "
+                f"--joints says {joints}; leave --joints out, or correct --ids"
+            )
+    if read is None or not wanted:
+        return
+    told, counts = [len(leg.ids) for leg in wanted], [len(leg.joints) for leg in read.legs]
+    if told != counts:
+        raise ConfigurationError(
+            f"--ids has legs of {', '.join(map(str, told))} servos, the URDF's legs have "
+            f"{', '.join(map(str, counts))} joints; give the servos of each leg of --legs"
+        )
 
 
 def _of_answers(

@@ -30,12 +30,13 @@ from adaptive_contact.cli._options import (
 )
 from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator, stoppable
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
+    from adaptive_contact.service.probe import Finding
 
 __all__ = [
     "DeviceOption",
@@ -46,7 +47,7 @@ __all__ = [
     "robot_of",
 ]
 
-app = Commands(help="Dynamixel servos on Zenoh, real and virtual.", no_args_is_help=True)
+app = Commands(help="Dynamixel servos on Zenoh, real and virtual; ROS 2.", no_args_is_help=True)
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
@@ -135,7 +136,11 @@ def dynamixel(
     ] = False,
     configure: Annotated[
         bool,
-        typer.Option("--configure", help="Set return delays to 0 (in the servos' EEPROM)."),
+        typer.Option(
+            "--configure",
+            help="Set return delays to 0, and let servos answer that answer pings only (status "
+            "return level 2), in the servos' EEPROM.",
+        ),
     ] = False,
     realtime: RealtimeOption = False,
     device: DeviceOption = None,
@@ -160,6 +165,85 @@ def dynamixel(
         say(f"adaptive-contact bridge: {line}", err=True)
     findings.raise_errors()
     _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)
+
+
+@app.command()
+def ros2(
+    config: ConfigOption = None,
+    ros_connect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--ros-connect",
+            metavar="ENDPOINT",
+            help="Router of ROS 2, rmw_zenohd (default tcp/127.0.0.1:7447); repeatable.",
+            show_default=False,
+            rich_help_panel="Network",
+        ),
+    ] = None,
+    ros_zenoh_config: Annotated[
+        Path | None,
+        typer.Option(
+            "--ros-zenoh-config",
+            metavar="FILE",
+            help="Zenoh configuration file (JSON5) for that router.",
+            show_default=False,
+            rich_help_panel="Network",
+        ),
+    ] = None,
+    realtime: RealtimeOption = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    json: JsonPayloadOption = False,
+) -> None:
+    """Relay joint states of ROS 2 (rmw_zenoh) to the service, and contacts back; no ROS needed."""
+    make_stdout_optional()
+    stop = stoppable()
+    from adaptive_contact.priority import take_priority
+    from adaptive_contact.ros2 import needs_rosbags
+    from adaptive_contact.service.link import Link
+
+    robot = robot_of(config)
+    with needs_rosbags():
+        from adaptive_contact.ros2.intake import check_mapped
+        from adaptive_contact.service.ros2 import Gateway, shown_of_ros
+    check_mapped(robot, str(config or "shipped robot"))
+    settings = client(connect, namespace, zenoh_config, json=json)
+    ros_settings = client(ros_connect, None, ros_zenoh_config)
+
+    def waits_for_ros(finding: Finding) -> None:
+        _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
+
+    def waits(finding: Finding) -> None:
+        _say_ros(f"the service: {finding.line}; trying on")
+
+    refused = take_priority() if realtime else None
+    if refused is not None:
+        _say_ros(refused)
+    try:
+        with (
+            Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
+            Link.open(settings, on_wait=waits, stop=stop) as service,
+        ):
+            # Milliseconds since 1970: a later start has a larger run.
+            gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
+            reads = "reading nothing (no [leg.ros2])"
+            if gateway.legs:
+                reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
+            say(
+                f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
+                "Ctrl-C"
+            )
+            if gateway.legs and gateway.intake.unmapped:
+                _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
+            gateway.run(stop)
+    except LinkError:
+        if not stop.is_set():
+            raise
+
+
+def _say_ros(line: str) -> None:
+    say(f"adaptive-contact bridge ros2: {line}", err=True)
 
 
 class _Crew:

@@ -12,6 +12,14 @@ import typer
 from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import given, needs_simulator
+from adaptive_contact.cli._web import (
+    WEB_PANEL,
+    HostOption,
+    NoBrowserOption,
+    PortOption,
+    live_page,
+    web_settings,
+)
 
 __all__ = ["demo"]
 
@@ -29,6 +37,15 @@ def demo(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)
     ] = None,
+    web: Annotated[
+        bool,
+        typer.Option(
+            "--web", help="Show it as a page in the browser, too.", rich_help_panel=WEB_PANEL
+        ),
+    ] = False,
+    port: PortOption = None,
+    host: HostOption = None,
+    no_browser: NoBrowserOption = False,
 ) -> None:
     """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
 
@@ -44,8 +61,19 @@ def demo(
 
     console = table_console()
     settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed))
+    page_settings = web_settings(web, host, port, no_browser)
     try:
-        run_demo(settings, console, stop)
+        if page_settings is None:
+            run_demo(settings, console, stop)
+            return
+        with live_page(page_settings, browse=not no_browser) as page:
+            page.waits_for(
+                "service and simulator are starting",
+                "The first start on a computer compiles the arithmetic, and takes up to a minute.",
+                "note",
+            )
+            run_demo(settings, console, stop, page)
+            page.close(f"The demo is over; {settings.report} has what was found.")
     except (StoppedError, KeyboardInterrupt):
         say("adaptive-contact: stopped; nothing was judged", err=True)
         raise typer.Exit(_STOPPED) from None

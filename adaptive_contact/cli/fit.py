@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import ConfigOption, JsonOption, check_output, recorded_robot
+from adaptive_contact.cli._options import (
+    ConfigOption,
+    JsonOption,
+    check_output,
+    recorded_robot,
+    say_damage,
+)
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
@@ -37,8 +43,8 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="RECORDING...",
-            help="MCAP files with free swings; touches are left out, by the truth where it is "
-            "recorded, else by what stands out.",
+            help="MCAP files or bags of ROS 2 with free swings; touches are left out, by the truth "
+            "where it is recorded, else by what stands out.",
             show_default=False,
         ),
     ],
@@ -136,7 +142,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
     strangers: set[str] = set()
     causes: dict[str, set[str]] = {}
     for path in recordings:
-        recording = read_recording(path)
+        recording = read_recording(path, robot)
         samples: dict[str, list[ServoSample]] = {}
         refused: dict[str, list[Rejected]] = {}
         robots = OneRobot(recording)
@@ -158,8 +164,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
-        if recording.damage is not None:
-            say(f"adaptive-contact: {path}: {recording.damage}", err=True)
+        say_damage(recording)
         for line in robots.trouble(None):
             say(f"adaptive-contact: {path}: {line}", err=True)
         of = f"{path}: " if len(recordings) > 1 else ""

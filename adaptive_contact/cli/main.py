@@ -126,7 +126,10 @@ def _run() -> int:
     except _Misunderstood as error:
         return _refuse(error)
     except AdaptiveContactError as error:
-        say(f"adaptive-contact: {error}", err=True)
+        first, *others = error.lines
+        say(f"adaptive-contact: {first}", err=True)
+        for line in others:
+            say(line, err=True)
         return 2
     except OSError as error:
         if error.errno not in _FULL:

@@ -27,6 +27,7 @@ from adaptive_contact.cli._options import (
     check_output,
     client,
     recorded_robot,
+    say_damage,
 )
 from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
@@ -47,7 +48,10 @@ _MAX_SPEED: Final = 1000.0
 
 def replay(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE.mcap", help="Recording to play.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="FILE.mcap", help="Recording to play, or a bag of ROS 2.", show_default=False
+        ),
     ],
     speed: Annotated[
         str | None,
@@ -84,7 +88,7 @@ def replay(
     zenoh_config: ZenohConfigOption = None,
 ) -> None:
     """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
-    from adaptive_contact.service.recording import read_recording
+    from adaptive_contact.service.recording import is_bag, read_recording
 
     on_wire = {
         "--speed": speed,
@@ -102,12 +106,19 @@ def replay(
     }
     if events is not None:
         _refuse(on_wire, "--events uses no network; leave {} out")
-        _to_events(read_recording(file), events, baseline, config, when_ambiguous)
+        robot = recorded_robot(config, [file])
+        recording = read_recording(file, robot)
+        _to_events(recording, robot, events, _learned(robot, config, baseline), when_ambiguous)
     else:
+        bag = is_bag(file)
+        if bag:
+            del through_learners["--config"]  # says what the bag's topics are
         _refuse(through_learners, "{} is for --events; the service on the wire has its own")
+        mapping = recorded_robot(config, [file]) if bag else None
         factor = _speed(speed)
         settings = client(connect, namespace, zenoh_config)
-        _to_wire(read_recording(file), settings, factor, everything=everything, keep_run=keep_run)
+        recording = read_recording(file, mapping)
+        _to_wire(recording, settings, factor, everything=everything, keep_run=keep_run)
 
 
 def _refuse(options: Mapping[str, object], message: str) -> None:
@@ -133,9 +144,9 @@ def _speed(text: str | None) -> float | None:
 
 def _to_events(
     recording: Recording,
+    robot: Robot,
     out: Path,
-    baseline: Path | None,
-    config: Path | None,
+    learned: Baseline | None,
     when_ambiguous: WhenAmbiguous,
 ) -> None:
     from threadpoolctl import threadpool_limits
@@ -147,8 +158,6 @@ def _to_events(
     from adaptive_contact.service.replay import Counts, replay_events
     from adaptive_contact.wire import JSON, encode
 
-    robot = recorded_robot(config, [recording.path])
-    learned = _learned(robot, config, baseline)
     if str(out) != "-":
         check_output(out, "--events")
     compile_tick()
@@ -286,8 +295,7 @@ def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseli
 
 def _warn(recording: Recording, counts: Counts) -> None:
     """One line each for what was cut off and for what could not be used."""
-    if recording.damage is not None:
-        say(f"adaptive-contact: {recording.path}: {recording.damage}", err=True)
+    say_damage(recording)
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))

@@ -66,13 +66,23 @@ def init(
             show_default=False,
         ),
     ] = None,
+    ids: Annotated[
+        str | None,
+        typer.Option(
+            "--ids",
+            metavar="ID,ID,.../ID,...",
+            help="Servos of each leg, from the body outwards, such as 2,4,6/8,10,12; all others, "
+            "such as a head's, are ignored.  Without it, all are taken in the order of their ids.",
+            show_default=False,
+        ),
+    ] = None,
     legs: Annotated[
         str | None,
         typer.Option(
             "--legs",
             metavar="ID,ID,...",
-            help="Names, in the order of the servos' ids; with --urdf ID=LINK,..., with each "
-            "foot's link.",
+            help="Names, in the order of the servos' ids, or of --ids; with --urdf ID=LINK,..., "
+            "with each foot's link.",
             show_default=False,
         ),
     ] = None,
@@ -142,11 +152,20 @@ def init(
         int | None,
         typer.Option("--baud", help="Otherwise the usual ones are tried.", show_default=False),
     ] = None,
+    configure: Annotated[
+        bool,
+        typer.Option(
+            "--configure",
+            help="Let servos that answer pings only answer reads (status return level 2, in the "
+            "EEPROM of AX, RX, MX and XL-320).",
+        ),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Write a robot.toml to fill in, from a bus, from a URDF, or from both.
 
-    With --device the bus is asked who is there; nothing is moved or set.  Without, for servos of
+    With --device the bus is asked who is there; nothing is moved, and without --configure nothing
+    is set.  Without a bus, for servos of
     any kind, joints come from --urdf or --joints, and --resolution and --rate are asked for where
     they are not given.
     """
@@ -157,6 +176,7 @@ def init(
             devices=devices_of(device),
             out=out,
             joints=joints,
+            ids=ids,
             legs=legs,
             lengths=lengths,
             urdf=urdf,
@@ -166,6 +186,7 @@ def init(
             resolution=resolution,
             rate=rate,
             baud=baud,
+            configure=configure,
             force=force,
         )
     )
@@ -247,6 +268,7 @@ def _check_bus(
 ) -> None:
     with needs_sdk():
         from adaptive_contact.bridge.collect import collect
+        from adaptive_contact.bridge.compare import compare, read_servos
 
     from rich.live import Live
 
@@ -254,6 +276,8 @@ def _check_bus(
 
     robot, plans = _planned(config, device)
     _shake_hands(plans)
+    for line in compare(read_servos(plans)):
+        _say(line)
     console = table_console(pipe_width=_PIPE_WIDTH)
     with Live(console=console, refresh_per_second=10, transient=True) as table:
 

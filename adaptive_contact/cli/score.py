@@ -27,7 +27,9 @@ def score(
     recording: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORDING", help="MCAP file with servo samples and truth.", show_default=False
+            metavar="RECORDING",
+            help="MCAP file with servo samples and truth, or a bag.",
+            show_default=False,
         ),
     ],
     events: Annotated[
@@ -58,7 +60,7 @@ def score(
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
     robot = recorded_robot(config, [recording])
     given = None if events is None else _read_events(events)
-    source = read_recording(recording)
+    source = read_recording(recording, robot)
     robots = OneRobot(source)
     try:
         result = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
@@ -66,7 +68,7 @@ def score(
         cut = f" ({source.damage})" if source.damage is not None else ""
         raise RecordingError(f"{recording}: {error}{cut}") from error
     finally:
-        for line in robots.trouble(robot):
+        for line in (*robots.trouble(robot), *source.notes):
             say(f"adaptive-contact: {recording}: {line}", err=True)
     if source.damage is not None:
         say(f"adaptive-contact: {recording}: {source.damage}", err=True)

@@ -20,6 +20,15 @@ from adaptive_contact.cli._options import (
     seconds_option,
 )
 from adaptive_contact.cli._output import say_json, say_waiting
+from adaptive_contact.cli._web import (
+    WEB_PANEL,
+    HostOption,
+    NoBrowserOption,
+    PortOption,
+    serve_page,
+    web_settings,
+)
+from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,13 +70,26 @@ def watch(
         ),
     ] = 10.0,
     json: JsonOption = False,
+    web: Annotated[
+        bool,
+        typer.Option("--web", help="Show it as a page in the browser.", rich_help_panel=WEB_PANEL),
+    ] = False,
+    port: PortOption = None,
+    host: HostOption = None,
+    no_browser: NoBrowserOption = False,
 ) -> None:
     """Show every leg of a running service: contact, model, latency, losses, and what is wrong."""
+    page_settings = web_settings(web, host, port, no_browser)
+    if page_settings is not None and (once or json):
+        raise ConfigurationError("--web shows a page; leave --once and --json out")
     # As Ctrl-C, so that the terminal gets its cursor back.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     from adaptive_contact.service.feed import Feed
 
     settings = client(connect, namespace, zenoh_config)
+    if page_settings is not None:
+        serve_page(page_settings, settings, browse=not no_browser)
+        return
     patience_s = wait if once else None
     with contextlib.suppress(KeyboardInterrupt), _join(settings, patience_s) as link:
         feed = Feed(link)

@@ -110,7 +110,6 @@ LEG: Final = np.dtype(
         # Statistic.
         ("context", i4),  # index of the whitening
         ("variance_scale", f8),  # in force
-        ("__", f8),  # not used
         ("inflated", b1),  # the covariance is
         ("clock_most", f8),  # largest stretch in question, periods
         ("clock_left", i4),  # ticks it stays in question
@@ -159,7 +158,6 @@ LEG: Final = np.dtype(
         ("withholds_begun", b1),  # nor those of a swing that has just begun
         ("began_full", b1),  # the window was full as the swing began
         ("has_seam", b1),  # a command before is known, to unwrap by
-        ("has_theta", b1),  # not used
         ("release_pending", b1),  # a release is to be sent
         ("hole_ns", i8),  # -1 for none
         ("changed", b1),  # the leg has changed since its model was fitted

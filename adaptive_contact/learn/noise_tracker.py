@@ -19,19 +19,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.learn.replay_buffer import Segment
+from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.model_file import thresholds_of
 from adaptive_contact.model.noise import NoiseModel
 from adaptive_contact.model.tail import Tail
-
-if TYPE_CHECKING:
-    from adaptive_contact.learn.replay_buffer import Segment
-    from adaptive_contact.model.labelled_swing import Row
-    from adaptive_contact.model.training_domain import Domain
+from adaptive_contact.model.training_domain import Domain
 
 __all__ = ["NoiseTracker"]
 

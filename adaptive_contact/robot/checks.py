@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from typing import Final, NoReturn
 
@@ -17,6 +18,16 @@ MAX_LEGS: Final = 64
 # A link is no longer, m; a direction is no shorter.
 MOST_M: Final = 5.0
 LEAST_AXIS: Final = 1e-3
+# A Dynamixel bus: 253 is reserved, 254 is everybody.
+MAX_SERVO_ID: Final = 252
+
+# Names of ROS: chunks of letters, digits and '_' that begin with no digit.
+_CHUNK: Final = r"[A-Za-z_][A-Za-z0-9_]*"
+_NODE: Final = re.compile(_CHUNK)
+_TOPIC: Final = re.compile(rf"/{_CHUNK}(?:/{_CHUNK})*")
+# ROS 2 maps a domain to UDP ports; beyond 232 there are none left.
+_MOST_DOMAINS: Final = 232
+_TOPICS: Final = ("state", "command", "phase", "truth")
 
 _Fail = Callable[[str], NoReturn]
 
@@ -61,6 +72,7 @@ def check(robot: Robot, source: str) -> None:
             fail(f"{where}: the id is used twice; ids must differ")
         seen.add(leg.id)
         _check_leg(robot, leg, where, fail)
+    _check_ros2(robot, fail)
 
 
 def _check_ports(robot: Robot, fail: _Fail) -> None:
@@ -71,6 +83,9 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
             fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
         if not 0.5 <= port.timeout_ms <= 100.0:
             fail(f"[port.{name}] timeout_ms is {port.timeout_ms}; expected 0.5 to 100 (usual: 5)")
+        for servo in port.ignore:
+            if not 0 <= servo <= MAX_SERVO_ID:
+                fail(f"[port.{name}] ignore has {servo}; ids are 0 to {MAX_SERVO_ID}")
     owner: dict[tuple[str | None, int], str] = {}
     for leg in robot.legs:
         servos = leg.servos
@@ -85,8 +100,14 @@ def _check_ports(robot: Robot, fail: _Fail) -> None:
         if not 1e-3 <= servos.max_step_rad <= 1.0:
             fail(f"{where}: servos.max_step_rad is {servos.max_step_rad}; expected 0.001 to 1 rad")
         for servo in servos.ids:
-            if not 0 <= servo <= 252:
-                fail(f"{where}: servo id {servo}; ids are 0 to 252")
+            if not 0 <= servo <= MAX_SERVO_ID:
+                fail(f"{where}: servo id {servo}; ids are 0 to {MAX_SERVO_ID}")
+            for name, port in robot.ports.items():
+                if servos.port in (name, None) and servo in port.ignore:
+                    fail(
+                        f"{where}: servo id {servo} is in ignore of [port.{name}], too; take it "
+                        "out of one of them"
+                    )
             before = owner.setdefault((servos.port, servo), leg.id)
             if before != leg.id or servos.ids.count(servo) > 1:
                 fail(
@@ -111,6 +132,7 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
         ("limits.lower_rad", leg.limits.lower_rad if leg.limits else None),
         ("limits.upper_rad", leg.limits.upper_rad if leg.limits else None),
         ("servos.ids", leg.servos.ids if leg.servos else None),
+        ("servos.model", leg.servos.models if leg.servos else None),
         ("servos.directions", leg.servos.directions if leg.servos else None),
         ("servos.offsets_rad", leg.servos.offsets_rad if leg.servos else None),
         ("angles.directions", leg.angles.directions if leg.angles else None),
@@ -159,3 +181,61 @@ def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
             fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
         key = "lengths_m" if origins is None else "origins_m"
         fail(f"{where}: no joint raises the foot; look at axes, or leave {key} out")
+
+
+def _check_ros2(robot: Robot, fail: _Fail) -> None:
+    shared = robot.ros2
+    if shared is not None:
+        if not 0 <= shared.domain <= _MOST_DOMAINS:
+            fail(f"[ros2] domain is {shared.domain}; expected 0 to {_MOST_DOMAINS} (ROS_DOMAIN_ID)")
+        if _NODE.fullmatch(shared.node) is None:
+            fail(f"[ros2] node is '{shared.node}'; expected letters, digits and '_'")
+        for key in _TOPICS:
+            _check_topic(getattr(shared, key), f"[ros2] {key}", fail, leg="leg")
+        mapped = [leg.id for leg in robot.legs if leg.ros2 is not None]
+        for key in ("phase", "truth"):  # a Bool speaks of one leg
+            if len(mapped) > 1 and "{leg}" not in (getattr(shared, key) or "{leg}"):
+                fail(f"[ros2] {key} is one topic for {len(mapped)} legs; write {{leg}} into it")
+    owner: dict[tuple[str, str], str] = {}
+    for leg in robot.legs:
+        own = leg.ros2
+        if own is None:
+            continue
+        where = f"[[leg]] '{leg.id}'"
+        if shared is None:
+            fail(f"{where}: [leg.ros2] without [ros2]; write [ros2] and its state topic")
+        if len(own.joints) != len(leg.joints):
+            fail(f"{where}: ros2.joints has {len(own.joints)} values for {len(leg.joints)} joints")
+        for key in _TOPICS:
+            _check_topic(getattr(own, key), f"{where}: ros2.{key}", fail, leg=leg.id)
+            topic = getattr(shared, key)
+            if topic is not None and getattr(own, key) is None and "{leg}" in topic:
+                _check_topic(topic, f"{where}: [ros2] {key}", fail, leg=leg.id)
+        state = own.state or shared.state
+        if state is None:
+            fail(
+                f"{where}: no state topic; write state in [ros2] or [leg.ros2], such as "
+                '"/leg_controller/controller_state"'
+            )
+        state = state.replace("{leg}", leg.id)
+        for joint in own.joints:
+            if not joint:
+                fail(f"{where}: ros2.joints has an empty name; write those that {state} has")
+            before = owner.setdefault((state, joint), leg.id)
+            if before != leg.id or own.joints.count(joint) > 1:
+                fail(
+                    f"{where}: ros2.joints has '{joint}' of {state} twice (leg '{before}' has it, "
+                    "too); each joint belongs to one leg"
+                )
+        order = own.command_joints or shared.command_joints
+        lacking = [joint for joint in own.joints if order is not None and joint not in order]
+        if lacking:
+            fail(f"{where}: command_joints lacks {', '.join(lacking)} of ros2.joints")
+
+
+def _check_topic(topic: str | None, where: str, fail: _Fail, *, leg: str) -> None:
+    if topic is not None and _TOPIC.fullmatch(topic.replace("{leg}", leg)) is None:
+        fail(
+            f"{where} is '{topic}'; expected a topic such as /joint_states, with a leading slash, "
+            "of letters, digits, '_' and '{leg}'"
+        )

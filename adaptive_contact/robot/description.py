@@ -21,10 +21,12 @@ __all__ = [
     "AxisWord",
     "DetectorSettings",
     "Leg",
+    "LegRos2",
     "Limits",
     "Mount",
     "Port",
     "Robot",
+    "Ros2",
     "ServoBus",
     "ServoLaw",
 ]
@@ -77,7 +79,7 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         ids: (J,) on the bus.
-        model: of all of them, or their family, such as ``XL-330``.
+        model: of all of them, or their family, such as ``XL-330``; or (J,), one of each.
         directions: (J,) 1 or -1.
         offsets_rad: (J,) angle of the joint with the horn in its centre.
         port: name of a ``[port.NAME]``; may be left out where there is one.
@@ -85,11 +87,60 @@ class ServoBus(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     ids: tuple[int, ...]
-    model: str = "AX-12A"
+    model: str | tuple[str, ...] = "AX-12A"
     directions: tuple[int, ...] | None = None
     offsets_rad: tuple[float, ...] | None = None
     port: str | None = None
     max_step_rad: float = 0.15
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """(J,) the model of each servo."""
+        return (self.model,) * len(self.ids) if isinstance(self.model, str) else self.model
+
+
+class LegRos2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A leg's names in ROS 2.
+
+    Attributes:
+        joints: (J,) ROS names of the leg's joints, in the order of ``joints``.
+        state, command, phase, truth: topics of this leg alone, instead of those of ``[ros2]``.
+        command_joints: joints of this leg's command topic, in the order of its values.
+    """
+
+    joints: tuple[str, ...]
+    state: str | None = None
+    command: str | None = None
+    command_joints: tuple[str, ...] | None = None
+    phase: str | None = None
+    truth: str | None = None
+
+
+class Ros2(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics of ROS 2 that carry the legs' readings and commands.
+
+    ``{leg}`` in a topic stands for the leg's id.
+
+    Attributes:
+        state: ``control_msgs/JointTrajectoryControllerState``, which holds readings and commands,
+            or ``sensor_msgs/JointState``, which holds readings.
+        command: where the commands are, if ``state`` holds readings only.
+        command_joints: the joints of a command topic that names none, in the order of its values.
+        phase: ``std_msgs/Bool``, true in swing.
+        truth: ``std_msgs/Bool`` of a foot switch, used from bags only.
+        distro: of the ROS 2 that is talked to; Humble writes no type hashes into keys.
+        domain: ``ROS_DOMAIN_ID``.
+        node: name of the gateway's node; its topics begin with it.
+    """
+
+    state: str | None = None
+    command: str | None = None
+    command_joints: tuple[str, ...] | None = None
+    phase: str | None = None
+    truth: str | None = None
+    distro: Literal["humble", "iron", "jazzy", "kilted", "lyrical", "rolling"] = "jazzy"
+    domain: int = 0
+    node: str = "adaptive_contact"
 
 
 class ServoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -134,6 +185,7 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     limits: Limits | None = None
     servos: ServoBus | None = None
     angles: Angles | None = None
+    ros2: LegRos2 | None = None
 
     @cached_property
     def joint_axes(self) -> tuple[Axis, ...]:
@@ -168,9 +220,10 @@ class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         device: such as ``/dev/ttyUSB0``.
         baud: bits per second.
-        protocol: Dynamixel protocol, 1 (AX, MX) or 2 (X-series).
+        protocol: Dynamixel protocol, 1 (AX, RX, MX) or 2 (X-series, MX with that firmware).
         fast: read with fast sync read (X-series, firmware 45 or newer).
         timeout_ms: how long an answer may take beyond its bytes.
+        ignore: ids of servos that are no joint of a leg, such as a head's: they are left alone.
     """
 
     device: str
@@ -178,6 +231,7 @@ class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     protocol: Literal[1, 2] = 1
     fast: bool = False
     timeout_ms: float = 5.0
+    ignore: tuple[int, ...] = ()
 
 
 class Robot(msgspec.Struct, frozen=True):
@@ -190,6 +244,7 @@ class Robot(msgspec.Struct, frozen=True):
     servo: ServoLaw = ServoLaw()
     detector: DetectorSettings = DetectorSettings()
     ports: dict[str, Port] = {}
+    ros2: Ros2 | None = None
 
     @property
     def leg_ids(self) -> tuple[str, ...]:

@@ -23,10 +23,12 @@ from adaptive_contact.robot.description import (
     AxisWord,
     DetectorSettings,
     Leg,
+    LegRos2,
     Limits,
     Mount,
     Port,
     Robot,
+    Ros2,
     ServoBus,
     ServoLaw,
 )
@@ -46,6 +48,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     servo: ServoLaw = ServoLaw()
     detector: DetectorSettings = DetectorSettings()
     port: dict[str, Port] = {}
+    ros2: Ros2 | None = None
 
 
 def load_robot(path: str | Path) -> Robot:
@@ -123,6 +126,7 @@ def parse_robot(text: str, *, source: str) -> Robot:
         servo=file.servo,
         detector=file.detector,
         ports=file.port,
+        ros2=file.ros2,
     )
     check(robot, source)
     return robot
@@ -133,7 +137,7 @@ _FIELDS: Final = sorted(
     {
         *_TABLES,
         *(name for kind in (_Head, Leg, Mount, Limits, Angles, ServoBus, ServoLaw,
-                       DetectorSettings, Port)
+                       DetectorSettings, Port, Ros2, LegRos2)
           for name in kind.__struct_fields__),
     }
 )  # fmt: skip

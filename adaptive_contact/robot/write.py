@@ -35,11 +35,13 @@ def write_robot(robot: Robot, *, comments: bool = True) -> str:
         say.line(f"[port.{_text(name) if '.' in name else name}]")
         say.line(f"device = {_text(port.device)}")
         say.line(f"baud = {port.baud}")
-        say.line(f"protocol = {port.protocol}", "1: AX and MX, 2: X-series")
+        say.line(f"protocol = {port.protocol}", "1: AX, RX and MX, 2: X-series")
         if port.fast:
             say.line("fast = true")
         if port.timeout_ms != Port(device="").timeout_ms:
             say.line(f"timeout_ms = {port.timeout_ms:g}")
+        if port.ignore:
+            say.line(f"ignore = {list(port.ignore)}", "servos that are no leg's: left alone")
     for i, leg in enumerate(robot.legs):
         _write_leg(say, leg, first=i == 0)
     return say.text
@@ -113,7 +115,10 @@ def _write_leg(say: _Commented, leg: Leg, *, first: bool) -> None:
         return
     say.line("[leg.servos]")
     say.line(f"ids = {list(servos.ids)}")
-    say.line(f"model = {_text(servos.model)}")
+    if isinstance(servos.model, str):
+        say.line(f"model = {_text(servos.model)}")
+    else:
+        say.line(f"model = [{', '.join(map(_text, servos.model))}]")
     if servos.port is not None:
         say.line(f"port = {_text(servos.port)}")
     ones = [1] * len(leg.joints)

@@ -10,7 +10,7 @@ import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -44,7 +44,15 @@ from adaptive_contact.wire import (
     namespace_of,
 )
 
-__all__ = ["Diagnosis", "Examination", "KeyTraffic", "diagnose", "examine"]
+__all__ = [
+    "Diagnosis",
+    "Examination",
+    "KeyTraffic",
+    "about_learner",
+    "all_lost",
+    "diagnose",
+    "examine",
+]
 
 # A flood is measured by its count; its samples need not all be looked at.
 _SAMPLES_KEPT: Final = 3000
@@ -241,12 +249,13 @@ def _faults(
         if not any(Cause.NOT_THIS_ROBOT in EXPLAINS.get(cause, ()) for cause in causes):
             unexplained.append(leg)
         if leg in heard.learners:
-            of_leg += _about_learner(*heard.learners[leg], service, causes)
+            of_leg += about_learner(*heard.learners[leg], service, causes)
         elif service is not None:
             of_leg.append(_unreported(seconds))
         for fault in of_leg:
             yield leg, fault
-    yield from _in_common(heard, unexplained, service)
+    told = [heard.learners[leg][1] for leg in unexplained if leg in heard.learners]
+    yield from all_lost(told, service)
 
 
 def _traffic(heard: Examination, seconds: float) -> list[KeyTraffic]:
@@ -396,7 +405,7 @@ _NOTED: Final = {
 _NOTES: Final = "docs/operating.md says what each note asks for"
 
 
-def _about_learner(
+def about_learner(
     before: LearnerStatus, status: LearnerStatus, service: ServiceStatus | None, causes: set[Cause]
 ) -> Iterator[Fault]:
     """What a leg's own status says, but for what is known of its stream already."""
@@ -484,17 +493,15 @@ def _unreported(seconds: float) -> Fault:
     )
 
 
-def _in_common(heard: Examination, legs: list[str], service: ServiceStatus | None) -> _Faults:
+def all_lost(of_legs: Iterable[LearnerStatus], service: ServiceStatus | None) -> _Faults:
     """What all legs have in common is not of a foot.
 
     Args:
-        heard: everything.
-        legs: those whose streams show no cause.
+        of_legs: last statuses of those whose streams show no cause.
         service: its status.
     """
     given = service is not None and service.baseline is not None
-    statuses = [heard.learners[leg][1] for leg in legs if leg in heard.learners]
-    statuses = [status for status in statuses if status.status != "silent"]
+    statuses = [status for status in of_legs if status.status != "silent"]
     lost = [
         status
         for status in statuses

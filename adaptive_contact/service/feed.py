@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Final
 
 from adaptive_contact.service.link import Link
@@ -26,6 +27,8 @@ from adaptive_contact.wire import (
 
 __all__ = ["Feed"]
 
+OnContact = Callable[[str, ContactEvent | ContactTruth], None]
+
 _KEPT: Final = 20_000
 
 
@@ -34,11 +37,17 @@ class Feed:
 
     Args:
         link: open; closed by its owner.
+        on_contact: is given each contact event and change of truth that :meth:`view` takes in, with
+            its leg.
+
+    Attributes:
+        watch: that is fed.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, on_contact: OnContact | None = None) -> None:
         self._link = link
-        self._watch = Watch()
+        self._on_contact = on_contact
+        self.watch = Watch()
         # Zenoh's thread appends, the reader pops; should nobody read, the oldest go.
         self._waiting: deque[Received] = deque(maxlen=_KEPT)
         self._alive = False
@@ -59,7 +68,7 @@ class Feed:
         """Take in what has arrived, and give what is known now; ``now_ns`` is monotonic."""
         for _ in range(len(self._waiting)):
             self._take(self._waiting.popleft())
-        return self._watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
+        return self.watch.view(now_ns, alive=self._alive, connected=self._link.is_connected())
 
     def _take(self, received: Received) -> None:
         kind = received.key.rsplit("/", 1)[-1]
@@ -75,14 +84,19 @@ class Feed:
         leg = leg_of_key(received.key)
         if isinstance(message, Rejected):
             self.unreadable += 1
-        elif isinstance(message, ServiceStatus):
-            self._watch.service(message)
+            return
+        if isinstance(message, ServiceStatus):
+            self.watch.service(message)
         elif isinstance(message, ContactEvent):
-            self._watch.event(message, received.arrival_ns, _age_ns(received))
+            self.watch.event(message, received.arrival_ns, _age_ns(received))
         elif isinstance(message, LearnerStatus):
-            self._watch.learner(message, received.arrival_ns)
+            self.watch.learner(message, received.arrival_ns)
         elif leg is not None:
-            self._watch.truth(leg, message, received.arrival_ns)
+            self.watch.truth(leg, message, received.arrival_ns)
+        if self._on_contact is None or leg is None:
+            return
+        if isinstance(message, ContactEvent | ContactTruth):
+            self._on_contact(leg, message)
 
     def _token(self, key: str, alive: bool) -> None:
         self._alive = alive

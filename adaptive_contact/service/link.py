@@ -54,6 +54,8 @@ __all__ = [
 
 _RETRY_S: Final = 0.25
 _CLOSE_TIMEOUT_S: Final = 1.0
+# As rmw_zenoh's publishers have it: after a message, not all the time.
+_HEARTBEAT_S: Final = 0.5
 _NOTHING_ASKED: Final = Finding(Reach.UNKNOWN, "")
 
 
@@ -77,6 +79,10 @@ class Request:
         """What came with it; a copy, as queries may wait in dozens."""
         payload = self._query.payload
         return b"" if payload is None else payload.to_bytes()
+
+    def parameter(self, name: str) -> str | None:
+        """A value behind ``?`` in its selector."""
+        return self._query.parameters.get(name)
 
     def covers(self, key: str) -> bool:
         """Tell whether the query asks for ``key`` (it may hold wildcards)."""
@@ -138,8 +144,8 @@ class Publisher:
         """
         self.put_raw(encode(message, self.encoding), self.encoding)
 
-    def put_raw(self, payload: bytes, encoding: str) -> None:
-        """Publish bytes as they are.
+    def put_raw(self, payload: bytes, encoding: str, attachment: bytes | None = None) -> None:
+        """Publish bytes as they are, with an attachment or none.
 
         Raises:
             LinkError: the link is closed.
@@ -147,7 +153,7 @@ class Publisher:
         if self._keep:
             self._last = (payload, encoding)
         try:
-            self._put(payload, encoding=encoding)
+            self._put(payload, encoding=encoding, attachment=attachment)
         except zenoh.ZError as error:
             raise LinkError(f"{self.key} cannot be published: {first_line(error)}") from error
 
@@ -281,6 +287,27 @@ class Link:
         Declared(self._session.declare_queryable(key, publisher.answer), self._held)
         return publisher
 
+    def latched(self, key: str) -> Publisher:
+        """Declare a publisher as rmw_zenoh does for topics that are reliable and transient local.
+
+        Late joiners get the last message, and who lost one fetches it.  A put never blocks.
+
+        Args:
+            key: without wildcards.
+        """
+        declared = zenoh.ext.declare_advanced_publisher(
+            self._session,
+            key,
+            cache=zenoh.ext.CacheConfig(1),
+            sample_miss_detection=zenoh.ext.MissDetectionConfig(
+                heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
+            ),
+            publisher_detection=True,
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=True,
+        )
+        return Publisher(declared, key, self.settings.encoding, keep=True)
+
     def subscribe(
         self, key_expr: str, sink: Callable[[Received], None], *, history: bool = False
     ) -> Declared:
@@ -296,7 +323,7 @@ class Link:
             arrival_ns = time.monotonic_ns()
             if sample.kind == zenoh.SampleKind.DELETE:
                 return
-            stamp = sample.timestamp
+            stamp, attached = sample.timestamp, sample.attachment
             sink(
                 Received(
                     str(sample.key_expr),
@@ -304,6 +331,7 @@ class Link:
                     str(sample.encoding),
                     arrival_ns,
                     None if stamp is None else stamp.get_time_as_ntp64().as_nanos(),
+                    b"" if attached is None else attached.to_bytes(),
                 )
             )
 
@@ -346,7 +374,16 @@ class Link:
 
         Returns:
             All answers within ``timeout_s``; empty where nobody is there to answer.
+
+        Raises:
+            LinkError: the link is closed.
         """
+        try:
+            return self._query(selector, message, timeout_s)
+        except zenoh.ZError as error:
+            raise LinkError(f"{selector} cannot be asked for: {first_line(error)}") from error
+
+    def _query(self, selector: str, message: Message | None, timeout_s: float) -> list[Reply]:
         encoding = self.settings.encoding
         payload = None if message is None else encode(message, encoding)
         replies = []
@@ -404,6 +441,11 @@ class Link:
     def sessions(self) -> int:
         """How many other sessions are connected to this one."""
         return len(list(self._session.info.transports()))
+
+    @property
+    def id(self) -> str:
+        """Zenoh's id of this session."""
+        return str(self._session.info.zid())
 
     def is_connected(self) -> bool:
         """Tell whether a router is joined; always for one that joins nobody."""

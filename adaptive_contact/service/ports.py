@@ -59,6 +59,9 @@ class Question(Protocol):
 
     key: str
 
+    def parameter(self, name: str) -> str | None:
+        """A value behind ``?`` in its selector."""
+
     def covers(self, key: str) -> bool:
         """Tell whether the query asks for ``key``."""
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from adaptive_contact.errors import LinkError
 from adaptive_contact.service.settings import shown, tcp_address
 
-__all__ = ["Finding", "NoRouterError", "Reach", "probe"]
+__all__ = ["REMEDY", "Finding", "NoRouterError", "Reach", "probe"]
 
 
 class Reach(enum.StrEnum):
@@ -46,7 +46,7 @@ class NoRouterError(LinkError):
 
 
 _NOBODY = "nobody listens on {}"
-_REMEDY = "start `adaptive-contact serve` there, or give the router's address with --connect"
+REMEDY = "start `adaptive-contact serve` there, or give the router's address with --connect"
 
 
 def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
@@ -67,7 +67,7 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
         address, text = tcp_address(endpoint), shown(endpoint)
         if address is None:
             unknown = True
-            lines.append(f"no router answers on {text} (unreachable or refusing); {_REMEDY}")
+            lines.append(f"no router answers on {text} (unreachable or refusing); {REMEDY}")
             continue
         why = _tcp(address, timeout_s)
         if why is None:
@@ -77,7 +77,7 @@ def probe(endpoints: Sequence[str], *, timeout_s: float = 0.4) -> Finding:
                 "and password or TLS (--zenoh-config FILE), or has no room for another session, or "
                 "it is not a Zenoh router",
             )
-        lines.append(f"unreachable: {why.format(text)}; {_REMEDY}")
+        lines.append(f"unreachable: {why.format(text)}; {REMEDY}")
         certain = certain and why is _NOBODY
     if not lines:
         return Finding(Reach.UNKNOWN, "no endpoint to connect to; give one with --connect")

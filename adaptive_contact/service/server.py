@@ -28,6 +28,7 @@ from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state import StateKeeper
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
 from adaptive_contact.service.surroundings import Strays, Surroundings
+from adaptive_contact.service.trace import Tracer, judged_tick
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import (
     ALL_SERVO,
@@ -37,6 +38,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
     model_key,
+    trace_key,
 )
 
 __all__ = ["Service", "version"]
@@ -56,6 +58,8 @@ _REST_S: Final = 0.001
 # ever where there is none.
 _PAUSE_S: Final = 0.003
 _LONGEST_WAIT_NS: Final = 2_000_000_000
+# End of a key that asks for a leg's ticks rather than for its model.
+_TRACE: Final = "/trace"
 
 
 class Service:
@@ -98,6 +102,9 @@ class Service:
         self._unfinished: list[int] = []  # arrivals of samples that are not learned from yet
         self._event_latency = Latency()
         self._asked: list[Question] = []
+        self._tracer = Tracer(robot)
+        self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
+        self._refused: set[str] = set()  # legs whose sample in hand the learner refuses
         self._brake = Brake()
         self._keeper = keeper
         self._sweeper = sweeper
@@ -122,6 +129,7 @@ class Service:
         _rehearse()
         link.subscribe(ALL_SERVO, self._intake.offer)
         link.queryable(model_key("*"), self._ask)
+        link.queryable(trace_key("*"), self._ask_trace)
         link.token(SERVICE_TOKEN)
 
     def run(self, stop: threading.Event) -> None:
@@ -166,6 +174,7 @@ class Service:
         if round_.strangers:
             self._stranger(round_.stranger, round_.strangers, now_ns)
         samples: dict[str, ServoSample] = {}
+        self._refused.clear()
         for leg, raw in round_.samples.items():
             sample = self._sample(leg, raw, now_ns)
             if sample is not None:
@@ -177,6 +186,8 @@ class Service:
     def finish(self) -> None:
         """Learn from what was worked on, once its events are on their way, and answer queries."""
         self._bank.finish()
+        if self._untraced:
+            self._trace()
         for request in self._asked:
             self._answer(request)
         self._asked.clear()
@@ -293,6 +304,7 @@ class Service:
             self._facts[leg] = LegFacts(joints=joints, described=False)
         refused = desk.heard(read_, now_ns)
         if refused is not None:
+            self._refused.add(leg)
             self._warn("payload refused", refused, now_ns, leg=leg)
         return read_
 
@@ -308,8 +320,27 @@ class Service:
                 score=round(event.score, 2),
             )
         self._unfinished += [raws[leg].arrival_ns for leg in samples]
+        if self._tracer.wanted(time.monotonic_ns()):
+            self._untraced += [pair for pair in samples.items() if pair[0] not in self._refused]
+
+    def _trace(self) -> None:
+        """Keep the tick for a page that asks for it."""
+        # Of two ticks of a leg in one go the learner knows the last.
+        last = dict(self._untraced)
+        self._tracer.take(
+            (leg, sample, judged_tick(self._desks[leg].learner) if sample is last[leg] else None)
+            for leg, sample in self._untraced
+        )
+        self._untraced.clear()
 
     def _answer(self, request: Question) -> None:
+        if request.key.endswith(_TRACE):
+            legs = [leg for leg in self._desks if request.covers(trace_key(leg))]
+            now_ns = time.monotonic_ns()
+            for trace in self._tracer.answer(legs, request.parameter("after"), now_ns):
+                request.reply(trace, trace_key(trace.leg))
+            request.close()
+            return
         asked = [leg for leg in self._desks if request.covers(model_key(leg))]
         reports = {leg: self._desks[leg].report() for leg in asked}
         found = {leg: report for leg, report in reports.items() if report is not None}
@@ -370,6 +401,12 @@ class Service:
     def _ask(self, request: Request) -> None:
         if not self._intake.ask(request):
             request.refuse("too many queries at once; ask again")
+
+    def _ask_trace(self, request: Request) -> None:
+        if not request.key.endswith(_TRACE):  # who asks for everything looks at no page
+            request.close()
+        else:
+            self._ask(request)
 
     def _overflow(self, leg: str, dropped: int, now_ns: int) -> None:
         desk = self._desks.get(leg)

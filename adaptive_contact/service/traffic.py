@@ -15,6 +15,7 @@ class Received(NamedTuple):
         encoding: as the publisher declared it.
         arrival_ns: ``time.monotonic_ns()`` when Zenoh handed it over.
         published_ns: the publisher's wall clock, ns since 1970, None where it sent none.
+        attachment: what the publisher attached, empty where it attached nothing.
     """
 
     key: str
@@ -22,6 +23,7 @@ class Received(NamedTuple):
     encoding: str
     arrival_ns: int
     published_ns: int | None
+    attachment: bytes = b""
 
 
 class Reply(NamedTuple):

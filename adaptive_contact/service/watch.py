@@ -9,15 +9,16 @@ missed once its event had time to arrive.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, Status
 
-__all__ = ["LegView", "View", "Watch"]
+__all__ = ["LegView", "Verdict", "View", "Watch"]
 
 _AIR_NS: Final = 60_000_000
 _DETECTION_NS: Final = 120_000_000
@@ -77,6 +78,18 @@ class LegView(msgspec.Struct, frozen=True, kw_only=True):
     stale: bool = False
 
 
+class Verdict(NamedTuple):
+    """What became of a touch, or of an event, by the simulator's truth.
+
+    Attributes:
+        kind: ``seen`` or ``missed``, of a touch; ``false``, of an event.
+        t_ns: onset of the touch, or of the sample that decided the event.
+    """
+
+    kind: Literal["seen", "missed", "false"]
+    t_ns: int
+
+
 class View(msgspec.Struct, frozen=True, kw_only=True):
     """Everything on the screen."""
 
@@ -109,6 +122,7 @@ class _Truth:
     count: int = 0
     latencies_ms: list[float] = field(default_factory=list)
     false_alarms: int = 0
+    verdicts: deque[Verdict] = field(default_factory=lambda: deque(maxlen=_MOST_HEARD))
 
     def change(self, truth: ContactTruth, now_ns: int) -> None:
         if truth.contact:
@@ -137,17 +151,21 @@ class _Truth:
                 self.touches.remove(touch)
                 self.count += 1
                 self.latencies_ms.append(late_ns / 1e6)
+                self.verdicts.append(Verdict("seen", touch.onset_ns))
                 return
         loaded = any(
             start <= event.t_ns and (end is None or event.t_ns <= end) for start, end in self.loads
         )
         if not loaded:
             self.false_alarms += 1
+            self.verdicts.append(Verdict("false", event.t_ns))
 
     def give_up(self, now_ns: int) -> None:
         """Count touches whose event has not come as missed."""
         waiting = [t for t in self.touches if now_ns - t.heard_ns < _MISSED_AFTER_NS]
         self.count += len(self.touches) - len(waiting)
+        late = [t for t in self.touches if t not in waiting]
+        self.verdicts.extend(Verdict("missed", touch.onset_ns) for touch in late)
         self.touches = waiting
 
 
@@ -263,6 +281,19 @@ class Watch:
             alive=alive,
             connected=connected,
         )
+
+    def statuses(self) -> dict[str, LearnerStatus]:
+        """The last status of every leg."""
+        return {name: leg.status for name, leg in self._legs.items() if leg.status is not None}
+
+    def take_verdicts(self) -> list[tuple[str, Verdict]]:
+        """What was judged since the last call, leg by leg; the newest where that is much."""
+        taken: list[tuple[str, Verdict]] = []
+        for name, leg in self._legs.items():
+            if leg.truth is not None:
+                taken += [(name, verdict) for verdict in leg.truth.verdicts]
+                leg.truth.verdicts.clear()
+        return taken
 
     def _leg(self, name: str) -> _Leg:
         return self._legs.setdefault(name, _Leg())

@@ -30,6 +30,7 @@ from adaptive_contact.wire.keys import (
     model_key,
     namespace_of,
     servo_key,
+    trace_key,
     truth_key,
 )
 from adaptive_contact.wire.messages import (
@@ -47,6 +48,7 @@ from adaptive_contact.wire.messages import (
     DriftReply,
     DriftShape,
     LearnerStatus,
+    LegTrace,
     Message,
     ModelReport,
     ModelTerm,
@@ -80,6 +82,7 @@ __all__ = [
     "DriftReply",
     "DriftShape",
     "LearnerStatus",
+    "LegTrace",
     "Message",
     "ModelReport",
     "ModelTerm",
@@ -103,5 +106,6 @@ __all__ = [
     "model_key",
     "namespace_of",
     "servo_key",
+    "trace_key",
     "truth_key",
 ]

@@ -26,6 +26,7 @@ __all__ = [
     "model_key",
     "namespace_of",
     "servo_key",
+    "trace_key",
     "truth_key",
 ]
 
@@ -38,7 +39,7 @@ SIM_DRIFT: Final = "robot/sim/drift"
 # A leg id becomes one chunk of a key: no '/', and none of the wildcards '*', '$', '?', '#',
 # which Zenoh accepts in `put` and would fan one sample out over every leg.
 _LEG_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}\Z")
-_KINDS: Final = ("servo", "contact", "learner", "model", "truth", "command")
+_KINDS: Final = ("servo", "contact", "learner", "model", "trace", "truth", "command")
 _LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(_KINDS)})\Z")
 _OWN_DEPTH: Final = 4
 
@@ -107,6 +108,11 @@ def learner_key(leg: str) -> str:
 def model_key(leg: str) -> str:
     """Key of a leg's queryable :class:`~adaptive_contact.wire.ModelReport`."""
     return f"robot/leg/{leg}/model"
+
+
+def trace_key(leg: str) -> str:
+    """Key of a leg's queryable :class:`~adaptive_contact.wire.LegTrace`."""
+    return f"robot/leg/{leg}/trace"
 
 
 def truth_key(leg: str) -> str:

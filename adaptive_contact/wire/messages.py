@@ -27,6 +27,7 @@ __all__ = [
     "DriftReply",
     "DriftShape",
     "LearnerStatus",
+    "LegTrace",
     "Message",
     "ModelReport",
     "ModelTerm",
@@ -213,6 +214,30 @@ class ModelReport(Message, frozen=True, kw_only=True):
     library: str = ""
     threshold: float | None = None
     origin: str | None = None
+
+
+class LegTrace(Message, frozen=True, kw_only=True):
+    """The last ticks of a leg as they were judged, answered on request; oldest first.
+
+    Attributes:
+        number: of the newest tick in it; ask for what came ``after`` that next time.
+        t_ns, seq: (n,) of the samples.
+        swing: (n,) whether the sample says so, or else its commands; None where nobody can tell.
+        measured, desired: (n, J) rad, in the source's angles, as the samples have them.
+        predicted: (n, J) rad, likewise, what ``measured`` was expected to be; None for a tick that
+            was not judged.
+        test_ratio: (n,) statistic over threshold, above 1 for a contact; None likewise.
+    """
+
+    leg: str
+    number: int
+    t_ns: list[int] = []
+    seq: list[int] = []
+    swing: list[bool | None] = []
+    measured: list[list[float]] = []
+    desired: list[list[float]] = []
+    predicted: list[list[float] | None] = []
+    test_ratio: list[float | None] = []
 
 
 class ContactTruth(Message, frozen=True, kw_only=True, omit_defaults=True):

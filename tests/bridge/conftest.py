@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -95,7 +96,7 @@ def robot_text(
     *,
     legs: int = 2,
     joints: int = 3,
-    model: str = "AX-12A",
+    model: str | list[str] = "AX-12A",
     protocol: int = 1,
     ports: int = 1,
     timeout_ms: int = 10,
@@ -112,7 +113,7 @@ def robot_text(
         names = [f"j{j}" for j in range(joints)]
         lines.append(
             f'[[leg]]\nid = "l{i}"\njoints = {names}\n'
-            f'servos = {{ ids = {ids}, model = "{model}", port = "p{i % ports}" }}\n'
+            f'servos = {{ ids = {ids}, model = {json.dumps(model)}, port = "p{i % ports}" }}\n'
             f"limits = {{ lower_rad = {[-1.0] * joints}, upper_rad = {[1.0] * joints} }}\n"
         )
     return "\n".join(lines)

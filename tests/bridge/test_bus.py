@@ -5,9 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from adaptive_contact.bridge.bus import Bus, Fault, Pong
 from adaptive_contact.bridge.port import PortLostError
@@ -288,6 +291,33 @@ def test_the_sdks_own_group_reads_and_writes_work(rig: Callable) -> None:
             ]
     finally:
         port.closePort()
+
+
+class OldHandler(Protocol2PacketHandler):
+    """DynamixelSDK 3.7.31's: two of its calls take one argument less."""
+
+    def rxPacket(self, port: Any, *rest: Any) -> Any:
+        return super().rxPacket(port, False)
+
+    def syncReadTx(self, port: Any, at: int, size: int, ids: list[int], count: int) -> Any:
+        return super().syncReadTx(port, at, size, ids, count, False)
+
+
+def test_an_sdk_without_fast_reads_does_all_the_rest(
+    rig: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptive_contact.bridge.bus.PacketHandler", lambda _: OldHandler())
+    r = rig(**XL)
+    bus, joints = opened(r), r.plans[0].joints
+    readings = bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
+    assert [reading.fault for reading in readings.values()] == [None] * len(joints)
+    asked = r.requests
+    bus.read([j.servo for j in joints], joints[0].model.goal_and_motion)
+    assert r.requests == asked + 1  # one sync read
+    bus.close()
+    fast = Bus("p0", msgspec.structs.replace(r.plans[0].port, fast=True))
+    with pytest.raises(BusError, match=r"fast needs dynamixel-sdk 3\.8 or newer; update it, or"):
+        fast.open()
 
 
 def test_a_late_common_answer_is_asked_for_again(rig: Callable) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from adaptive_contact.bridge.status import BridgeStatus, Quantiles, ServoCounts
@@ -20,6 +22,7 @@ from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.service.link import Link, router_settings
 from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
+    MSGPACK,
     Command,
     ContactEvent,
     ServoSample,
@@ -159,6 +162,78 @@ def test_the_logger_tells_contacts_and_changes() -> None:
             process.terminate()
             assert process.wait(20) == 0
             process.stdout.close()
+
+
+def event(leg: str, t_ns: int, *, contact: bool, **more: object) -> ContactEvent:
+    return ContactEvent(
+        leg=leg, t_ns=t_ns, onset_ns=t_ns - 13_000_000, seq=2**40, contact=contact, score=1.5,
+        status="valid", residual=[0.25, -1e-9, 3.0], model_version=70_000, **more,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def contacts_in_c(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """``examples/contacts.c`` compiled as its comment says, with all warnings as errors."""
+    compiler, config = shutil.which("cc"), shutil.which("pkg-config")
+    if compiler is None or config is None:
+        pytest.skip("no C compiler, or no pkg-config, on this computer")
+    asked = subprocess.run([config, "--cflags", "--libs", "zenohpico"], capture_output=True)
+    if asked.returncode != 0:
+        pytest.skip("zenoh-pico is not installed: pkg-config knows no zenohpico")
+    flags = asked.stdout.decode().split()
+    made = str(tmp_path_factory.mktemp("c") / "contacts")
+    paths = [f"-Wl,-rpath,{flag[2:]}" for flag in flags if flag.startswith("-L")]
+    subprocess.run(
+        [compiler, "-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-DZENOH_LINUX",
+         str(EXAMPLES / "contacts.c"), *flags, *paths, "-o", made],
+        check=True,
+    )  # fmt: skip
+    return [made]
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(120)
+def test_the_subscriber_in_c_prints_contacts(contacts_in_c: list[str]) -> None:
+    with Link.open(router_settings(["tcp/127.0.0.1:0"])) as link:
+        contacts = link.publisher(contact_key("rf"), reliable=True, history=1)
+        contacts.put(event("rf", 1_040_000_000, contact=True))
+        process = subprocess.Popen(
+            [*contacts_in_c, link.endpoints[0]],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        try:
+            assert process.stdout is not None
+            said = process.stdout.readline
+            assert "listening to robot/leg/*/contact" in said()
+            assert said() == "rf touches at 1.040 s, score 1.5\n"  # though it came later
+            contacts.put(event("rf", 2**62, contact=False))
+            assert said() == f"rf lets go at {2**62 // 10**9}.427 s, score 1.5\n"
+            contacts.put(event("rf", 2**62 + 10**9, contact=False, withheld=True, doubt="held"))
+            assert " is withheld at " in said()
+            contacts.put_raw(msgspec.msgpack.encode({"v": 1, "leg": "rf"}), MSGPACK)
+            assert "is no contact event" in said()
+        finally:
+            process.kill()
+            process.wait(20)
+            process.stdout.close()
+
+
+@pytest.mark.e2e
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("tcp/127.0.0.1:1",), "contacts: no router at tcp/127.0.0.1:1; start"),
+        (("tcp/127.0.0.1:1", "a//b"), "contacts: 'a//b' is no key; give one such as"),
+    ],
+)
+def test_the_subscriber_in_c_says_in_one_line_what_is_wrong(
+    contacts_in_c: list[str], words: tuple[str, ...], message: str
+) -> None:
+    ended = subprocess.run([*contacts_in_c, *words], capture_output=True, text=True, timeout=40)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith(message)
+    assert ended.stderr.count("\n") == 1
 
 
 class FakeBridge:

@@ -56,7 +56,7 @@ def test_init_reads_the_slope_off_the_servos(
     found = find_servos("p0", str(tmp_path / "p0"))
     robot = parse_robot(write_robot(group([found], 3)), source="written")
     assert robot.servo.slope_rad == slope
-    assert steepness([found]) == {model: slope}
+    assert steepness([found], robot) == {model: slope}
     assert all(servo.writes == 0 for servo in r.ports[0].servos)
 
 
@@ -69,4 +69,4 @@ def test_legs_of_other_servos_have_a_quantum_of_their_own(rig: Callable, tmp_pat
     assert robot.quantum("leg1") == pytest.approx(math.radians(300) / 1023, rel=1e-3)
     assert robot.quantum("leg2") == pytest.approx(X_STEP, rel=1e-3)
     assert robot.leg("leg2").servos.port == "xl"
-    assert sorted(steepness([one, other])) == ["AX-12A", "XL330-M288"]
+    assert sorted(steepness([one, other], robot)) == ["AX-12A", "XL330-M288"]

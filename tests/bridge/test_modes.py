@@ -99,7 +99,7 @@ def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Call
 def test_every_model_as_delivered_is_driven_over_its_whole_travel(model: object) -> None:
     [one] = models_named(model.name)  # type: ignore[attr-defined]
     registers = {"lower_limit": one.lowest, "upper_limit": one.highest, "operating_mode": 3}
-    registers |= {"resolution_divider": 1}
+    registers |= {"resolution_divider": 1, "control_mode": 2}
     data = []
     for block in one.settings:
         memory = bytearray(block.size)

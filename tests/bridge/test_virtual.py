@@ -235,7 +235,7 @@ def test_the_light_backend_agrees_with_small_steps() -> None:
         ("silent:id=3@5+2", {"kind": "silent", "servo": 3, "start_s": 5.0, "end_s": 7.0}),
         ("flip:p=0.25", {"kind": "flip", "probability": 0.25, "servo": None}),
         ("hangup@1", {"kind": "hangup", "start_s": 1.0, "end_s": 2.0}),
-        ("error:bits=overload|overheating", {"error1": 0x24, "error2": 0x24}),
+        ("error:bits=overload|overheating", {"bits": ("overload", "overheating")}),
     ],
 )
 def test_faults_are_read(text: str, expected: dict) -> None:

@@ -30,7 +30,7 @@ def ours(*words: str, **options: object) -> subprocess.CompletedProcess[str]:
     ("words", "says"),
     [
         (["nosuch"], "No such command 'nosuch'; see `adaptive-contact --help`"),
-        (["watch", "--bogus"], "No such option: --bogus; see `adaptive-contact watch --help`"),
+        (["watch", "--xyzzy"], "No such option: --xyzzy; see `adaptive-contact watch --help`"),
         (["fit"], "Missing argument 'RECORDING...'; see `adaptive-contact fit --help`"),
         (["fit", "--library", "foo", "x"], "'foo' is not one of 'servo', 'paper', 'linear'"),
         (["doctor", "--seconds", "0.1"], "Invalid value for '--seconds': "),

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import struct
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,14 @@ def gone(pid: int) -> bool:
 
 
 def test_it_writes_what_it_shows(start: Callable[..., Any], tmp_path: Path) -> None:
-    demo = start("demo", "--seconds", "24", "--seed", "3", "--out", "here/demo")
+    args = ("--seconds", "24", "--seed", "3", "--out", "here/demo", "--web", "--no-browser")
+    demo = start("demo", *args)
+    url = demo.wait_line(r"live page at (http://\S+)").group(1)
+    with urllib.request.urlopen(f"{url}stream", timeout=WAIT_S) as page:
+        stream = page.read().decode()  # until its last words
     assert demo.wait(90) == 0, demo.lines
+    for shown in ('"rf":[[', '"status":"adapting"', "event: end", "The demo is over"):
+        assert shown in stream, shown
     pids = [
         int(line.split("process ")[1].split(",")[0]) for line in demo.lines if "process " in line
     ]

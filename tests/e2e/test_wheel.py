@@ -17,6 +17,8 @@ OURS = ("adaptive_contact", "adaptive_contact_models", "adaptive_contact_sim")
 def test_it_installs_our_three_packages_and_nothing_else(wheel: Path, installed: Any) -> None:
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(OURS)
+    page = {path.name for path in (installed.site / "adaptive_contact/web/static").iterdir()}
+    assert page == {"index.html", "page.js", "page.css", "icon.svg"}
     found = {path.name for path in installed.site.iterdir() if path.is_dir()}
     assert {name for name in found if not name.endswith(".dist-info")} == set(OURS)
     assert (installed.site.parents[2] / "bin" / "adaptive-contact").is_file()

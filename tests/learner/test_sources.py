@@ -313,12 +313,12 @@ def ambiguous_from(
             adapter._early.told = True
         else:
             adapter.monitor.status = "ambiguous"
-        learner._publish()  # what an assessed swing does
+        learner._report_by()  # what an assessed swing does
         event = learner.update(sample)
         events += [] if event is None else [event]
     adapter._early.forget()
     adapter.monitor.status = "valid"
-    learner._publish()
+    learner._report_by()
     return events + play(learner, stream[end:])
 
 

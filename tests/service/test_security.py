@@ -23,12 +23,15 @@ from adaptive_contact.wire import (
     Command,
     ContactEvent,
     LearnerStatus,
+    LegTrace,
     ServoSample,
     command_key,
     contact_key,
+    decode,
     learner_key,
     model_key,
     servo_key,
+    trace_key,
 )
 
 TEXT = (Path(__file__).parents[2] / "docs/security.md").read_text(encoding="utf-8")
@@ -152,6 +155,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
         residual_rms=[],
         noise_floor=[],
     )
+    trap = LegTrace(leg="rf", number=666)
     # (From sessions of their own: within a session everybody hears himself, without a router.)
     liars = [guarded.user(name) for name in ("robot", "viewer")]
     for liar in liars:
@@ -160,6 +164,7 @@ def test_only_the_service_publishes_contacts_and_statuses(
         liar.publisher(learner_key("rf")).put(wrong)
         liar.publisher(SERVICE_STATUS).put(wrong)
         liar.queryable(model_key("rf"), lambda request: request.reply(wrong))
+        liar.queryable(trace_key("rf"), lambda request: request.reply(trap))
         liar.token(leg_token("zz"))
     liars[1].publisher(servo_key("rf")).put(sample(555, contact=False))
     for liar in liars:  # a round trip: what it put before has been dealt with after it
@@ -177,6 +182,13 @@ def test_only_the_service_publishes_contacts_and_statuses(
     (report,) = viewer.query(model_key("rf"))
     assert report.error is None
     assert leg_token("zz") not in viewer.alive("robot/leg/*")
+    assert viewer.query(trace_key("rf")) == [], "ticks are kept from the first question on"
+    servo.put(sample(3))
+    statuses.wait(lambda items: any(status.ticks == 3 for status in items))
+    (ticks,) = viewer.query(trace_key("rf"))
+    trace = decode(ticks.payload, LegTrace, ticks.encoding)
+    assert isinstance(trace, LegTrace)
+    assert (trace.number, trace.seq) == (1, [3])
 
     assert guarded.served.stop() == 0
     log = guarded.served.log.read_text()

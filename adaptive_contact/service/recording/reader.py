@@ -23,20 +23,23 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, TYPE_CHECKING, Final
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata
+from mcap.records import Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_ZENOH, Record
 
-__all__ = ["MAX_CHUNK_BYTES", "MAX_RATIO", "Recording", "read_recording"]
+if TYPE_CHECKING:
+    from adaptive_contact.robot import Robot
+
+__all__ = ["MAX_CHUNK_BYTES", "MAX_RATIO", "Recording", "is_bag", "read_recording"]
 
 # Of a chunk, packed and unpacked.  Writers make chunks of 32 kB (ours) to a few MB.
 MAX_CHUNK_BYTES: Final = 64 << 20
@@ -56,6 +59,9 @@ _INDEX_ENTRY_BYTES: Final = 16
 _CHUNK: Final = struct.Struct("<QQQII")  # times, unpacked size, checksum, length of compression
 _LENGTH: Final = struct.Struct("<Q")
 _CHUNK_HEAD_BYTES: Final = _CHUNK.size + _MAX_COMPRESSION_NAME + _LENGTH.size  # at most
+# What a folder of rosbag2 holds: metadata.yaml, and the files, which may be packed.
+_OF_BAGS: Final = frozenset({".mcap", ".db3", ".yaml"})
+_PROFILE: Final = struct.Struct("<I4s")  # first text of a file's header
 _FOOTER: Final = struct.Struct("<BQQQI")
 
 # What a data section may hold; any other opcode below 0x80 (private records) is damage.
@@ -76,7 +82,12 @@ _PARSE_ERRORS: Final = (
     *(RuntimeError, EOFError, MemoryError, OverflowError),
 )
 
+# Metadata of a channel of rosbag2: the hash of its type's definition.
+_TYPE_HASH: Final = "topic_type_hash"
+
 _Channels = dict[int, tuple[str, str]]
+# By key: name of the channel's schema, and its hash or an empty text.
+Types = dict[str, tuple[str, str]]
 
 
 class Recording:
@@ -87,6 +98,9 @@ class Recording:
         damage: None, or one line on what the last pass stepped over and where it stopped.
         skipped: damaged places that the last pass stepped over.
         lost: messages that are known to have been in them.
+        types: of each key that the last pass has met, the name of its schema and the hash of its
+            type, as rosbag2 writes them; empty texts where there are none.
+        notes: what a person should know of the last pass, a line each; empty but for bags.
 
     Raises:
         RecordingError: the file cannot be read, or is no recording.  Damage inside never raises.
@@ -94,6 +108,8 @@ class Recording:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.types: Types = {}
+        self.notes: tuple[str, ...] = ()
         self.damage: str | None = None
         self.skipped = 0
         self.lost = 0
@@ -128,7 +144,7 @@ class Recording:
         self.damage, self.skipped, self.lost = None, 0, 0
         given = 0
         with self._open() as file:
-            walk = _Walk(file)
+            walk = _Walk(file, self.types)
             for record in walk.records():
                 given += 1
                 yield record
@@ -155,19 +171,44 @@ class Recording:
         return file
 
 
-def read_recording(path: str | Path) -> Recording:
+def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
     """Open a recording for reading.
 
     Args:
-        path: an MCAP file.
+        path: an MCAP file, or a bag of ROS 2: a folder, an MCAP or a db3 file.
+        robot: whose ``[ros2]`` says what a bag holds.
 
     Returns:
         An iterable of :class:`Record`, with ``truncated`` and ``damage`` after a pass over it.
 
     Raises:
         RecordingError: the file cannot be read, or is no recording.
+        ConfigurationError: it is a bag, and ``robot`` does not say what the bag holds.
     """
+    if is_bag(path):
+        from adaptive_contact.service.recording.bags import Bag
+
+        return Bag(path, robot)
     return Recording(path)
+
+
+def is_bag(path: str | Path) -> bool:
+    """Tell whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
+    path = Path(path)
+    if path.is_dir():
+        return any(entry.suffix in _OF_BAGS for entry in path.iterdir())
+    if path.suffix in (".db3", ".bag"):
+        return True
+    if not path.is_file():  # what can be read but once is left for the reader
+        return False
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(MCAP0_MAGIC) + _FRAME.size + _PROFILE.size)
+            if head[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
+                return False
+            return head.endswith(_PROFILE.pack(4, b"ros2"))
+    except OSError:
+        return False
 
 
 class _DamagedError(Exception):
@@ -181,7 +222,9 @@ class _Walk:
         skipped, lost: as of :class:`Recording`.
     """
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes], types: Types) -> None:
+        self._types = types
+        self._schemas: dict[int, str] = {}
         self.skipped = 0
         self.lost = 0
         self._file = file
@@ -257,7 +300,8 @@ class _Walk:
         else:
             self._chunk_used = None
             # In a file without chunks; in another, an index whose opcode was flipped.
-            if opcode in (Opcode.MESSAGE, Opcode.CHANNEL) and not self._chunked:
+            known = (Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA)
+            if opcode in known and not self._chunked:
                 try:
                     head = _FRAME.pack(opcode, length)
                     yield from self._unpacked(head + self._file.read(length))
@@ -386,9 +430,10 @@ class _Walk:
                     else:
                         unknown += 1
                 elif kind == Opcode.CHANNEL:
-                    number, named = _channel(data[at : at + length])
-                    self._channels[number] = named
-                elif kind != Opcode.SCHEMA and kind < _PRIVATE:
+                    self._learn_channel(data[at : at + length])
+                elif kind == Opcode.SCHEMA:
+                    self._learn_schema(data[at : at + length])
+                elif kind < _PRIVATE:
                     raise _DamagedError("no record begins inside a chunk")
             except _PARSE_ERRORS as error:
                 raise _DamagedError(f"{type(error).__name__} in a chunk") from error
@@ -416,20 +461,27 @@ class _Walk:
         while at + _FRAME.size <= len(summary):
             kind, size = _FRAME.unpack_from(summary, at)
             at += _FRAME.size
-            if kind == Opcode.CHANNEL:
-                try:
-                    number, named = _channel(summary[at : at + size])
-                except _PARSE_ERRORS:
-                    return
-                self._channels.setdefault(number, named)
+            try:
+                if kind == Opcode.CHANNEL:
+                    self._learn_channel(summary[at : at + size])
+                elif kind == Opcode.SCHEMA:
+                    self._learn_schema(summary[at : at + size])
+            except _PARSE_ERRORS:
+                return
             at += size
 
+    def _learn_channel(self, content: bytes) -> None:
+        """Take in a channel: its key, its Zenoh encoding, its type."""
+        found = Channel.read(ReadDataStream(BytesIO(content)))
+        named = TO_ZENOH.get(found.message_encoding, found.message_encoding)
+        self._channels[found.id] = (found.topic, found.metadata.get(ENCODING, named))
+        kind = self._schemas.get(found.schema_id, "")
+        self._types[found.topic] = (kind, found.metadata.get(_TYPE_HASH, ""))
 
-def _channel(content: bytes) -> tuple[int, tuple[str, str]]:
-    """Id of a channel, its key, and its Zenoh encoding."""
-    found = Channel.read(ReadDataStream(BytesIO(content)))
-    named = TO_ZENOH.get(found.message_encoding, found.message_encoding)
-    return found.id, (found.topic, found.metadata.get(ENCODING, named))
+    def _learn_schema(self, content: bytes) -> None:
+        """Take in a schema's name."""
+        found = Schema.read(ReadDataStream(BytesIO(content)))
+        self._schemas[found.id] = found.name
 
 
 def _is_chunk(head: bytes, length: int) -> bool:

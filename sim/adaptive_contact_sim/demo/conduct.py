@@ -21,6 +21,7 @@ from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.service.recording.recorder import Recorder
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
+from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
 from adaptive_contact_sim.demo.child import Child
 from adaptive_contact_sim.demo.display import Display
@@ -61,7 +62,13 @@ class Take:
     simulator: str
 
 
-def conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threading.Event) -> Take:
+def conduct(
+    settings: DemoSettings,
+    robot: Robot,
+    show: Display,
+    stop: threading.Event,
+    page: LivePage | None = None,
+) -> Take:
     """Run service and simulator, inject the drift half way, record everything.
 
     Args:
@@ -69,13 +76,14 @@ def conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threading
         robot: that walks.
         show: where it is seen.
         stop: ends the run early when set.
+        page: that shows it in a browser, too.
 
     Raises:
         StoppedError: ``stop`` was set.
         AdaptiveContactError: a process failed; in one line, with its last words.
     """
     try:
-        return _conduct(settings, robot, show, stop)
+        return _conduct(settings, robot, show, stop, page)
     except AdaptiveContactError:
         # Ctrl-C in a terminal reaches every process at once; who ends first is chance.
         if stop.is_set():
@@ -83,12 +91,21 @@ def conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threading
         raise
 
 
-def _conduct(settings: DemoSettings, robot: Robot, show: Display, stop: threading.Event) -> Take:
+def _conduct(
+    settings: DemoSettings,
+    robot: Robot,
+    show: Display,
+    stop: threading.Event,
+    page: LivePage | None,
+) -> Take:
     with ExitStack() as stack:
         service = stack.enter_context(Child("the service", _SERVE))
         endpoint = service.wait_line(_READY, _START_S).group(1)
         show.say(f"service     process {service.pid}, listening on {endpoint}")
         link = stack.enter_context(Link.open(client_settings([endpoint], wait=False)))
+        if page is not None:
+            page.follow(stack.enter_context(Link.open(client_settings([endpoint], wait=False))))
+            stack.callback(page.leave)
         about = {"source": "adaptive-contact demo", "seed": str(settings.seed)}
         writer = stack.enter_context(RecordingWriter(settings.recording, about))
         recorder = Recorder(link, writer, "robot/**")

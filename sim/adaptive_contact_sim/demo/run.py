@@ -10,6 +10,7 @@ from rich.console import Console
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact.web import LivePage
 from adaptive_contact_sim.demo.conduct import StoppedError, conduct
 from adaptive_contact_sim.demo.display import display
 from adaptive_contact_sim.demo.settings import DemoSettings
@@ -19,13 +20,19 @@ from adaptive_contact_sim.demo.verdict import Verdict, judge
 __all__ = ["run_demo"]
 
 
-def run_demo(settings: DemoSettings, console: Console, stop: threading.Event) -> Verdict:
+def run_demo(
+    settings: DemoSettings,
+    console: Console,
+    stop: threading.Event,
+    page: LivePage | None = None,
+) -> Verdict:
     """Walk, drift, judge, report.
 
     Args:
         settings: of the run.
         console: where it is shown.
         stop: ends it early when set.
+        page: that shows it in a browser, too.
 
     Returns:
         What was found; files lie in ``settings.out``.
@@ -42,7 +49,7 @@ def run_demo(settings: DemoSettings, console: Console, stop: threading.Event) ->
     _make(settings)
     began_s = time.monotonic()
     robot = shipped_robot()
-    take = conduct(settings, robot, display(console, settings), stop)
+    take = conduct(settings, robot, display(console, settings), stop, page)
     verdict = judge(settings.recording, robot, take.drift_ns, settings.leg)
     if stop.is_set():
         raise StoppedError

@@ -162,4 +162,4 @@ def check_faults(plans: Sequence[PortPlan], faults: Sequence[FaultSpec]) -> None
 def _protocol(robot: Robot) -> Literal[1, 2]:
     servos = robot.legs[0].servos
     assert servos is not None
-    return 1 if models_named(servos.model)[0].protocol == 1 else 2
+    return 1 if models_named(servos.models[0])[0].protocol == 1 else 2

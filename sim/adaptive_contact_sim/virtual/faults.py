@@ -24,7 +24,7 @@ from typing import Final, Literal, cast, get_args
 import numpy as np
 
 from adaptive_contact.bridge.protocol1 import ERROR_BITS
-from adaptive_contact.bridge.protocol2 import HARDWARE_ERROR_BITS
+from adaptive_contact.bridge.tables import MODELS, ServoModel
 from adaptive_contact.errors import ConfigurationError
 
 __all__ = ["FaultKind", "FaultSchedule", "FaultSpec", "parse_fault"]
@@ -61,15 +61,10 @@ class FaultSpec:
     bits: tuple[str, ...] = ("overload",)
     port: str | None = None
 
-    @property
-    def error1(self) -> int:
-        """Error byte of protocol 1.0."""
-        return sum(bit for bit, name in ERROR_BITS.items() if name in self.bits)
-
-    @property
-    def error2(self) -> int:
-        """Hardware Error Status of protocol 2.0."""
-        return sum(bit for bit, name in HARDWARE_ERROR_BITS.items() if name in self.bits)
+    def error(self, model: ServoModel) -> int:
+        """Its bits in a model's Hardware Error Status, or in protocol 1.0's error byte."""
+        names = model.error_bits or ERROR_BITS
+        return sum(bit for bit, name in names.items() if name in self.bits)
 
 
 def parse_fault(text: str) -> FaultSpec:
@@ -118,7 +113,7 @@ def _with(spec: FaultSpec, name: str, value: str) -> FaultSpec:
         return dataclasses.replace(spec, port=value)
     if name == "bits":
         bits = tuple(value.split("|"))
-        known = {*ERROR_BITS.values(), *HARDWARE_ERROR_BITS.values()}
+        known = {*ERROR_BITS.values(), *(n for m in MODELS for n in m.error_bits.values())}
         if not set(bits) <= known:
             raise ValueError(value)
         return dataclasses.replace(spec, bits=bits)

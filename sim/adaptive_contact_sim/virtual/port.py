@@ -21,7 +21,7 @@ from adaptive_contact.bridge.protocol1 import Protocol1
 from adaptive_contact.bridge.protocol2 import Protocol2, fast_sync_status
 from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact_sim.virtual.faults import FaultSchedule
-from adaptive_contact_sim.virtual.servo import Refusal, VirtualServo
+from adaptive_contact_sim.virtual.servo import RANGE2, Refusal, VirtualServo
 
 __all__ = ["VirtualPort"]
 
@@ -29,6 +29,8 @@ _ALERT: Final = 0x80
 _INSTRUCTION_ERROR: Final = {1: 0x40, 2: 0x02}
 # What protocol 2.0's factory reset leaves as it is, by its parameter.
 _KEPT: Final = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud")}
+# The one thing that Clear forgets, and its key.
+_CLEAR_TURNS: Final = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))
 _BITS_PER_BYTE: Final = 10
 _READS_OF_MANY: Final = (
     Instruction.SYNC_READ,
@@ -207,6 +209,9 @@ class VirtualPort:
         if frame.code == Instruction.REBOOT and version == 2:
             servo.reboot()
             return Status(servo.id, 0, b"")
+        if frame.code == Instruction.CLEAR and version == 2 and not servo.model.compact:
+            refusal = servo.clear() if p == _CLEAR_TURNS else Refusal(RANGE2)
+            return Status(servo.id, 0 if refusal is None else refusal.error, b"")
         if frame.code == Instruction.FACTORY_RESET:
             kept = () if version == 1 else _KEPT.get(p[0] if p else 0xFF)
             if kept is not None:
@@ -244,7 +249,7 @@ class VirtualPort:
             asked = [(wanted, _number(p[:2]), _number(p[2:4])) for wanted in p[4:]]
         joint: list[list[tuple[VirtualServo, Status]]] = []
         for wanted, address, size in asked:
-            group = [servo for servo in self._hearing if servo.id == wanted]
+            group = [servo for servo in self._hearing if servo.id == wanted and servo.answers]
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
                 # Each waits for the one before it: whoever comes after a mute one stays mute.
                 break
@@ -282,10 +287,9 @@ class VirtualPort:
         elif status.data:
             servo.stale_data = status.data
         spec = self.faults.strike("error", servo.id, elapsed_s)
-        if servo.model.protocol == 1:
-            alert = servo.set_errors(0 if spec is None else spec.error1)
-        else:
-            alert = _ALERT if servo.set_errors(0 if spec is None else spec.error2) else 0
+        alert = servo.set_errors(0 if spec is None else spec.error(servo.model))
+        if servo.model.protocol == 2:
+            alert = _ALERT if alert else 0
         return status._replace(error=status.error | alert)
 
     def _reply(self, servo: VirtualServo, status: Status, now_s: float, elapsed_s: float) -> float:

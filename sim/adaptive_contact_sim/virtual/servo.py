@@ -2,8 +2,9 @@
 
 Only what a master can see is modelled: which registers there are, which may be written and when,
 what is refused and with which error; that a servo in trouble shuts itself down, and how to wake it;
-and how operating mode, drive mode, limits and offsets turn positions and goals into numbers (see
-:mod:`adaptive_contact.bridge.modes`).
+how operating mode, drive mode, limits and offsets turn positions and goals into numbers (see
+:mod:`adaptive_contact.bridge.modes`); and indirect addresses, by which neighbours stand for any
+registers.
 The slope of the control law (compliance slope, P gain, PWM limit) acts on the servo behind; other
 registers of the law (margin, punch, I and D, speeds, a torque limit above 0) are kept and change
 nothing.  Sources: the e-manual pages named in :mod:`adaptive_contact.bridge.tables`, whose
@@ -27,7 +28,7 @@ __all__ = ["Refusal", "VirtualServo"]
 
 # Errors of protocol 1.0 (bits) and 2.0 (numbers) for the same refusals.
 RANGE1, ANGLE1, INSTRUCTION1 = 0x08, 0x02, 0x40
-RANGE2, LENGTH2, LIMIT2, ACCESS2 = 0x04, 0x05, 0x06, 0x07
+FAIL2, RANGE2, LENGTH2, LIMIT2, ACCESS2 = 0x01, 0x04, 0x05, 0x06, 0x07
 _READ_ONLY: Final = (
     "model_number",
     "firmware",
@@ -39,19 +40,22 @@ _READ_ONLY: Final = (
     "moving",
     "hardware_error",
 )
-# Size of the table: AX-12A ends at 49, MX-64 at 73, X-series at 661.
-_SIZES: Final = {1: 50, 2: 662}
-_SIZE_MX64: Final = 74
+# Where tables end beyond the registers known here: X-series, and their smallest.
+_SIZE_X, _SIZE_330 = 662, 228
+# First indirect address, first byte of indirect data, how many: e-manual XM430-W350 and XL330-M288,
+# "Indirect Address, Indirect Data".  Each address is two bytes, 64 or more, and within the table.
+_INDIRECT_X: Final = ((168, 224, 28), (578, 634, 28))
+_INDIRECT_330: Final = ((168, 208, 20),)
+_FIRST_INDIRECT: Final = 64
 # Operating modes of X-series that follow goal positions; of those, with goals beyond one turn.
 _POSITION, _EXTENDED, _CURRENT_BASED = 3, 4, 5
+_WHEEL, _JOINT = 1, 2  # XL-320's control modes
 _MOST_HOMING: Final = 1024  # of position mode; more is ignored
 _MOST_STEPS: Final = 1_048_575  # of a goal in the extended modes
 _MULTI_TURN_STEPS: Final = 28_672  # of an MX servo's goal
 _BAUD_TOLERANCE: Final = 0.03  # e-manual: within 3 % no more errors than at the rate itself
-_FACTORY_BAUD: Final = {1: 1, 2: 1}  # 1,000,000 and 57,600
 _BAUDS2: Final = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-# Registers of the delivered AX and MX, and of X-series: what shuts a servo down.
-_SHUTDOWN: Final = {1: 0x24, 2: 0x34}
+_BAUDS320: Final = _BAUDS2[:4]
 _FULL_TORQUE: Final = 1023
 _LAW: Final[set[str]] = {name for names in LAW_REGISTERS for name in names}
 # A horn slower than this stands still for the register Moving.
@@ -82,6 +86,7 @@ class VirtualServo:
         writes: instructions to write, carried out or refused.
         keeps_goal: torque that comes on drives to the goal in the register.  Firmwares differ in
             this: others set that goal to where the horn is, as X-series do here by default.
+        goal_wakes: a goal switches torque on, as with protocol 1.0.  XL-320's manual does not say.
     """
 
     def __init__(
@@ -102,16 +107,21 @@ class VirtualServo:
         self._index = index
         self._rng = rng
         self._noise = noise_steps
-        self._memory = bytearray(
-            _SIZE_MX64 if "torque_control" in model.registers else _SIZES[model.protocol]
-        )
-        self.keeps_goal = model.protocol == 1
+        end = max(r.address + r.size for r in model.registers.values())
+        self._indirect: tuple[tuple[int, int, int], ...] = ()
+        if not model.compact:
+            small = "330" in model.name
+            end = _SIZE_330 if small else _SIZE_X
+            self._indirect = _INDIRECT_330 if small else _INDIRECT_X
+        self._memory = bytearray(end)
+        self.keeps_goal = model.compact
+        self.goal_wakes = model.protocol == 1
         self._turns = 0
         self.registered: tuple[int, bytes] | None = None
         self.stale_data: bytes | None = None
         self.writes = 0
         self._factory(return_delay)
-        self._store("baud", _baud_register(model.protocol, baud))
+        self._store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
 
@@ -123,7 +133,7 @@ class VirtualServo:
     @property
     def drives(self) -> bool:
         """Whether torque reaches the horn: not after a shutdown."""
-        return self.torque and (self.model.protocol == 2 or self.value("torque_limit") > 0)
+        return self.torque and (not self.model.compact or self.value("torque_limit") > 0)
 
     @property
     def answers(self) -> int:
@@ -145,17 +155,18 @@ class VirtualServo:
         """Put up what is wrong now; a servo told to shut down for it does so.
 
         Args:
-            bits: of protocol 1.0's error byte, or of Hardware Error Status; they are the same for
-                overload and overheating.
+            bits: of protocol 1.0's error byte, or of the model's Hardware Error Status.
 
         Returns:
             Bits to tell: those that an X-series servo has shut down for stay until a reboot.
         """
         fatal = bits & self.value("shutdown")
-        if self.model.protocol == 1:
+        if self.model.compact:
             if fatal:
                 self._store("torque_limit", 0)
                 self._backend.set_torque(self._index, False)
+            if "hardware_error" in self.model.registers:
+                self._store("hardware_error", bits)
             return bits
         if fatal:
             self._store("torque_enable", 0)
@@ -173,7 +184,8 @@ class VirtualServo:
         """Set EEPROM to what it is delivered with, but for some registers, and reboot."""
         kept = {name: self.value(name) for name in keep}
         self._factory(250)
-        for name, value in ({"id": 1, "baud": _FACTORY_BAUD[self.model.protocol]} | kept).items():
+        usual = 57_600 if not self.model.compact else 1_000_000
+        for name, value in ({"id": 1, "baud": self._baud_register(usual)} | kept).items():
             self._store(name, value)
         self.id, self.baud = self.value("id"), self._baud()
         self.reboot()
@@ -183,7 +195,7 @@ class VirtualServo:
         if size < 1 or address + size > len(self._memory):
             return Refusal(RANGE1 if self.model.protocol == 1 else LENGTH2)
         self._refresh()
-        return bytes(self._memory[address : address + size])
+        return bytes(self._memory[self._behind(at)] for at in range(address, address + size))
 
     def write(self, address: int, data: bytes) -> Refusal | None:
         """Write into the control table, whole registers; None when done."""
@@ -191,21 +203,69 @@ class VirtualServo:
         self.writes += 1
         if not data or address + len(data) > len(self._memory):
             return Refusal(RANGE1 if one else LENGTH2)
-        touched = [
-            (name, register)
-            for name, register in self.model.registers.items()
-            if register.address < address + len(data) and address < register.address + register.size
-        ]
-        for name, register in touched:
-            refusal = self._refuse(name, register, address, data)
-            if refusal is not None:
-                return refusal
-        self._memory[address : address + len(data)] = data
-        for name, _ in touched:
-            self._act(name)
+        parts = self._parts(address, data)
+        touched = [self._touched(*part) for part in parts]
+        for part, names in zip(parts, touched, strict=True):
+            for name in names:
+                refusal = self._refuse(name, self.model.registers[name], *part)
+                if refusal is not None:
+                    return refusal
+            if self._misdirects(*part):
+                return Refusal(RANGE2)
+        for (at, some), names in zip(parts, touched, strict=True):
+            self._memory[at : at + len(some)] = some
+            for name in names:
+                self._act(name)
+        return None
+
+    def clear(self) -> Refusal | None:
+        """Forget whole turns (Clear); a horn that stands stays, one that turns refuses."""
+        if abs(self._backend.speed(self._index)) > _MOVING_RAD_S:
+            return Refusal(FAIL2)
+        before, goal = self._turns, self.value("goal_position")
+        self._settle_turns(fresh=True)
+        self._store("goal_position", goal + (before - self._turns) * (self.model.highest + 1))
         return None
 
     # -- private -------------------------------------------------------------------------------
+
+    def _behind(self, at: int) -> int:
+        """The byte that one stands for: itself, or what its indirect address says."""
+        for addresses, first, count in self._indirect:
+            if first <= at < first + count:
+                place = addresses + 2 * (at - first)
+                return int.from_bytes(self._memory[place : place + 2], "little")
+        return at
+
+    def _parts(self, address: int, data: bytes) -> list[tuple[int, bytes]]:
+        """What a write is once indirect data are replaced: neighbours stay together."""
+        parts: list[tuple[int, bytes]] = []
+        for i, value in enumerate(data):
+            at = self._behind(address + i)
+            if parts and at == parts[-1][0] + len(parts[-1][1]):
+                parts[-1] = parts[-1][0], parts[-1][1] + bytes((value,))
+            else:
+                parts.append((at, bytes((value,))))
+        return parts
+
+    def _touched(self, address: int, data: bytes) -> list[str]:
+        return [
+            name
+            for name, register in self.model.registers.items()
+            if register.address < address + len(data) and address < register.address + register.size
+        ]
+
+    def _misdirects(self, address: int, data: bytes) -> bool:
+        """Whether a write would leave an indirect address that is none."""
+        after = self._memory[:]
+        after[address : address + len(data)] = data
+        for addresses, _, count in self._indirect:
+            for at in range(addresses, addresses + 2 * count, 2):
+                if address < at + 2 and at < address + len(data):
+                    value = int.from_bytes(after[at : at + 2], "little")
+                    if not _FIRST_INDIRECT <= value < len(self._memory):
+                        return True
+        return False
 
     def _refuse(self, name: str, register: Register, address: int, data: bytes) -> Refusal | None:
         one = self.model.protocol == 1
@@ -229,7 +289,7 @@ class VirtualServo:
         """Goals that are taken."""
         lower, upper = self.value("lower_limit"), self.value("upper_limit")
         if self._multi_turn:
-            most = _MULTI_TURN_STEPS if self.model.protocol == 1 else _MOST_STEPS
+            most = _MULTI_TURN_STEPS if self.model.compact else _MOST_STEPS
             return -most, most
         if not self._follows:  # the register is kept, and means nothing
             return -_MOST_STEPS, _MOST_STEPS
@@ -238,7 +298,7 @@ class VirtualServo:
     @property
     def _multi_turn(self) -> bool:
         """Whether positions and goals go beyond one turn."""
-        if self.model.protocol == 2:
+        if not self.model.compact:
             return self.value("operating_mode") in (_EXTENDED, _CURRENT_BASED)
         limits = self.value("lower_limit"), self.value("upper_limit")
         return "multi_turn_offset" in self.model.registers and limits == (self.model.highest,) * 2
@@ -246,20 +306,25 @@ class VirtualServo:
     @property
     def _follows(self) -> bool:
         """Whether goal positions are followed at all."""
-        if self.model.protocol == 2:
-            slave = self.value("drive_mode") & DriveMode.SLAVE
-            return not slave and (self._multi_turn or self.value("operating_mode") == _POSITION)
-        if "torque_control" in self.model.registers and self.value("torque_control"):
+        if self._has("drive_mode") & DriveMode.SLAVE:
+            return False
+        if not self.model.compact:
+            return self._multi_turn or self.value("operating_mode") == _POSITION
+        if self._has("torque_control") or self._has("control_mode") == _WHEEL:
             return False
         return (self.value("lower_limit"), self.value("upper_limit")) != (0, 0)
 
+    def _has(self, name: str) -> int:
+        """A register's value, 0 where the model has no such register."""
+        return self.value(name) if name in self.model.registers else 0
+
     def _act(self, name: str) -> None:
         if name == "goal_position":
-            if self.model.protocol == 1:
+            if self.goal_wakes:
                 # An AX servo that is given a goal switches its torque on.
                 self._store("torque_enable", 1)
                 self._backend.set_torque(self._index, self.drives)
-            elif not self.torque and self.value("drive_mode") & DriveMode.TORQUE_BY_GOAL:
+            elif not self.torque and self._torque_by_goal:
                 self._settle_turns()
                 self._store("torque_enable", 1)
                 self._backend.set_torque(self._index, True)
@@ -285,6 +350,10 @@ class VirtualServo:
                     self._store("goal_position", self._steps(self._backend.angle(self._index)))
                 self._drive()
 
+    @property
+    def _torque_by_goal(self) -> bool:
+        return not self.model.compact and bool(self.value("drive_mode") & DriveMode.TORQUE_BY_GOAL)
+
     def _set_slope(self) -> None:
         values: dict[str, int] = {
             name: self.value(name) for name in _LAW if name in self.model.registers
@@ -305,8 +374,8 @@ class VirtualServo:
         model = self.model
         offset, divider, sign = self._frame()
         turn = model.centre + round(sign * angle_rad / model.step_rad + noise)
-        if model.protocol == 1 and not self._multi_turn:
-            if "multi_turn_offset" in model.registers:
+        if model.compact and not self._multi_turn:
+            if model.full_turn:
                 return turn % (model.highest + 1)  # a full turn of encoder
             return min(max(turn, model.lowest), model.highest)
         return round((turn - self._turns * (model.highest + 1)) / divider) + offset
@@ -316,31 +385,32 @@ class VirtualServo:
         model = self.model
         offset, divider, sign = self._frame()
         full = (steps - offset) * divider
-        if model.protocol == 1 and not self._multi_turn:
+        if model.compact and not self._multi_turn:
             # A full turn of encoder: the goal is within the turn the horn is in.
             own = math.floor(
-                (model.centre + self._backend.angle(self._index) / model.step_rad)
+                (model.centre + sign * self._backend.angle(self._index) / model.step_rad)
                 / (model.highest + 1)
             )
-            full += own * (model.highest + 1) if "multi_turn_offset" in model.registers else 0
+            full += own * (model.highest + 1) if model.full_turn else 0
         else:
             full += self._turns * (model.highest + 1)
         return sign * (full - model.centre) * model.step_rad
 
     def _frame(self) -> tuple[int, int, int]:
         """Offset, divider and sign of the positions told, as the mode applies them."""
-        if self.model.protocol == 1:
+        sign = -1 if self._has("drive_mode") & DriveMode.REVERSE else 1
+        if self.model.compact:
             if not self._multi_turn:
-                return 0, 1, 1
-            return self.value("multi_turn_offset"), max(self.value("resolution_divider"), 1), 1
+                return 0, 1, sign
+            return self.value("multi_turn_offset"), max(self.value("resolution_divider"), 1), sign
         homing = self.value("homing_offset")
         if self.value("operating_mode") == _POSITION and abs(homing) > _MOST_HOMING:
             homing = 0
-        return homing, 1, -1 if self.value("drive_mode") & DriveMode.REVERSE else 1
+        return homing, 1, sign
 
     def _settle_turns(self, *, fresh: bool = False) -> None:
         """Forget whole turns: at power-on, and in position mode as torque comes on."""
-        position = self.model.protocol == 2 and self.value("operating_mode") == _POSITION
+        position = not self.model.compact and self.value("operating_mode") == _POSITION
         if fresh or position:
             sign = self._frame()[2]
             angle = self._backend.angle(self._index)
@@ -377,16 +447,16 @@ class VirtualServo:
             "return_delay": return_delay,
             "lower_limit": model.lowest,
             "upper_limit": model.highest,
-            "shutdown": _SHUTDOWN[model.protocol],
+            "shutdown": _fatal(model),
+            "status_return": 2,
+            "resolution_divider": 1,
+            "control_mode": _JOINT,
+            "operating_mode": _POSITION,
+            "pwm_limit": 885,
         }
-        if model.protocol == 1:
-            initial |= {"status_return": 2}
-            if "resolution_divider" in model.registers:
-                initial |= {"resolution_divider": 1}
-        else:
-            initial |= {"operating_mode": 3, "pwm_limit": 885}
         for name, value in initial.items():
-            self._store(name, value)
+            if name in model.registers:
+                self._store(name, value)
 
     def _baud(self) -> int:
         register = self.value("baud")
@@ -394,7 +464,15 @@ class VirtualServo:
             rate = 2_000_000 / (register + 1)
             near = min(BAUDS, key=lambda baud: abs(baud - rate))
             return near if abs(near - rate) < _BAUD_TOLERANCE * rate else 0
-        return _BAUDS2[register] if register < len(_BAUDS2) else 0
+        rates = _BAUDS320 if self.model.compact else _BAUDS2
+        return rates[register] if register < len(rates) else 0
+
+    def _baud_register(self, baud: int) -> int:
+        """Value of the register for a rate; the nearest there is."""
+        if self.model.protocol == 1:
+            return min(max(round(2_000_000 / baud) - 1, 0), 254)
+        rates = _BAUDS320 if self.model.compact else _BAUDS2
+        return min(range(len(rates)), key=lambda i: abs(rates[i] - baud))
 
     def _power_on(self) -> None:
         model = self.model
@@ -405,7 +483,7 @@ class VirtualServo:
             "voltage": 120 if model.protocol == 1 else 50,
             "goal_position": self._steps(self._backend.angle(self._index)),
         }
-        if model.protocol == 1:
+        if model.compact:
             initial |= {"lower_margin": 1, "upper_margin": 1, "lower_slope": 32, "upper_slope": 32}
             initial |= {"torque_limit": _FULL_TORQUE, "punch": 32, "position_p": 32}
         else:
@@ -416,7 +494,11 @@ class VirtualServo:
                 self._store(name, value)
         if "torque_control" in model.registers:
             self._store("torque_control", 0)
-        starts = model.protocol == 2 and bool(self.value("startup") & 1)
+        for addresses, first, count in self._indirect:
+            for i in range(count):  # each stands for itself
+                place = addresses + 2 * i
+                self._memory[place : place + 2] = (first + i).to_bytes(2, "little")
+        starts = bool(self._has("startup") & 1)
         on = starts or self._backend.goal(self._index) is not None
         self._store("torque_enable", int(on))
         self._backend.set_torque(self._index, on)
@@ -424,8 +506,8 @@ class VirtualServo:
             self._drive()
 
 
-def _baud_register(protocol: int, baud: int) -> int:
-    """Value of the register for a rate; the nearest there is."""
-    if protocol == 1:
-        return min(max(round(2_000_000 / baud) - 1, 0), 254)
-    return min(range(len(_BAUDS2)), key=lambda i: abs(_BAUDS2[i] - baud))
+def _fatal(model: ServoModel) -> int:
+    """What shuts a servo down as it is delivered, bits of its register."""
+    if not model.compact:
+        return 0x34
+    return 0x24 if model.protocol == 1 else 0x03

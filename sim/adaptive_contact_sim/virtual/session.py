@@ -140,7 +140,7 @@ def _serve(plan: VirtualPlan, stop: threading.Event, on_start: Callable[[str], N
         backend, pairs = _backend(plan, plans, publish, stack)
         server = stack.enter_context(assemble(plans, backend, pairs, plan.bus))
         servos = sum(len(p.joints) for p in plans)
-        models = ", ".join(sorted({p.joints[0].models[-1].name for p in plans}))
+        models = ", ".join(sorted({j.models[-1].name for p in plans for j in p.joints}))
         where = " ".join(str(port.path) for port in server.ports)
         on_start(f"{servos} {models} on {where}; stop with Ctrl-C")
         timer = None

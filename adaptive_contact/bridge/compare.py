@@ -1,0 +1,210 @@
+"""Compare servos' registers: what differs among servos of a model, and what shapes their motion.
+
+A leg's model is learned from its motion, and its slope is one number for the whole robot.  A servo
+that is set differently from the others is often one that was replaced; a limit on speed or
+acceleration makes a servo follow its goals along a way of its own, which the model has to learn.
+
+Units: ROBOTIS e-manual, XM430-W350 "Profile Acceleration(108)", "Profile Velocity(112)".
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+from adaptive_contact.bridge.bus import Bus
+from adaptive_contact.bridge.modes import DriveMode
+from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.tables import Block, ServoModel
+
+__all__ = ["Servo", "compare", "read_servos"]
+
+_COMPARED: Final = (
+    "moving_speed",
+    "goal_acceleration",
+    "profile_velocity",
+    "profile_acceleration",
+    "drive_mode",
+    "operating_mode",
+    "control_mode",
+    "position_p",
+    "position_i",
+    "position_d",
+    "lower_slope",
+    "upper_slope",
+    "lower_margin",
+    "upper_margin",
+    "punch",
+    "torque_limit",
+    "pwm_limit",
+    "return_delay",
+)
+# Lower and upper are clockwise and counter-clockwise in the manual.
+_NAMES: Final = {
+    "position_p": "P gain",
+    "position_i": "I gain",
+    "position_d": "D gain",
+    "lower_slope": "CW compliance slope",
+    "upper_slope": "CCW compliance slope",
+    "lower_margin": "CW compliance margin",
+    "upper_margin": "CCW compliance margin",
+    "pwm_limit": "PWM limit",
+}
+_FULL_TORQUE: Final = 1023
+_FULL_PWM: Final = 885
+# 214.577 rev/min², in rad/s².
+_ACCELERATION_RAD_S2: Final = 214.577 * 2 * math.pi / 3600
+
+
+class Servo(NamedTuple):
+    """A servo's registers.
+
+    Attributes:
+        id: on its port.
+        where: leg and joint.
+        model: what it is.
+        values: registers by name, those that it has and tells.
+        port: its name, where the robot has several.
+    """
+
+    id: int
+    where: str
+    model: ServoModel
+    values: Mapping[str, int]
+    port: str = ""
+
+
+def read_servos(plans: Sequence[PortPlan]) -> list[Servo]:
+    """Read what :func:`compare` compares, twice alike; writes nothing.
+
+    Raises:
+        BusError: a port cannot be opened, or is gone.
+    """
+    servos = []
+    for plan in plans:
+        bus = Bus(plan.name, plan.port)
+        bus.open()
+        try:
+            for leg in plan.legs:
+                for joint in leg.joints:
+                    values = {}
+                    for name in _COMPARED:
+                        register = joint.model.registers.get(name)
+                        if register is None:
+                            continue
+                        block = Block(register.address, register.size)
+                        data = bus.confirmed(joint.servo, block)
+                        if data is not None:
+                            values[name] = block.part(data, register)
+                    port = plan.name if len(plans) > 1 else ""
+                    where = f"{leg.id} {joint.name}"
+                    servos.append(Servo(joint.servo, where, joint.model, values, port))
+        finally:
+            bus.close()
+    return servos
+
+
+def compare(servos: Sequence[Servo]) -> list[str]:
+    """Say what differs among servos of a model, and what shapes their motion, one line each."""
+    by_model: dict[str, list[Servo]] = {}
+    for servo in servos:
+        by_model.setdefault(servo.model.name, []).append(servo)
+    lines = []
+    for name, group in by_model.items():
+        for register in _COMPARED:
+            if register in _SHAPES:
+                continue
+            lines += _differing(name, register, [s for s in group if register in s.values])
+    for register, shapes in _SHAPES.items():
+        by_line: dict[str, list[Servo]] = {}
+        for servo in servos:
+            line = shapes(servo) if register in servo.values else None
+            if line is not None:
+                by_line.setdefault(line, []).append(servo)
+        lines += [
+            f"{_title(register)} of {_who(some, servos)} {line}" for line, some in by_line.items()
+        ]
+    return lines
+
+
+# -- private -----------------------------------------------------------------------------------
+
+
+def _differing(model: str, register: str, group: Sequence[Servo]) -> list[str]:
+    counts = Counter(servo.values[register] for servo in group)
+    if len(counts) < 2:
+        return []
+    [(usual, most), *others] = counts.most_common()
+    told = "; ".join(
+        f"{value} in {_who([s for s in group if s.values[register] == value], group)}"
+        for value, _ in others
+    )
+    hint = ""
+    if register == "drive_mode" and not (_bits(counts) & ~DriveMode.REVERSE):
+        hint = " (1 is reverse mode; directions in robot.toml are on top of it)"
+    return [f"{_title(register)} differs among {model}: {usual} in {most} servos, {told}{hint}"]
+
+
+def _bits(values: Iterable[int]) -> int:
+    found = 0
+    for value in values:
+        found |= value
+    return found
+
+
+def _title(register: str) -> str:
+    return _NAMES.get(register, register.replace("_", " "))
+
+
+def _who(some: Sequence[Servo], of: Sequence[Servo]) -> str:
+    if len(some) == len(of):
+        return f"all {len(of)} servos" if len(of) > 1 else f"servo {of[0].id} ({of[0].where})"
+    told = ", ".join(f"{s.port}{':' if s.port else ''}{s.id} ({s.where})" for s in some)
+    return f"servo {told}"
+
+
+def _speed(servo: Servo, register: str) -> str | None:
+    value = servo.values[register]
+    if not value:
+        return None
+    free = "0 sets no limit"
+    if register == "profile_velocity" and _time_based(servo):
+        return f"is {value} ms: goals are reached so much later; {free}"
+    rad_s = value * servo.model.speed_rad_s
+    return f"is {value}: goals are followed at {rad_s:.2g} rad/s at the most; {free}"
+
+
+def _acceleration(servo: Servo, register: str) -> str | None:
+    value = servo.values[register]
+    if not value:
+        return None
+    if register == "profile_acceleration" and _time_based(servo):
+        return f"is {value} ms: so long a servo gathers speed for each goal; 0 sets no limit"
+    most = (
+        "" if register == "goal_acceleration" else f" ({value * _ACCELERATION_RAD_S2:.3g} rad/s²)"
+    )
+    return f"is {value}: goals are followed with a limited acceleration{most}; 0 sets no limit"
+
+
+def _weaker(servo: Servo, register: str, full: int) -> str | None:
+    value = servo.values[register]
+    if value >= full or value == 0:  # 0: it has shut itself down, which the handshake says
+        return None
+    return f"is {value} of {full}: it drives with {100 * value / full:.0f} % of what it has"
+
+
+def _time_based(servo: Servo) -> bool:
+    return bool(servo.values.get("drive_mode", 0) & DriveMode.TIME_BASED)
+
+
+# What a register says of a servo's motion; None where it is as it leaves a servo free.
+_SHAPES: Final[Mapping[str, Callable[[Servo], str | None]]] = {
+    "moving_speed": lambda servo: _speed(servo, "moving_speed"),
+    "goal_acceleration": lambda servo: _acceleration(servo, "goal_acceleration"),
+    "profile_velocity": lambda servo: _speed(servo, "profile_velocity"),
+    "profile_acceleration": lambda servo: _acceleration(servo, "profile_acceleration"),
+    "torque_limit": lambda servo: _weaker(servo, "torque_limit", _FULL_TORQUE),
+    "pwm_limit": lambda servo: _weaker(servo, "pwm_limit", _FULL_PWM),
+}

@@ -1,0 +1,126 @@
+"""The live page on the command line: its options, its one line, and the browser."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import webbrowser
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from adaptive_contact.cli._output import say, say_waiting
+from adaptive_contact.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.settings import LinkSettings
+    from adaptive_contact.web import LivePage, WebSettings
+
+__all__ = [
+    "WEB_PANEL",
+    "HostOption",
+    "NoBrowserOption",
+    "PortOption",
+    "live_page",
+    "serve_page",
+    "web_settings",
+]
+
+WEB_PANEL = "Live page"
+
+PortOption = Annotated[
+    int | None,
+    typer.Option(
+        "--port",
+        metavar="N",
+        min=0,
+        max=65_535,
+        help="Of the page; without it, a free one.",
+        show_default=False,
+        rich_help_panel=WEB_PANEL,
+    ),
+]
+HostOption = Annotated[
+    str | None,
+    typer.Option(
+        "--host",
+        metavar="ADDRESS",
+        help="Where the page listens (default 127.0.0.1). Beyond this computer, such as on "
+        "0.0.0.0, the link has a token, without which nothing is shown.",
+        show_default=False,
+        rich_help_panel=WEB_PANEL,
+    ),
+]
+NoBrowserOption = Annotated[
+    bool,
+    typer.Option(
+        "--no-browser", help="Print the page's link, and open nothing.", rich_help_panel=WEB_PANEL
+    ),
+]
+
+
+def web_settings(
+    web: bool, host: str | None, port: int | None, no_browser: bool
+) -> WebSettings | None:
+    """Settings of the page, None where none is asked for.
+
+    Raises:
+        ConfigurationError: options of the page without ``--web``.
+    """
+    if not web:
+        if host is not None or port is not None or no_browser:
+            raise ConfigurationError("--host, --port and --no-browser are of the page; give --web")
+        return None
+    from adaptive_contact.web import WebSettings
+
+    return WebSettings(host=host or "127.0.0.1", port=port or 0)
+
+
+@contextlib.contextmanager
+def live_page(settings: WebSettings, *, browse: bool) -> Iterator[LivePage]:
+    """Serve the page, say where it is, and open it."""
+    from adaptive_contact.web import LivePage
+
+    with LivePage(settings) as page:
+        say(f"live page at {page.url}")
+        if not settings.loopback:
+            say(
+                "adaptive-contact: the page goes over the network in the clear; where others "
+                "listen, leave --host out and use ssh -L",
+                err=True,
+            )
+        if browse:
+            _open(page.url)
+        yield page
+
+
+def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bool) -> None:
+    """Serve the page until Ctrl-C."""
+    from adaptive_contact.service.link import Link
+
+    with contextlib.suppress(KeyboardInterrupt), ExitStack() as stack:
+        page = stack.enter_context(live_page(settings, browse=browse))
+
+        def waiting(finding: Finding) -> None:
+            say_waiting(finding)
+            page.waits_for(
+                finding.line,
+                "Start `adaptive-contact serve`, or give `watch` its --connect. This page goes on "
+                "by itself.",
+            )
+
+        link = Link.open(link_settings, on_wait=waiting)
+        stack.callback(link.close)
+        page.follow(link)
+        stack.callback(page.close)  # before the link that it asks
+        page.wait()
+
+
+def _open(url: str) -> None:
+    """Open a browser where there is a screen; a browser in this terminal would take it over."""
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.environ.get("BROWSER"):
+        threading.Thread(target=webbrowser.open, args=[url], daemon=True).start()

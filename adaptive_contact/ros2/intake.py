@@ -1,0 +1,596 @@
+"""From messages of ROS 2 to the samples of legs, live and from a bag.
+
+A ``JointTrajectoryControllerState`` holds what a sample needs: ``feedback`` was read and
+``reference`` is written in one update of the controller.  A ``JointState`` holds readings; the
+command in force is the newest one on the command topic, as ros2_control writes in an update what it
+had received before.
+
+Ticks are counted by the publisher's sequence numbers, so that a lost message is a gap in ``seq``.
+Bags keep no sequence numbers: there a gap is two periods or more in both the header's and the
+recorder's time.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.ros2.names import (
+    ARRAY,
+    COMMANDS,
+    CONTROLLER_STATE,
+    FLAGS,
+    STATES,
+    TRAJECTORY,
+)
+from adaptive_contact.wire import ContactTruth, Message, ServoSample
+
+__all__ = ["Complaints", "Intake", "Origin", "Problem", "Reason", "check_mapped"]
+
+_NS: Final = 1_000_000_000
+_SHOWN: Final = 4  # joints that a line names
+# A publisher whose numbers go back by less has sent a message twice; by more, it counts anew.
+_REPEATED: Final = 50
+# Numbers of a publisher that jump further are no loss: it counts anew.
+_MOST_LOST: Final = 10_000_000
+_MOST_PUBLISHERS: Final = 64
+# Distinct sets of joint names of one topic that are kept.
+_MOST_LAYOUTS: Final = 64
+_GAP_PERIODS: Final = 1.5
+
+
+def check_mapped(robot: Robot, source: str) -> None:
+    """Refuse a robot that names no topics of ROS 2.
+
+    Args:
+        robot: its description.
+        source: names it in the error.
+
+    Raises:
+        ConfigurationError: it has no ``[ros2]``.
+    """
+    if robot.ros2 is None:
+        raise ConfigurationError(
+            f"{source}: names no topics of ROS 2; write [ros2] with its state topic, and "
+            "[leg.ros2] joints = [...] below each [[leg]] (docs/ros2.md)"
+        )
+
+
+class Reason(enum.StrEnum):
+    """Why a message, or what one leg has of it, was not used."""
+
+    WRONG_TYPE = "wrong_type"
+    WRONG_HASH = "wrong_hash"
+    UNREADABLE = "unreadable"
+    TOO_LARGE = "too_large"
+    NO_POSITIONS = "no_positions"
+    NOT_FINITE = "not_finite"
+    JOINTS_MISSING = "joints_missing"
+    UNMAPPED = "unmapped"
+    NO_COMMAND = "no_command"
+    TRAJECTORY = "trajectory"
+    REPEATED = "repeated"
+    OVERFLOW = "overflow"
+
+
+class Problem(NamedTuple):
+    """Something that was not used.
+
+    Attributes:
+        topic: where it came.
+        reason: in one word, for counting.
+        detail: what was found, what was expected, what to do.
+    """
+
+    topic: str
+    reason: Reason
+    detail: str
+
+
+class Origin(NamedTuple):
+    """Where a message comes from.
+
+    Attributes:
+        publisher: its id; empty where it is not known.
+        seq: the message's number, None where it has none.
+        time_ns: when it was published or recorded, ns since 1970.
+    """
+
+    publisher: bytes
+    seq: int | None
+    time_ns: int
+
+
+class Complaints:
+    """Counts problems, and lets one line of each kind through now and then.
+
+    Args:
+        every_s: between two lines of one kind.
+
+    Attributes:
+        counts: of each topic and reason.
+        first: detail of each kind's first problem.
+    """
+
+    def __init__(self, every_s: float = 10.0) -> None:
+        self.counts: Counter[tuple[str, Reason]] = Counter()
+        self.first: dict[tuple[str, Reason], str] = {}
+        self._every_s = every_s
+        self._said: dict[tuple[str, Reason], tuple[float, int]] = {}
+
+    def take(self, problem: Problem, now_s: float) -> str | None:
+        """Count a problem.
+
+        Args:
+            problem: what was found.
+            now_s: on any clock that does not go back.
+
+        Returns:
+            The line to say now, None while one of its kind was said a short time ago.
+        """
+        kind = (problem.topic, problem.reason)
+        self.counts[kind] += 1
+        self.first.setdefault(kind, problem.detail)
+        before_s, before = self._said.get(kind, (-math.inf, 0))
+        if now_s - before_s < self._every_s:
+            return None
+        times = self.counts[kind] - before
+        self._said[kind] = (now_s, self.counts[kind])
+        return f"{problem.topic}: {problem.detail}" + (f" ({times} times)" if times > 1 else "")
+
+    def lines(self) -> list[str]:
+        """One line of every kind, with its count."""
+        return [
+            f"{topic}: {self.first[topic, reason]}" + (f" ({times} times)" if times > 1 else "")
+            for (topic, reason), times in self.counts.items()
+        ]
+
+
+class _LegState:
+    """What is known of a leg between messages."""
+
+    def __init__(self, leg: Leg) -> None:
+        assert leg.ros2 is not None
+        self.id = leg.id
+        self.names = leg.ros2.joints
+        self.measured: list[float] | None = None
+        self.desired = [math.nan] * len(self.names)
+        self.phase: bool | None = None
+        self.touches: bool | None = None
+        self.commanded = False
+        self.samples = 0
+
+
+class _Publisher:
+    """A publisher's numbers on one topic."""
+
+    def __init__(self, run: int) -> None:
+        self.run = run
+        self.seq: int | None = None
+        self.lost = 0
+        self.ticks: Counter[str] = Counter()
+        self.times: dict[str, tuple[int, int]] = {}
+
+
+class _Roles:
+    """What a topic carries, and for whom."""
+
+    def __init__(self) -> None:
+        self.states: list[_LegState] = []
+        self.commands: list[_LegState] = []
+        self.order: tuple[str, ...] | None = None
+        self.phase: _LegState | None = None
+        self.truth: _LegState | None = None
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """Types that it may have."""
+        found: dict[str, None] = {}
+        found |= dict.fromkeys(STATES if self.states else ())
+        found |= dict.fromkeys(COMMANDS if self.commands else ())
+        found |= dict.fromkeys(FLAGS if self.phase or self.truth else ())
+        return tuple(found)
+
+
+class Intake:
+    """Makes samples of messages.
+
+    Args:
+        robot: whose ``[ros2]`` says which joint and topic is which.
+        run: of the samples of the first publisher; those of later ones are larger.
+        on_problem: called with whatever is not used.
+
+    Attributes:
+        legs: those that are mapped.
+        unmapped: legs of the robot that are not.
+
+    Raises:
+        ConfigurationError: the robot has no ``[ros2]``.
+    """
+
+    def __init__(self, robot: Robot, run: int, on_problem: Callable[[Problem], None]) -> None:
+        self._legs = {leg.id: _LegState(leg) for leg in robot.legs if leg.ros2 is not None}
+        check_mapped(robot, f"robot '{robot.name}'")
+        self.legs = tuple(self._legs)
+        self.unmapped = tuple(leg for leg in robot.leg_ids if leg not in self._legs)
+        self._robot = robot
+        self._run = run
+        self._problem = on_problem
+        self._roles: dict[str, _Roles] = {}
+        self._publishers: dict[tuple[str, bytes], _Publisher] = {}
+        self._layouts: dict[str, dict[tuple[str, ...], list[tuple[_LegState, list[int]]]]] = {}
+        self._offset_ns: int | None = None
+        # Switches that closed or opened before any stamp was seen.
+        self._early: list[tuple[_LegState, bool, Origin]] = []
+        self._gap_ns = round(_GAP_PERIODS * robot.period_s * _NS)
+        self._period_ns = robot.period_s * _NS
+        for leg in robot.legs:
+            if leg.ros2 is not None:
+                self._map(leg, self._legs[leg.id])
+
+    def _map(self, leg: Leg, state: _LegState) -> None:
+        own, shared = leg.ros2, self._robot.ros2
+        assert own is not None
+        assert shared is not None
+
+        def roles(role: str) -> _Roles | None:
+            topic = getattr(own, role) or getattr(shared, role)
+            if topic is None:
+                return None
+            return self._roles.setdefault(topic.replace("{leg}", leg.id), _Roles())
+
+        found = roles("state")
+        assert found is not None  # checked on load
+        found.states.append(state)
+        if (commanded := roles("command")) is not None:
+            commanded.commands.append(state)
+            state.commanded = True
+            commanded.order = own.command_joints or shared.command_joints
+        if (turned := roles("phase")) is not None:
+            turned.phase = state
+        if (switched := roles("truth")) is not None:
+            switched.truth = state
+
+    def topics(self, *, truth: bool) -> dict[str, tuple[str, ...]]:
+        """Topics to read, and the types that each may have.
+
+        Args:
+            truth: those of foot switches, too.
+        """
+        return {
+            topic: roles.types
+            for topic, roles in self._roles.items()
+            if truth or roles.states or roles.commands or roles.phase
+        }
+
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """Legs of which no sample has been made yet."""
+        return tuple(leg.id for leg in self._legs.values() if not leg.samples)
+
+    def topics_of(self, leg: str) -> tuple[str, ...]:
+        """Topics that a leg's samples are made of."""
+        state = self._legs[leg]
+        return tuple(
+            topic
+            for topic, roles in self._roles.items()
+            if state in roles.states or state in roles.commands
+        )
+
+    def take(
+        self, topic: str, type_name: str, message: Any, origin: Origin
+    ) -> Sequence[tuple[str, Message]]:
+        """Take in a message.
+
+        Args:
+            topic: a mapped one.
+            type_name: one of those the topic may have.
+            message: as rosbags reads it.
+            origin: of the message.
+
+        Returns:
+            (leg, sample or truth) that it makes.
+        """
+        roles = self._roles[topic]
+        made: list[tuple[str, Message]] = []
+        if roles.states and type_name in STATES:
+            made += self._states(topic, type_name, message, origin)
+            for leg, touches, early in self._early if self._offset_ns is not None else ():
+                made += self._truth(leg, touches, early)
+            self._early.clear()
+        if roles.commands and type_name in COMMANDS:
+            self._commands(topic, type_name, message, roles)
+        if type_name in FLAGS:
+            if roles.phase is not None:
+                roles.phase.phase = bool(message.data)
+            if roles.truth is not None:
+                made += self._truth(roles.truth, bool(message.data), origin)
+        return made
+
+    # -- readings ----------------------------------------------------------------------------------
+
+    def _states(
+        self, topic: str, type_name: str, message: Any, origin: Origin
+    ) -> Iterable[tuple[str, Message]]:
+        publisher = self._publisher(topic, origin)
+        if publisher is None:
+            return
+        whole = type_name == CONTROLLER_STATE
+        if whole:
+            names = message.joint_names
+            readings, commands = message.feedback.positions, message.reference.positions
+        else:
+            names, readings, commands = message.name, message.position, None
+        if len(readings) != len(names) or (commands is not None and len(commands) != len(names)):
+            which = "feedback or reference" if whole else "position"
+            found = min(len(readings), len(readings if commands is None else commands))
+            self._problem(
+                Problem(
+                    topic,
+                    Reason.NO_POSITIONS,
+                    f"{which} has {found} positions for {len(names)} joints; "
+                    "expected one of each: let the controller have position interfaces",
+                )
+            )
+            return
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * _NS + stamp.nanosec
+        t_ns = stamp_ns or origin.time_ns  # some nodes leave the stamp empty
+        self._offset_ns = t_ns - origin.time_ns
+        for leg, at in self._layout(topic, tuple(names), whole=whole):
+            sample = self._sample(topic, leg, at, readings, commands, publisher, t_ns, origin)
+            if sample is not None:
+                leg.samples += 1
+                yield leg.id, sample
+
+    def _sample(
+        self,
+        topic: str,
+        leg: _LegState,
+        at: list[int],
+        readings: Any,
+        commands: Any,
+        publisher: _Publisher,
+        t_ns: int,
+        origin: Origin,
+    ) -> ServoSample | None:
+        """A leg's sample, None where there is none; its tick passes all the same."""
+        seq = self._tick(publisher, leg.id, t_ns, origin)
+        measured = [float(readings[i]) for i in at]
+        if commands is not None:
+            desired = [float(commands[i]) for i in at]
+        else:
+            desired = leg.desired.copy()
+        valid: list[bool] | None = None
+        if not all(map(math.isfinite, measured)):
+            valid = [math.isfinite(value) for value in measured]
+            self._not_finite(topic, leg, valid, "a reading")
+            if leg.measured is None:
+                return None
+            measured = [
+                value if good else last
+                for value, good, last in zip(measured, valid, leg.measured, strict=True)
+            ]
+        leg.measured = measured
+        if not all(map(math.isfinite, desired)):
+            if commands is None:
+                self._no_command(topic, leg)
+            else:
+                good = [math.isfinite(value) for value in desired]
+                self._not_finite(topic, leg, good, "the reference")
+            return None
+        return ServoSample(
+            t_ns=t_ns,
+            seq=seq,
+            measured=measured,
+            desired=desired,
+            phase=None if leg.phase is None else ("swing" if leg.phase else "stance"),
+            valid=valid,
+            run=publisher.run,
+        )
+
+    def _no_command(self, topic: str, leg: _LegState) -> None:
+        lacking = [n for n, value in zip(leg.names, leg.desired, strict=True) if math.isnan(value)]
+        remedy = "wait, or look whether anybody publishes on the command topic of robot.toml"
+        if not leg.commanded:
+            remedy = "a JointState holds readings only: write the command topic into [ros2]"
+        self._problem(
+            Problem(
+                topic,
+                Reason.NO_COMMAND,
+                f"leg '{leg.id}' has readings and no command yet for {_some(lacking)}; {remedy}",
+            )
+        )
+
+    def _not_finite(self, topic: str, leg: _LegState, good: list[bool], what: str) -> None:
+        names = [name for name, finite in zip(leg.names, good, strict=True) if not finite]
+        self._problem(
+            Problem(
+                topic,
+                Reason.NOT_FINITE,
+                f"{what} of {_some(names)} is NaN or infinite; not used: "
+                "look whether the hardware answers and the controller is active",
+            )
+        )
+
+    # -- numbers -----------------------------------------------------------------------------------
+
+    def _publisher(self, topic: str, origin: Origin) -> _Publisher | None:
+        """Who sent a message, its number taken in; None for a message that was there already."""
+        key = (topic, origin.publisher)
+        publisher = self._publishers.get(key)
+        back = 0
+        if publisher is not None and origin.seq is not None and publisher.seq is not None:
+            ahead = origin.seq - publisher.seq
+            if -_REPEATED < ahead <= 0:
+                self._problem(
+                    Problem(
+                        topic,
+                        Reason.REPEATED,
+                        f"message {origin.seq} came after {publisher.seq} of the same publisher; "
+                        "not used: look for a topic that is relayed twice",
+                    )
+                )
+                return None
+            if ahead <= 0 or ahead > _MOST_LOST:
+                publisher, back = None, 1
+            else:
+                publisher.lost += ahead - 1
+        if publisher is None:
+            if not back and len(self._publishers) >= _MOST_PUBLISHERS:
+                self._publishers.pop(next(iter(self._publishers)))
+            publisher = self._publishers[key] = _Publisher(self._run)
+            self._run += 1
+        publisher.seq = origin.seq
+        return publisher
+
+    def _tick(self, publisher: _Publisher, leg: str, t_ns: int, origin: Origin) -> int:
+        """Number of a leg's tick."""
+        if origin.seq is None:
+            before = publisher.times.get(leg)
+            if before is not None:
+                apart = min(t_ns - before[0], origin.time_ns - before[1])
+                if self._gap_ns < apart < _MOST_LOST * self._period_ns:
+                    publisher.ticks[leg] += round(apart / self._period_ns) - 1
+            publisher.times[leg] = (t_ns, origin.time_ns)
+        seq = publisher.ticks[leg] + publisher.lost
+        publisher.ticks[leg] += 1
+        return seq
+
+    # -- layout ------------------------------------------------------------------------------------
+
+    def _layout(
+        self, topic: str, names: tuple[str, ...], *, whole: bool
+    ) -> list[tuple[_LegState, list[int]]]:
+        """Which value of a message belongs to which joint of which leg."""
+        layouts = self._layouts.setdefault(topic, {})
+        found = layouts.get(names)
+        if found is None:
+            if len(layouts) >= _MOST_LAYOUTS:
+                layouts.clear()
+            found = layouts[names] = self._lay_out(topic, names)
+        if len(found) < len(self._roles[topic].states):
+            self._tell_missing(topic, names, whole=whole)
+        return found
+
+    def _lay_out(self, topic: str, names: tuple[str, ...]) -> list[tuple[_LegState, list[int]]]:
+        where = {name: i for i, name in enumerate(names)}
+        mapped: set[str] = set()
+        found = []
+        for leg in self._roles[topic].states:
+            mapped.update(leg.names)
+            if all(name in where for name in leg.names):
+                found.append((leg, [where[name] for name in leg.names]))
+        others = [name for name in names if name not in mapped]
+        if others:
+            self._problem(
+                Problem(
+                    topic,
+                    Reason.UNMAPPED,
+                    f"{_some(others)} belong to no leg of robot.toml; ignored: "
+                    "write them into [leg.ros2] joints if they should",
+                )
+            )
+        return found
+
+    def _tell_missing(self, topic: str, names: tuple[str, ...], *, whole: bool) -> None:
+        """A leg that is there in part; of a controller's state, also one that is not there."""
+        for leg in self._roles[topic].states:
+            lacking = [name for name in leg.names if name not in names]
+            # Several nodes may publish one joint state topic, each its own joints.
+            if lacking and (whole or len(lacking) < len(leg.names)):
+                self._problem(
+                    Problem(
+                        topic,
+                        Reason.JOINTS_MISSING,
+                        f"leg '{leg.id}' lacks {_some(lacking)}; there are {_some(names)}: "
+                        "correct [leg.ros2] joints",
+                    )
+                )
+
+    # -- commands ----------------------------------------------------------------------------------
+
+    def _commands(self, topic: str, type_name: str, message: Any, roles: _Roles) -> None:
+        values = self._command_values(topic, type_name, message, roles)
+        if values is None:
+            return
+        bad = [name for name, value in values.items() if not math.isfinite(value)]
+        if bad:
+            self._problem(
+                Problem(
+                    topic,
+                    Reason.NOT_FINITE,
+                    f"the command of {_some(bad)} is NaN or infinite; the last one stays in force",
+                )
+            )
+        for leg in roles.commands:
+            for j, name in enumerate(leg.names):
+                if name in values and math.isfinite(values[name]):
+                    leg.desired[j] = values[name]
+
+    def _command_values(
+        self, topic: str, type_name: str, message: Any, roles: _Roles
+    ) -> Mapping[str, float] | None:
+        """Commanded angles by joint; None where a message has none that can be used."""
+        if type_name == ARRAY:
+            names, positions = roles.order, message.data
+            if names is None:
+                self._problem(
+                    Problem(
+                        topic,
+                        Reason.NO_POSITIONS,
+                        "the values carry no names; write command_joints = [...] into [ros2], in "
+                        "the controller's order",
+                    )
+                )
+                return None
+        elif type_name == TRAJECTORY:
+            if len(message.points) != 1:
+                self._problem(
+                    Problem(
+                        topic,
+                        Reason.TRAJECTORY,
+                        f"a trajectory of {len(message.points)} points says no command in force; "
+                        "take the controller's state topic as `state` instead",
+                    )
+                )
+                return None
+            names, positions = message.joint_names, message.points[0].positions
+        else:
+            names, positions = message.name, message.position
+        if len(names) != len(positions):
+            self._problem(
+                Problem(
+                    topic,
+                    Reason.NO_POSITIONS,
+                    f"{len(positions)} positions for {len(names)} joints; expected one of each",
+                )
+            )
+            return None
+        return {name: float(value) for name, value in zip(names, positions, strict=True)}
+
+    # -- truth -------------------------------------------------------------------------------------
+
+    def _truth(self, leg: _LegState, touches: bool, origin: Origin) -> list[tuple[str, Message]]:
+        """A change of a foot switch, on the clock of the samples' stamps."""
+        if self._offset_ns is None:
+            if len(self._early) < len(self._legs):
+                self._early.append((leg, touches, origin))
+            return []
+        if touches == leg.touches:
+            return []
+        leg.touches = touches
+        t_ns = origin.time_ns + self._offset_ns
+        # A switch knows no force; it has closed.
+        return [(leg.id, ContactTruth(t_ns=t_ns, contact=touches, force=0.0))]
+
+
+def _some(names: Sequence[str]) -> str:
+    """Names for a line: a few, and how many more."""
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")

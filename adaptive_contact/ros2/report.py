@@ -1,0 +1,171 @@
+"""What ROS 2 is told of contacts and learners, as messages of its own types."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.ros2.names import BOOL, DIAGNOSTICS, JOINT_VALUES
+from adaptive_contact.ros2.rmw import Address
+from adaptive_contact.ros2.types import Types
+from adaptive_contact.wire import ContactEvent, LearnerStatus
+
+__all__ = ["Report", "topic_of_leg"]
+
+_NS: Final = 1_000_000_000
+# Levels of diagnostic_msgs/DiagnosticStatus.
+OK: Final = 0
+WARN: Final = 1
+ERROR: Final = 2
+STALE: Final = 3
+_LEVELS: Final = {"valid": OK, "adapting": OK, "learning": WARN, "ambiguous": WARN, "silent": STALE}
+_MEANS: Final = {
+    "valid": "follows its model",
+    "adapting": "has changed; its model follows",
+    "learning": "has no model yet: no contacts",
+    "ambiguous": "cannot be judged: contacts are withheld",
+    "silent": "sends no usable samples",
+}
+_INTERFACES: Final = ("contact", "score", "onset_age", "withheld")
+
+
+def topic_of_leg(node: str, leg: str) -> str:
+    """Topic of a leg's contact: ``/adaptive_contact/lf/contact``; ROS names hold no '-' or '.'."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", leg)
+    return f"/{node}/{name if not name[0].isdigit() else '_' + name}/contact"
+
+
+class Report:
+    """Makes the messages that go out.
+
+    Args:
+        types: of the distribution.
+        node: name of the gateway's node.
+        robot: its name, for the diagnostics.
+        legs: ids.
+
+    Raises:
+        ConfigurationError: two legs would have one topic.
+    """
+
+    def __init__(self, types: Types, node: str, robot: str, legs: tuple[str, ...]) -> None:
+        self._types = types
+        self._robot = robot
+        self._node = node
+        self._last: dict[str, ContactEvent] = {}
+        self._of_leg = {leg: self._address(topic_of_leg(node, leg), BOOL) for leg in legs}
+        if len({address.topic for address in self._of_leg.values()}) < len(legs):
+            raise ConfigurationError(
+                f"the legs {', '.join(legs)} would share topics, as ROS names hold no '-' or '.'; "
+                "rename them in robot.toml"
+            )
+        self.values = self._address(f"/{node}/contacts", JOINT_VALUES)
+        self.diagnostics = self._address("/diagnostics", DIAGNOSTICS)
+
+    def _address(self, topic: str, type_name: str) -> Address:
+        return Address(topic, type_name, self._types.hash_of(type_name))
+
+    @property
+    def contacts(self) -> Mapping[str, Address]:
+        """Where each leg's contact goes."""
+        return self._of_leg
+
+    def contact(self, contact: bool) -> bytes:
+        """A ``Bool``."""
+        return self._types.encode(self._types.types[BOOL](data=contact))
+
+    def take(self, event: ContactEvent) -> bytes:
+        """A ``DynamicJointState`` of all legs with an event, after this one.
+
+        A leg's values: contact (0 or 1), score, onset age in seconds (how long before the deciding
+        sample the foot touched or let go), withheld (0 or 1).
+        """
+        self._last[event.leg] = event
+        types = self._types.types
+        value = types["control_msgs/msg/InterfaceValue"]
+        legs = [leg for leg in self._of_leg if leg in self._last]
+        rows = [self._last[leg] for leg in legs]
+        message = types[JOINT_VALUES](
+            header=self._header(event.t_ns),
+            joint_names=legs,
+            interface_values=[
+                value(
+                    interface_names=list(_INTERFACES),
+                    values=np.array(
+                        [
+                            float(row.contact),
+                            row.score,
+                            (row.t_ns - row.onset_ns) / _NS,
+                            float(row.withheld),
+                        ]
+                    ),
+                )
+                for row in rows
+            ],
+        )
+        return self._types.encode(message)
+
+    def diagnose(
+        self,
+        now_ns: int,
+        learners: Mapping[str, LearnerStatus],
+        gateway: Mapping[str, object],
+        trouble: str | None,
+    ) -> bytes:
+        """A ``DiagnosticArray`` of all learners and of the gateway.
+
+        Args:
+            now_ns: wall clock.
+            learners: newest status of each leg.
+            gateway: what the gateway has counted.
+            trouble: what is wrong with the gateway, None where nothing is.
+        """
+        rows = [self._of_learner(status) for _, status in sorted(learners.items())]
+        level = OK if trouble is None else ERROR
+        text = "relays" if trouble is None else trouble
+        rows.append(self._row(level, f"{self._node}: gateway", text, gateway))
+        types = self._types.types
+        message = types[DIAGNOSTICS](header=self._header(now_ns), status=rows)
+        return self._types.encode(message)
+
+    def _of_learner(self, status: LearnerStatus) -> Any:
+        text = status.note or f"{status.status}: {_MEANS[status.status]}"
+        rejects = ", ".join(f"{why} {n}" for why, n in status.rejects.items())
+        values: dict[str, object] = {
+            "status": status.status,
+            "contact": status.contact,
+            "contacts": status.contacts,
+            "withheld": status.withheld,
+            "doubt": status.doubt or "",
+            "model_version": status.model_version,
+            "drift_level": round(status.drift.level, 3),
+            "drift_kind": status.drift.kind or "",
+            "samples": status.ticks,
+            "missed": status.missed,
+            "rejects": rejects,
+            "residual_rms_rad": " ".join(f"{value:.4f}" for value in status.residual_rms),
+        }
+        return self._row(_LEVELS[status.status], f"{self._node}: leg {status.leg}", text, values)
+
+    def _row(self, level: int, name: str, text: str, values: Mapping[str, object]) -> Any:
+        types = self._types.types
+        pair = types["diagnostic_msgs/msg/KeyValue"]
+        return types["diagnostic_msgs/msg/DiagnosticStatus"](
+            level=level,
+            name=name,
+            message=text,
+            hardware_id=self._robot,
+            values=[pair(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+    def _header(self, time_ns: int) -> Any:
+        types = self._types.types
+        seconds, rest = divmod(time_ns, _NS)
+        seconds = min(max(seconds, -(2**31)), 2**31 - 1)  # a stamp has 32 bits of them
+        return types["std_msgs/msg/Header"](
+            stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest), frame_id=""
+        )

@@ -1,0 +1,178 @@
+"""Keys, liveliness tokens and attachments of rmw_zenoh.
+
+A topic is published on ``<domain>/<topic>/<type>/<type hash>``.  Every node, publisher and
+subscription shows itself by a liveliness token under ``@ros2_lv``.  A message carries an
+attachment: sequence number (int64), source time in ns (int64), publisher id (16 bytes).
+
+Reference: rmw_zenoh, docs/design.md and rmw_zenoh_cpp/src/detail (attachment_helpers.cpp,
+liveliness_utils.cpp, qos.cpp), as of ROS 2 Kilted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from typing import Final, Literal, NamedTuple
+
+__all__ = [
+    "LATCHED",
+    "NO_HASH",
+    "STREAM",
+    "Address",
+    "Attachment",
+    "Node",
+    "address_of",
+    "any_type",
+    "dds_name",
+    "decode_attachment",
+    "encode_attachment",
+    "published",
+    "publisher_id",
+    "publishers",
+    "topic_key",
+]
+
+# Humble's rosidl knows no type hashes and writes this in their place.
+NO_HASH: Final = "TypeHashNotSupported"
+
+# Quality of service in a token: reliability, durability, history and depth, deadline, lifespan,
+# liveliness; empty is rmw_zenoh's default (reliable, volatile, keep last, for ever, automatic).
+STREAM: Final = "::,10:,:,:,,"
+LATCHED: Final = ":1:,1:,:,:,,"  # transient local, depth 1
+
+_PLAIN: Final = struct.Struct("<qqB16s")
+# Before April 2025 (rmw_zenoh 0.2.3 of Jazzy) each value had its name before it.
+_LABELLED: Final = struct.Struct("<16sq17sq11sB16s")
+_LABELS: Final = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
+_ID_BYTES: Final = 16
+
+
+class Address(NamedTuple):
+    """What a key of rmw_zenoh says.
+
+    Attributes:
+        topic: with a leading slash.
+        type: such as ``sensor_msgs/msg/JointState``.
+        hash: of the type's definition.
+    """
+
+    topic: str
+    type: str
+    hash: str
+
+
+class Attachment(NamedTuple):
+    """What a publisher says of a message.
+
+    Attributes:
+        seq: +1 with every message of the publisher.
+        time_ns: when it was published, ns since 1970.
+        publisher: (16 bytes) its id.
+    """
+
+    seq: int
+    time_ns: int
+    publisher: bytes
+
+
+class Node(NamedTuple):
+    """A node as its tokens name it.
+
+    Attributes:
+        domain: ``ROS_DOMAIN_ID``.
+        session: Zenoh id of its session.
+        name: without namespace.
+    """
+
+    domain: int
+    session: str
+    name: str
+
+    @property
+    def token(self) -> str:
+        """Liveliness token of the node itself."""
+        return f"@ros2_lv/{self.domain}/{self.session}/0/0/NN/%/%/{self.name}"
+
+    def endpoint_token(
+        self, kind: Literal["MP", "MS"], number: int, address: Address, quality: str
+    ) -> str:
+        """Liveliness token of a publisher (``MP``) or subscription (``MS``).
+
+        Args:
+            kind: which of the two.
+            number: of the endpoint within the node.
+            address: what it publishes or reads.
+            quality: of service, encoded.
+        """
+        return (
+            f"@ros2_lv/{self.domain}/{self.session}/0/{number}/{kind}/%/%/{self.name}/"
+            f"{address.topic.replace('/', '%')}/{dds_name(address.type)}/{address.hash}/{quality}"
+        )
+
+
+def dds_name(type_name: str) -> str:
+    """Name of a message type in keys: ``std_msgs/msg/Bool`` is ``std_msgs::msg::dds_::Bool_``."""
+    package, kind, name = type_name.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def _ros_name(dds: str) -> str:
+    """The type of a name in a key; another text as it is."""
+    package, found, name = dds.partition("::msg::dds_::")
+    return f"{package}/msg/{name.removesuffix('_')}" if found else dds
+
+
+def topic_key(domain: int, address: Address) -> str:
+    """Key that messages of a topic are published on."""
+    return f"{domain}/{address.topic.strip('/')}/{dds_name(address.type)}/{address.hash}"
+
+
+def any_type(domain: int, topic: str) -> str:
+    """Key expression of a topic's messages of any type, so that a wrong one can be named."""
+    return f"{domain}/{topic.strip('/')}/*/*"
+
+
+def address_of(key: str) -> Address | None:
+    """What the key of a message says; None where it is none of rmw_zenoh's."""
+    parts = key.split("/")
+    if len(parts) < 4:
+        return None
+    return Address("/" + "/".join(parts[1:-2]), _ros_name(parts[-2]), parts[-1])
+
+
+def publishers(domain: int) -> str:
+    """Key expression of the tokens of all publishers."""
+    return f"@ros2_lv/{domain}/*/*/*/MP/*/*/*/*/*/*/*"
+
+
+def published(token: str) -> Address | None:
+    """What a publisher's token says that it publishes; None for another token."""
+    parts = token.split("/")
+    if len(parts) != 13 or parts[5] != "MP":
+        return None
+    return Address(parts[9].replace("%", "/"), _ros_name(parts[10]), parts[11])
+
+
+def publisher_id(token: str) -> bytes:
+    """(16 bytes) Id of a publisher, of its token.
+
+    rmw_zenoh takes XXH3 here; receivers only compare ids of messages with each other.
+    """
+    return hashlib.blake2b(token.encode(), digest_size=_ID_BYTES).digest()
+
+
+def encode_attachment(attachment: Attachment) -> bytes:
+    """Bytes of an attachment."""
+    return _PLAIN.pack(attachment.seq, attachment.time_ns, _ID_BYTES, attachment.publisher)
+
+
+def decode_attachment(data: bytes) -> Attachment | None:
+    """Read an attachment, with or without labels; None where it is neither."""
+    if len(data) == _PLAIN.size:
+        seq, time_ns, length, publisher = _PLAIN.unpack(data)
+        return Attachment(seq, time_ns, publisher) if length == _ID_BYTES else None
+    if len(data) == _LABELLED.size:
+        first, seq, second, time_ns, third, length, publisher = _LABELLED.unpack(data)
+        if (first, second, third) == _LABELS and length == _ID_BYTES:
+            return Attachment(seq, time_ns, publisher)
+    return None

@@ -1,0 +1,169 @@
+"""Message types of ROS 2: definitions, hashes, CDR.  Needs rosbags (the extra ``ros2``).
+
+rosbags brings the common interfaces.  Those of control_msgs are defined here by their fields, as
+hash and layout follow from these alone.  ``JointTrajectoryControllerState`` has had four
+definitions; a hash says which one a publisher means.
+
+Reference: REP-2016 (type hashes); control_msgs at 6.8 and its branch ``humble``.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Final, NamedTuple
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from adaptive_contact.ros2.cdr import CdrError, StateReader
+from adaptive_contact.ros2.names import (
+    ARRAY,
+    BOOL,
+    CONTROLLER_STATE,
+    DIAGNOSTICS,
+    JOINT_STATE,
+    JOINT_VALUES,
+    TRAJECTORY,
+)
+from adaptive_contact.ros2.rmw import NO_HASH
+
+__all__ = ["CdrError", "Types", "UnknownHashError", "typestore"]
+
+# A message of ours has a value per joint; a length beyond this is damage, and would allocate.
+_MOST_ITEMS: Final = 65_536
+
+_POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
+_MULTI: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+
+
+class _Definition(NamedTuple):
+    """A definition of a controller's state."""
+
+    points: str
+    multi: bool = True
+    scaling: bool = False
+
+    @property
+    def fields(self) -> str:
+        """As rosidl writes it."""
+        lines = ["std_msgs/Header header", "string[] joint_names"]
+        lines += [f"{_POINT} {name}" for name in self.points.split()]
+        if self.multi:
+            lines.append("string[] multi_dof_joint_names")
+            lines += [f"{_MULTI} multi_dof_{name}" for name in self.points.split()]
+        if self.scaling:
+            lines.append("float64 speed_scaling_factor")
+        return "\n".join([*lines, ""])
+
+    def reader(self) -> StateReader:
+        """A reader of it."""
+        points = tuple(self.points.split())
+        return StateReader(points, len(points) if self.multi else 0, scaling=self.scaling)
+
+
+_NEW: Final = "reference feedback error output"
+# The newest first.
+_CONTROLLER_STATES: Final = {
+    "jazzy": _Definition(_NEW, scaling=True),
+    "2023": _Definition(_NEW),
+    "humble": _Definition(f"{_NEW} desired actual"),
+    "old": _Definition("desired actual error", multi=False),
+}
+_JOINT_VALUES: Final = (
+    "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+)
+_INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
+
+# What rosbags' generated code raises on bytes that are no such message.
+_DAMAGE: Final = (SerdeError, struct.error, ValueError, IndexError, OverflowError, MemoryError)
+
+
+class UnknownHashError(Exception):
+    """A type's hash is of no definition that is known; the text names those that are."""
+
+
+def typestore(state: str = "jazzy") -> Typestore:
+    """All types that are read or written.
+
+    Args:
+        state: which definition of a controller state.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.max_sequence_length = _MOST_ITEMS
+    store.register(
+        {
+            **get_types_from_msg(_CONTROLLER_STATES[state].fields, CONTROLLER_STATE),
+            **get_types_from_msg(_JOINT_VALUES, JOINT_VALUES),
+            **get_types_from_msg(_INTERFACE_VALUE, "control_msgs/msg/InterfaceValue"),
+        }
+    )
+    return store
+
+
+class Types:
+    """Reads and writes messages.
+
+    Args:
+        distro: of the ROS 2 that is talked to.
+    """
+
+    def __init__(self, distro: str = "jazzy") -> None:
+        self._hashed = distro != "humble"
+        self._stores = {name: typestore(name) for name in _CONTROLLER_STATES}
+        own = self._stores["jazzy" if self._hashed else "humble"]
+        self._own = own
+        self.types: dict[str, Any] = own.types
+        self._readers = {
+            store.hash_rihs01(CONTROLLER_STATE): _CONTROLLER_STATES[name].reader()
+            for name, store in self._stores.items()
+        }
+        # Definitions that a key without hash may mean, and a bag that says nothing.
+        every = list(self._readers.values())
+        self._unhashed = {NO_HASH: every[2:], "": every}
+        others = (JOINT_STATE, TRAJECTORY, ARRAY, BOOL, JOINT_VALUES, DIAGNOSTICS)
+        self._hashes = {name: own.hash_rihs01(name) for name in others}
+
+    def hash_of(self, type_name: str) -> str:
+        """What stands in keys for a type's definition."""
+        return self._own.hash_rihs01(type_name) if self._hashed else NO_HASH
+
+    def decode(self, type_name: str, type_hash: str, payload: bytes) -> Any:
+        """Read a message.
+
+        Args:
+            type_name: of the message.
+            type_hash: of its definition; an empty text tries each, and lengths tell them apart.
+            payload: CDR.
+
+        Raises:
+            UnknownHashError: no definition has this hash.
+            CdrError: the bytes are no such message.
+        """
+        if type_name != CONTROLLER_STATE:
+            known = self._hashes.get(type_name, "")
+            if type_hash not in (NO_HASH, "", known):
+                raise UnknownHashError(_short(known))
+            try:
+                return self._own.deserialize_cdr(payload, type_name)
+            except _DAMAGE as error:
+                raise CdrError(str(error) or type(error).__name__) from error
+        own = self._readers.get(type_hash)
+        readers = self._unhashed.get(type_hash, []) if own is None else [own]
+        if not readers:
+            raise UnknownHashError(", ".join(map(_short, self._readers)))
+        why = ""
+        for reader in readers:
+            try:
+                return reader.read(payload)
+            except CdrError as error:
+                why = why or str(error)
+        raise CdrError(why)
+
+    def encode(self, message: Any) -> bytes:
+        """CDR of a message made of :attr:`types`."""
+        return bytes(self._own.serialize_cdr(message, message.__msgtype__))
+
+
+def _short(type_hash: str) -> str:
+    return type_hash[:15] + "…"

@@ -1,0 +1,399 @@
+"""The gateway between ROS 2 (over rmw_zenoh) and the service: two sessions and three threads.
+
+::
+
+    ROS 2  --state, command-->  [inbox]  --ServoSample-->  service
+    ROS 2  <--Bool, values----  [outbox] <--ContactEvent-  service
+    ROS 2  <--diagnostics-----  [once a second] <--------  LearnerStatus
+
+Contacts have a thread and a queue of their own, so that no flood of messages holds one up.
+"""
+
+from __future__ import annotations
+
+import collections
+import functools
+import gc
+import itertools
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from adaptive_contact.errors import LinkError
+from adaptive_contact.robot import Robot
+from adaptive_contact.ros2 import rmw
+from adaptive_contact.ros2.intake import Complaints, Intake, Origin, Problem, Reason
+from adaptive_contact.ros2.report import Report
+from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError
+from adaptive_contact.service.link import Link, Publisher, Received
+from adaptive_contact.service.probe import REMEDY, Finding
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ALL_LEARNER,
+    ContactEvent,
+    LearnerStatus,
+    ServoSample,
+    decode,
+    servo_key,
+)
+
+__all__ = ["Gateway", "shown_of_ros"]
+
+# A controller state of 64 legs has 20 kB.
+MAX_BYTES: Final = 256 * 1024
+# Messages of one topic that may wait; at 100 Hz more than half a second.
+WAITING: Final = 64
+_MOST_KEYS: Final = 1024
+_LOOK_S: Final = 0.1
+_EVERY_S: Final = 1.0
+# A service publishes a status of each leg once a second.
+_SERVICE_GONE_S: Final = 3.0
+# After this long without a sample of a leg it is said, and again after ten times as long.
+_SILENT_S: Final = 5.0
+_ENCODING: Final = "zenoh/bytes"  # rmw_zenoh declares none, which is this
+
+
+def shown_of_ros(finding: Finding) -> str:
+    """What stands in the way of ROS 2's router, and what to do about that one."""
+    remedy = (
+        "start rmw_zenohd there (ros2 run rmw_zenoh_cpp rmw_zenohd), or give its address with "
+        "--ros-connect"
+    )
+    return finding.line.replace(REMEDY, remedy)
+
+
+class _Inbox:
+    """Messages by topic; of each, the newest ones are kept."""
+
+    def __init__(self, topics: tuple[str, ...]) -> None:
+        self.dropped: collections.Counter[str] = collections.Counter()
+        self._waiting: dict[str, collections.deque[Received]] = {
+            topic: collections.deque() for topic in topics
+        }
+        self._order: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+
+    def put(self, topic: str, received: Received) -> None:
+        """Add a message; called on Zenoh's threads."""
+        with self._lock:
+            waiting = self._waiting[topic]
+            waiting.append(received)
+            if len(waiting) > WAITING:
+                waiting.popleft()
+                self.dropped[topic] += 1
+                return
+        self._order.put(topic)
+
+    def get(self, timeout_s: float) -> tuple[str, Received] | None:
+        """The next message, None where none comes in time."""
+        try:
+            topic = self._order.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        with self._lock:
+            return topic, self._waiting[topic].popleft()
+
+    def take_dropped(self) -> dict[str, int]:
+        """Messages dropped since the last call, by topic."""
+        with self._lock:
+            dropped, self.dropped = dict(self.dropped), collections.Counter()
+        return dropped
+
+
+class _RosPublisher:
+    """A publisher of the gateway's node."""
+
+    def __init__(self, link: Link, node: rmw.Node, number: int, address: rmw.Address) -> None:
+        token = node.endpoint_token("MP", number, address, rmw.LATCHED)
+        self._id = rmw.publisher_id(token)
+        self._seq = itertools.count(1)
+        self._publisher: Publisher = link.latched(rmw.topic_key(node.domain, address))
+        self._token = link.token(token)
+
+    def put(self, payload: bytes) -> None:
+        """Publish one message."""
+        attachment = rmw.Attachment(next(self._seq), time.time_ns(), self._id)
+        self._publisher.put_raw(payload, _ENCODING, rmw.encode_attachment(attachment))
+
+
+class Gateway:
+    """Relays between ROS 2 and the service until it is stopped.
+
+    Args:
+        robot: its description, with ``[ros2]``.
+        service: link to the service's router.
+        ros: link to ROS 2's router.
+        run: of the samples, larger at each start.
+        say: takes one line for a person.
+
+    Attributes:
+        complaints: counts of what was not used.
+        relayed: samples published.
+
+    Raises:
+        ConfigurationError: the description names nothing of ROS 2.
+    """
+
+    def __init__(
+        self, robot: Robot, service: Link, ros: Link, run: int, say: Callable[[str], None]
+    ) -> None:
+        settings = robot.ros2
+        self._now_s = time.monotonic
+        self._say = say
+        self._service, self._ros = service, ros
+        self.complaints = Complaints()
+        self.relayed = 0
+        self.events = 0
+        self.intake = Intake(robot, run, self._complain)
+        assert settings is not None  # Intake has refused it
+        self._types = Types(settings.distro)
+        self._topics = self.intake.topics(truth=False)
+        self._report = Report(self._types, settings.node, robot.name, robot.leg_ids)
+        self._node = rmw.Node(settings.domain, ros.id, settings.node)
+        self._legs = frozenset(robot.leg_ids)
+        self._addresses: dict[str, rmw.Address | None] = {}
+        self._inbox = _Inbox(tuple(self._topics))
+        self._contacts: queue.SimpleQueue[Received | None] = queue.SimpleQueue()
+        self._learners: dict[str, Received] = {}
+        self._heard_s: float | None = None
+        self._numbers = itertools.count(1)
+        self._shown: set[str] = set()
+        self._samples = {leg: service.publisher(servo_key(leg)) for leg in self.intake.legs}
+
+    @property
+    def legs(self) -> tuple[str, ...]:
+        """Legs whose samples come from ROS 2."""
+        return self.intake.legs
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that are read."""
+        return tuple(self._topics)
+
+    @property
+    def publishes(self) -> str:
+        """Topics that are written, for a person."""
+        topics = [address.topic for address in self._report.contacts.values()]
+        some = ", ".join(topics[:2]) + (", …" if len(topics) > 2 else "")
+        return f"{some}, {self._report.values.topic}, {self._report.diagnostics.topic}"
+
+    def run(self, stop: threading.Event) -> None:
+        """Declare everything, and relay until ``stop`` is set."""
+        self._declare()
+        gc.collect()
+        gc.freeze()
+        workers = [
+            threading.Thread(target=target, args=(stop,), name=name, daemon=True)
+            for target, name in ((self._outward, "contacts"), (self._housekeeping, "diagnostics"))
+        ]
+        for worker in workers:
+            worker.start()
+        try:
+            while not stop.is_set():
+                got = self._inbox.get(_LOOK_S)
+                if got is not None:
+                    self._inward(*got)
+        except LinkError:
+            if not stop.is_set():
+                raise
+        finally:
+            stop.set()
+            self._contacts.put(None)
+            for worker in workers:
+                worker.join(2.0)
+
+    # -- declarations ------------------------------------------------------------------------------
+
+    def _declare(self) -> None:
+        node, ros, report = self._node, self._ros, self._report
+        ros.token(node.token)
+        numbers = self._numbers
+        self._of_leg = {
+            leg: _RosPublisher(ros, node, next(numbers), address)
+            for leg, address in report.contacts.items()
+        }
+        self._values = _RosPublisher(ros, node, next(numbers), report.values)
+        self._diagnostics = _RosPublisher(ros, node, next(numbers), report.diagnostics)
+        for topic, types in self._topics.items():
+            ros.subscribe(
+                rmw.any_type(node.domain, topic), functools.partial(self._inbox.put, topic)
+            )
+            if len(types) == 1:
+                self._show(rmw.Address(topic, types[0], self._types.hash_of(types[0])))
+        self._service.subscribe(ALL_CONTACT, self._contacts.put, history=True)
+        self._service.subscribe(ALL_LEARNER, self._note_learner)
+
+    def _show(self, address: rmw.Address) -> None:
+        """Let the graph see what is subscribed to; of several types, the one that comes."""
+        if address.topic not in self._shown:
+            self._shown.add(address.topic)
+            number = next(self._numbers)
+            self._ros.token(self._node.endpoint_token("MS", number, address, rmw.STREAM))
+
+    def _note_learner(self, received: Received) -> None:
+        if received.key in self._learners or len(self._learners) < len(self._legs):
+            self._learners[received.key] = received
+            self._heard_s = self._now_s()
+
+    # -- ROS 2 to the service ----------------------------------------------------------------------
+
+    def _inward(self, topic: str, received: Received) -> None:
+        address = self._address(received.key)
+        if address is None:
+            return
+        if address.type not in self._topics[topic]:
+            self._complain(
+                Problem(
+                    topic,
+                    Reason.WRONG_TYPE,
+                    f"carries {address.type}; expected {' or '.join(self._topics[topic])}: "
+                    "correct the topic in robot.toml",
+                )
+            )
+            return
+        if len(received.payload) > MAX_BYTES:
+            self._complain(
+                Problem(
+                    topic,
+                    Reason.TOO_LARGE,
+                    f"a message of {len(received.payload)} bytes, at most {MAX_BYTES}; not used",
+                )
+            )
+            return
+        try:
+            message = self._types.decode(address.type, address.hash, received.payload)
+        except UnknownHashError as error:
+            self._complain(
+                Problem(
+                    topic,
+                    Reason.WRONG_HASH,
+                    f"{address.type} has the type hash {address.hash[:15]}…, another definition "
+                    f"than those known ({error}); not used: publish with the distribution's own",
+                )
+            )
+            return
+        except CdrError as error:
+            self._complain(
+                Problem(
+                    topic,
+                    Reason.UNREADABLE,
+                    f"a message is no {address.type} ({error}); not used",
+                )
+            )
+            return
+        self._show(address)
+        attached = rmw.decode_attachment(received.attachment)
+        if attached is None:
+            origin = Origin(b"", None, received.published_ns or time.time_ns())
+        else:
+            origin = Origin(attached.publisher, attached.seq, attached.time_ns)
+        for leg, sample in self.intake.take(topic, address.type, message, origin):
+            if isinstance(sample, ServoSample):
+                self._samples[leg].put(sample)
+                self.relayed += 1
+
+    def _address(self, key: str) -> rmw.Address | None:
+        if key not in self._addresses:
+            if len(self._addresses) >= _MOST_KEYS:
+                self._addresses.clear()
+            self._addresses[key] = rmw.address_of(key)
+        return self._addresses[key]
+
+    def _complain(self, problem: Problem) -> None:
+        line = self.complaints.take(problem, self._now_s())
+        if line is not None:
+            self._say(line)
+
+    # -- the service to ROS 2 ----------------------------------------------------------------------
+
+    def _outward(self, stop: threading.Event) -> None:
+        while (received := self._contacts.get()) is not None:
+            event = decode(received.payload, ContactEvent, received.encoding)
+            if not isinstance(event, ContactEvent) or event.leg not in self._of_leg:
+                continue
+            try:
+                self._of_leg[event.leg].put(self._report.contact(event.contact))
+                self._values.put(self._report.take(event))
+                self.events += 1
+            except LinkError as error:
+                if not stop.is_set():
+                    self._say(str(error))
+
+    def _housekeeping(self, stop: threading.Event) -> None:
+        begun_s = self._now_s()
+        silent_s = begun_s + _SILENT_S
+        told: str | None = None
+        while not stop.wait(_EVERY_S):
+            for topic, times in self._inbox.take_dropped().items():
+                for _ in range(times):
+                    self._complain(
+                        Problem(
+                            topic,
+                            Reason.OVERFLOW,
+                            f"more messages than can be read; the oldest of {WAITING} are dropped: "
+                            "publish at the control rate",
+                        )
+                    )
+            now_s = self._now_s()
+            if now_s >= silent_s and self.intake.silent:
+                silent_s = now_s + 10 * _SILENT_S
+                self._tell_silent()
+            trouble = self._trouble(now_s - begun_s)
+            if trouble != told:
+                told = trouble
+                self._say(trouble or "the service and ROS 2 are there")
+            try:
+                self._diagnostics.put(self._diagnosis(trouble))
+            except LinkError:
+                if not stop.is_set():
+                    continue
+
+    def _trouble(self, up_s: float) -> str | None:
+        """What stands in the way of relaying; None where nothing does."""
+        if not self._ros.is_connected():
+            return f"ROS 2 cannot be reached: {shown_of_ros(self._ros.diagnose())}; trying on"
+        if not self._service.is_connected():
+            return f"the service cannot be reached: {self._service.diagnose().line}; trying on"
+        heard_s = self._heard_s
+        if up_s > _SERVICE_GONE_S and (
+            heard_s is None or self._now_s() - heard_s > _SERVICE_GONE_S
+        ):
+            return "no service publishes robot/leg/*/learner; run `adaptive-contact serve`"
+        return None
+
+    def _diagnosis(self, trouble: str | None) -> bytes:
+        learners = {}
+        for received in list(self._learners.values()):
+            status = decode(received.payload, LearnerStatus, received.encoding)
+            if isinstance(status, LearnerStatus) and status.leg in self._legs:
+                learners[status.leg] = status
+        counts: dict[str, object] = {"samples": self.relayed, "events": self.events}
+        counts |= {
+            f"{topic} {reason}": times
+            for (topic, reason), times in list(self.complaints.counts.items())
+        }
+        return self._report.diagnose(time.time_ns(), learners, counts, trouble)
+
+    def _tell_silent(self) -> None:
+        """Say which legs have had no sample, and who publishes on their topics."""
+        seen = [
+            address
+            for token in self._ros.alive(rmw.publishers(self._node.domain))
+            if (address := rmw.published(token)) is not None
+        ]
+        silent = self.intake.silent
+        for topic, types in self._topics.items():
+            legs = [leg for leg in silent if topic in self.intake.topics_of(leg)]
+            if not legs:
+                continue
+            there = sorted({address.type for address in seen if address.topic == topic})
+            if there:
+                what = f"publishers of {', '.join(there)} are there"
+            else:
+                near = sorted({address.topic for address in seen if address.type in types})
+                what = "nobody publishes there"
+                if near:
+                    what += f"; {' or '.join(types)} is on {', '.join(near[:4])}"
+            self._say(f"{topic}: no sample of legs {', '.join(legs)} yet; {what}")

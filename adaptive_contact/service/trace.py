@@ -1,0 +1,173 @@
+"""The last ticks of every leg as they were judged, for a program that shows them.
+
+A page that draws command, reading, prediction and test ratio needs every tick, and a controller
+needs none of them.  So nothing is published: a program asks ``robot/leg/*/trace`` some ten times a
+second, and gets the ticks since it asked before.  Ticks are kept only while somebody asks, and
+taken after the events of a tick are on their way: no contact waits for a page.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from itertools import takewhile
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from adaptive_contact.robot import AngleFrame, Leg, Robot
+from adaptive_contact.robot.gait_phase import PhaseTracker
+from adaptive_contact.robot.kinematics import foot
+from adaptive_contact.service.ports import Learner
+from adaptive_contact.wire import LegTrace, ServoSample
+
+__all__ = ["LEASE_S", "MOST_TICKS", "Judged", "Tracer", "judged_tick"]
+
+# Ticks are kept for so long after a question; a page asks ten times a second.
+LEASE_S: Final = 3.0
+# Of a leg: two seconds at 200 Hz.  Who asks less often misses ticks.
+MOST_TICKS: Final = 400
+# Samples in one answer, of all legs: samples that come meanwhile wait for less than a millisecond.
+_MOST_ANSWERED: Final = 200
+
+
+class Judged(NamedTuple):
+    """How the learner judged its last tick.
+
+    Attributes:
+        residual: (J,) rad, measured minus predicted, in the description's angles.
+        test_ratio: statistic over threshold, the largest of its windows.
+    """
+
+    residual: list[float]
+    test_ratio: float
+
+
+class _Tick(NamedTuple):
+    number: int
+    sample: ServoSample
+    swing: bool | None
+    judged: Judged | None
+
+
+class _Leg:
+    """Ticks of one leg.
+
+    Args:
+        described: by ``robot.toml``; None for a leg that it lacks.
+    """
+
+    def __init__(self, described: Leg | None) -> None:
+        self.ticks: deque[_Tick] = deque(maxlen=MOST_TICKS)
+        self.frame = None if described is None else AngleFrame(described)
+        self._described = described
+        self._tracker = PhaseTracker()
+
+    def swing(self, sample: ServoSample) -> bool | None:
+        """Whether the sample, or else its command, says that the leg swings."""
+        if sample.phase is not None:
+            return sample.phase == "swing"
+        leg = self._described
+        if leg is None or leg.lengths_m is None or len(sample.desired) != len(leg.joints):
+            return None
+        desired = sample.desired if self.frame is None else self.frame.angles(sample.desired)
+        height = float(foot(np.array([desired]), leg.lengths_m, leg.joint_axes)[0, 2])
+        return self._tracker.update(height) == "swing"
+
+    def predicted(self, sample: ServoSample, residual: list[float]) -> list[float]:
+        """(J,) rad in the source's angles."""
+        directions = (1,) * len(residual) if self.frame is None else self.frame.directions
+        turned = zip(sample.measured, directions, residual, strict=True)
+        return [measured - direction * off for measured, direction, off in turned]
+
+
+class Tracer:
+    """Keeps ticks while they are asked for; all calls from the worker.
+
+    Args:
+        robot: description of the legs.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._legs: dict[str, _Leg] = {}
+        self._number = 0
+        self._until_ns = 0
+
+    def wanted(self, now_ns: int) -> bool:
+        """Whether ticks are to be taken."""
+        return now_ns < self._until_ns
+
+    def take(self, samples: Iterable[tuple[str, ServoSample, Judged | None]]) -> None:
+        """Keep the samples of a tick."""
+        self._number += 1
+        for name, sample, judged in samples:
+            leg = self._legs.get(name)
+            if leg is None:
+                known = name in self._robot.leg_ids
+                leg = self._legs[name] = _Leg(self._robot.leg(name) if known else None)
+            leg.ticks.append(_Tick(self._number, sample, leg.swing(sample), judged))
+
+    def answer(self, legs: Iterable[str], after: str | None, now_ns: int) -> list[LegTrace]:
+        """What came after the number that is asked for, as much as one answer holds.
+
+        What is left comes with the next question; without a number the newest comes.
+
+        Args:
+            legs: that are asked for.
+            after: number of an earlier answer, as the question has it.
+            now_ns: monotonic.
+        """
+        if not self.wanted(now_ns):
+            self._legs.clear()  # of an earlier question
+        self._until_ns = now_ns + int(LEASE_S * 1e9)
+        known = after is not None and after.isascii() and after.isdigit() and len(after) < 20
+        begin = int(after) if known and after is not None else -1
+        fresh = begin < 0 or begin > self._number  # or of another start of the service
+        asked = {leg: self._legs[leg] for leg in legs if leg in self._legs}
+        numbers = sorted(
+            tick.number
+            for leg in asked.values()
+            for tick in takewhile(lambda tick: fresh or tick.number > begin, reversed(leg.ticks))
+        )
+        last = self._number
+        if len(numbers) > _MOST_ANSWERED and fresh:
+            begin = numbers[-_MOST_ANSWERED] - 1
+        elif len(numbers) > _MOST_ANSWERED:
+            last = numbers[_MOST_ANSWERED - 1]
+        elif fresh:
+            begin = -1
+        return [self._trace(name, leg, begin, last) for name, leg in asked.items()]
+
+    def _trace(self, name: str, leg: _Leg, after: int, last: int) -> LegTrace:
+        newest = takewhile(lambda tick: tick.number > after, reversed(leg.ticks))
+        ticks = [tick for tick in newest if tick.number <= last]
+        ticks.reverse()
+        return LegTrace(
+            leg=name,
+            number=last,
+            t_ns=[tick.sample.t_ns for tick in ticks],
+            seq=[tick.sample.seq for tick in ticks],
+            swing=[tick.swing for tick in ticks],
+            measured=[tick.sample.measured for tick in ticks],
+            desired=[tick.sample.desired for tick in ticks],
+            predicted=[
+                None
+                if tick.judged is None or len(tick.judged.residual) != len(tick.sample.measured)
+                else leg.predicted(tick.sample, tick.judged.residual)
+                for tick in ticks
+            ],
+            test_ratio=[None if tick.judged is None else tick.judged.test_ratio for tick in ticks],
+        )
+
+
+def judged_tick(learner: Learner) -> Judged | None:
+    """How a learner judged the tick that it has just finished; None where it could not.
+
+    A stand-in for a learner, which judges nothing, gives None.
+    """
+    judge = getattr(learner, "judged", None)
+    tick = None if judge is None else judge()
+    if tick is None:
+        return None
+    return Judged(tick.residual.tolist(), float(np.nanmax(tick.scores)))

@@ -1,0 +1,231 @@
+"""The page's server and what feeds it, each on a thread of its own.
+
+The feeding thread asks the service for its ticks ten times a second, takes in what has been
+published, and hands bytes to the serving thread, which gives the same bytes to every browser.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Final, Self
+
+import msgspec
+
+from adaptive_contact.errors import LinkError
+from adaptive_contact.service.feed import Feed
+from adaptive_contact.service.findings import Finding, Level
+from adaptive_contact.service.link import Link
+from adaptive_contact.service.watch import View
+from adaptive_contact.web.frames import Frames, Table
+from adaptive_contact.web.server import Site, WebSettings
+from adaptive_contact.wire import (
+    LegTrace,
+    ModelReport,
+    Rejected,
+    decode,
+    leg_of_key,
+    model_key,
+    trace_key,
+)
+
+__all__ = ["FRAME_S", "LivePage"]
+
+FRAME_S: Final = 0.1
+# The table of legs is looked at every so many frames: its figures come once a second.
+_TABLE_FRAMES: Final = 3
+_ASK_S: Final = 0.5
+# Legs whose samples come, and no answer for so many questions: the service knows no such question.
+_UNANSWERED: Final = 30
+# A model changes once in minutes, and a hundred browsers may look at it.
+_MODEL_KEPT_S: Final = 1.0
+_END_S: Final = 2.0
+# A browser that looks takes its last words within milliseconds.
+_FAREWELL_S: Final = 0.5
+
+
+class LivePage:
+    """Serves the page; a context manager.
+
+    Args:
+        settings: where.
+
+    Raises:
+        ConfigurationError: the port is in use, or the address is none of this computer's.
+    """
+
+    def __init__(self, settings: WebSettings) -> None:
+        self._site = Site(settings, self._model)
+        self._site.bind()
+        self._loop = asyncio.new_event_loop()
+        self._ended = asyncio.Event()
+        self._stop = threading.Event()
+        self._frames = Frames(time.monotonic_ns())
+        self._table = Table()
+        self._waiting: Finding | None = None
+        self._link: Link | None = None
+        self._models: dict[str, tuple[float, bytes | None]] = {}
+        self._asking = asyncio.Lock()
+        self._closed = False
+        self._fault: BaseException | None = None
+        self._server = self._thread("page-server", self._serve)
+        self._feeder = self._thread("page-feeder", self._feed)
+        self._server.start()
+        self._feeder.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def url(self) -> str:
+        """Where it is, for a browser; it has the token where one is needed."""
+        return self._site.url
+
+    def waits_for(self, what: str, remedy: str, level: Level = "error") -> None:
+        """Show why there is nothing to see, until :meth:`follow`, and what to do."""
+        self._waiting = Finding(level, None, what, remedy)
+
+    def follow(self, link: Link) -> None:
+        """Show the service behind a link, which its owner closes after the page."""
+        self._link = link
+
+    def wait(self) -> None:
+        """Wait until the page is closed, or one of its threads fails; that is raised here."""
+        self._stop.wait()
+        if self._fault is not None:
+            raise self._fault
+
+    def leave(self) -> None:
+        """Ask the link no more; what has been shown stays."""
+        self._stop.set()
+        self._feeder.join(_END_S)
+
+    def close(self, farewell: str | None = None) -> None:
+        """End both threads; calling it twice is safe.
+
+        Args:
+            farewell: what browsers show from then on, where the page will not come back.
+        """
+        self.leave()
+        if self._closed or not self._server.is_alive():
+            return
+        self._closed = True
+        if farewell is not None:
+            self._loop.call_soon_threadsafe(self._site.history.end, farewell)
+            until_s = time.monotonic() + _FAREWELL_S
+            while self._site.streams and time.monotonic() < until_s:
+                time.sleep(0.02)
+        self._loop.call_soon_threadsafe(self._ended.set)
+        self._server.join(_END_S)
+
+    def _thread(self, name: str, work: Callable[[], None]) -> threading.Thread:
+        def run() -> None:
+            try:
+                work()
+            except BaseException as fault:  # `wait` raises it
+                self._fault = fault
+                raise
+            finally:
+                self._stop.set()
+
+        return threading.Thread(target=run, name=name, daemon=True)
+
+    # -- the serving thread --------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._site.serve(self._ended))
+        finally:
+            self._loop.close()
+
+    async def _model(self, leg: str) -> bytes | None:
+        async with self._asking:  # one question at a time, however many browsers ask
+            now_s = time.monotonic()
+            kept = self._models.get(leg)
+            if kept is None or now_s - kept[0] > _MODEL_KEPT_S:
+                if len(self._models) > 64:
+                    self._models.clear()
+                asked = asyncio.get_running_loop().run_in_executor(None, self._ask_model, leg)
+                self._models[leg] = (now_s, await asked)
+            return self._models[leg][1]
+
+    def _ask_model(self, leg: str) -> bytes | None:
+        if self._link is None:
+            return None
+        try:
+            replies = self._link.query(model_key(leg), timeout_s=_ASK_S)
+        except LinkError:
+            return None
+        for reply in replies:
+            if reply.error is None:
+                report = decode(reply.payload, ModelReport, reply.encoding)
+                if not isinstance(report, Rejected):
+                    return msgspec.json.encode(report)
+        return None
+
+    # -- the feeding thread --------------------------------------------------------------------
+
+    def _feed(self) -> None:
+        feed: Feed | None = None
+        view: View | None = None
+        due_s = time.monotonic()
+        count = unanswered = 0
+        while not self._stop.is_set():
+            if feed is None and self._link is not None:
+                feed = Feed(self._link, self._frames.contact)
+            if feed is not None:
+                view = feed.view(time.monotonic_ns())
+                samples_come = any(leg.rate_hz for leg in view.legs)
+                unanswered = unanswered + 1 if not self._ask_ticks(view) and samples_come else 0
+                self._frames.verdicts(feed.watch.take_verdicts())
+            table = None
+            if count % _TABLE_FRAMES == 0:
+                statuses = {} if feed is None else feed.watch.statuses()
+                table = self._table.encode(
+                    view,
+                    statuses,
+                    time.monotonic_ns(),
+                    waiting=self._waiting,
+                    untraced=unanswered > _UNANSWERED,
+                )
+            frame = self._frames.frame(time.monotonic_ns())
+            self._loop.call_soon_threadsafe(self._site.history.push, frame, table)
+            count += 1
+            due_s = max(due_s + FRAME_S, time.monotonic())
+            self._stop.wait(due_s - time.monotonic())
+
+    def _ask_ticks(self, view: View) -> bool:
+        """Ask the service for the ticks since the last question; False where it has none."""
+        if self._link is None or not view.alive or not view.connected:
+            return True  # nobody is there to ask
+        after = self._frames.number
+        asked = trace_key("*") if after < 0 else f"{trace_key('*')}?after={after}"
+        try:
+            replies = self._link.query(asked, timeout_s=_ASK_S)
+        except LinkError:
+            return False
+        answered = False
+        for reply in replies:
+            leg = leg_of_key(reply.key)
+            if reply.error is not None or leg is None:
+                continue
+            trace = decode(reply.payload, LegTrace, reply.encoding)
+            if isinstance(trace, Rejected) or trace.leg != leg:
+                continue
+            if trace.number < after:  # the service has begun again
+                self._frames.restarted()
+            self._frames.trace(trace, time.monotonic_ns())
+            answered = answered or bool(trace.t_ns)
+        return answered

@@ -1,0 +1,534 @@
+"""An HTTP server for one page: a fixed set of paths, GET only, and one stream of events.
+
+Python's own ``asyncio`` is enough: requests carry no body, answers are bytes that are there
+already, and every connection but a stream closes after its answer.  What a stranger sends can only
+fail to be one of a few exact requests.
+
+* A page of another site must not read this one.  ``Host`` must be an address of this server, which
+  stops DNS rebinding; ``Origin`` and ``Sec-Fetch-Site`` must be its own.
+* Beyond loopback a token is asked for: once in the link, then in a cookie.
+* Memory: a stream keeps no queue.  It reads a shared history at its own pace; a browser that falls
+  behind that history skips, one that takes nothing for a while is dropped.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import ipaddress
+import json
+import secrets
+import socket
+from collections import deque
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from importlib import resources
+from typing import Final, NamedTuple
+from urllib.parse import parse_qs
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.wire import is_leg_id
+
+__all__ = ["MOST_STREAMS", "History", "Site", "WebSettings"]
+
+# A request of a browser is a kilobyte; cookies of other ports of this host come along.
+_MOST_HEAD_BYTES: Final = 16 * 1024
+_MOST_HEADERS: Final = 64
+_HEAD_WITHIN_S: Final = 5.0
+# Browsers that look at once, and connections: each takes up to half a megabyte while it hangs.
+MOST_STREAMS: Final = 128
+_MOST_CONNECTIONS: Final = 256
+_BUFFER_BYTES: Final = 128 * 1024
+_HUNG_AFTER_S: Final = 20.0
+# How far back a page can look that is opened now: five minutes of ten frames a second, less where
+# many legs or fast ones make frames large.
+_MOST_FRAMES: Final = 3000
+_MOST_HISTORY_BYTES: Final = 32 * 1024 * 1024
+_CHUNK_BYTES: Final = 64 * 1024
+
+_PAGES: Final = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+_SECURITY: Final = (
+    (
+        "Content-Security-Policy",
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+        "require-trusted-types-for 'script'; trusted-types 'none'",
+    ),
+    ("X-Content-Type-Options", "nosniff"),
+    ("X-Frame-Options", "DENY"),
+    ("Referrer-Policy", "no-referrer"),
+    ("Cross-Origin-Resource-Policy", "same-origin"),
+    ("Cache-Control", "no-store"),
+)
+
+# Asked for a leg's model: JSON, or None where there is none.
+ModelOf = Callable[[str], Awaitable[bytes | None]]
+
+
+@dataclass(frozen=True)
+class WebSettings:
+    """Where the page is served.
+
+    Attributes:
+        host: address to listen on, or a name of this computer.
+        port: 0 takes a free one.
+        token: that a browser must show; made beyond loopback where none is given.
+
+    Raises:
+        ConfigurationError: the port cannot be one.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    token: str | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65_535:
+            raise ConfigurationError(f"port {self.port}; expected 0 to 65535")
+        if self.token is None and not self.loopback:
+            object.__setattr__(self, "token", secrets.token_urlsafe(24))
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this computer can reach it."""
+        if self.host == "localhost":
+            return True
+        with contextlib.suppress(ValueError):
+            return ipaddress.ip_address(self.host).is_loopback
+        return False
+
+
+class _Refused(Exception):  # noqa: N818 - an answer
+    """A request that gets a status and one line."""
+
+    def __init__(self, status: HTTPStatus, line: str, *headers: tuple[str, str]) -> None:
+        super().__init__(line)
+        self.status, self.line, self.headers = status, line, headers
+
+
+class _Request(NamedTuple):
+    method: str
+    path: str
+    query: Mapping[str, str]
+    headers: Mapping[str, str]
+
+
+@dataclass
+class History:
+    """Frames of the last minutes, shared by all streams.
+
+    Attributes:
+        session: names this run of the server; numbers of another mean nothing.
+        view: the last table of legs, as an event of a stream.
+        views: how many there have been.
+    """
+
+    session: str = field(default_factory=lambda: secrets.token_hex(4))
+    view: bytes = b""
+    views: int = 0
+    farewell: bytes | None = None
+    _frames: deque[bytes] = field(default_factory=deque)
+    _bytes: int = 0
+    _next: int = 0
+    _changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def push(self, frame: bytes, view: bytes | None) -> None:
+        """Add a frame, and a table where that has changed; both are JSON on one line."""
+        number = f"{self.session}.{self._next}".encode()
+        event = b"id: " + number + b"\ndata: " + frame + b"\n\n"
+        self._frames.append(event)
+        self._bytes += len(event)
+        self._next += 1
+        while len(self._frames) > _MOST_FRAMES or self._bytes > _MOST_HISTORY_BYTES:
+            self._bytes -= len(self._frames.popleft())
+        if view is not None:
+            self.view = b"event: view\ndata: " + view + b"\n\n"
+            self.views += 1
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    def end(self, line: str) -> None:
+        """Let every stream end, once it has given all, with a line for the person who looks."""
+        self.farewell = b"event: end\ndata: " + json.dumps(line).encode() + b"\n\n"
+        self._changed.set()
+
+    @property
+    def begin(self) -> int:
+        """Number of the oldest frame."""
+        return self._next - len(self._frames)
+
+    def after(self, number: int) -> tuple[bytes, int]:
+        """Frames from a number on, some at a time, and the number of the next."""
+        at = max(number, self.begin)
+        taken: list[bytes] = []
+        size = 0
+        while at < self._next and size < _CHUNK_BYTES:
+            frame = self._frames[at - self.begin]
+            taken.append(frame)
+            size += len(frame)
+            at += 1
+        return b"".join(taken), at
+
+    def resume(self, last: str) -> int:
+        """Where a stream goes on that has had frames up to one; at the oldest where it has none."""
+        session, _, number = last.partition(".")
+        if session == self.session and number.isascii() and number.isdigit() and len(number) < 16:
+            return min(int(number) + 1, self._next)
+        return self.begin
+
+    async def changed(self) -> None:
+        """Wait for the next frame."""
+        await self._changed.wait()
+
+
+class Site:
+    """The server; everything but :meth:`bind` runs in one event loop.
+
+    Args:
+        settings: where.
+        model_of: asks for a leg's model.
+
+    Attributes:
+        history: what the streams give out.
+        streams: browsers that look at the moment.
+    """
+
+    def __init__(self, settings: WebSettings, model_of: ModelOf) -> None:
+        self._settings = settings
+        self._model_of = model_of
+        self._socket: socket.socket | None = None
+        self._connections: set[asyncio.Task[None]] = set()
+        self._files = {
+            path: (resources.files(__package__).joinpath("static", name).read_bytes(), kind)
+            for path, (name, kind) in _PAGES.items()
+        }
+        self.history = History()
+        self.streams = 0
+
+    def bind(self) -> None:
+        """Take the port.
+
+        Raises:
+            ConfigurationError: it is in use, or the address is none of this computer's.
+        """
+        host, port = self._settings.host, self._settings.port
+        try:
+            family, *_, address = socket.getaddrinfo(
+                host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+            )[0]
+            self._socket = socket.create_server(address[:2], family=family, backlog=128)
+        except socket.gaierror as error:
+            raise ConfigurationError(
+                f"--host {host}: no such address or name; give one of this computer's"
+            ) from error
+        except PermissionError as error:
+            raise ConfigurationError(
+                f"port {port} may not be taken by this user; give --port 1024 or higher"
+            ) from error
+        except OSError as error:
+            # create_server puts its own words behind the system's.
+            if error.errno is not None and "in use" in str(error):
+                raise ConfigurationError(
+                    f"port {port} of {host} is in use; give another --port, or none to take a free "
+                    "one"
+                ) from error
+            raise ConfigurationError(
+                f"--host {host}: cannot listen there ({error}); give an address of this computer"
+            ) from error
+
+    @property
+    def port(self) -> int:
+        """That was taken."""
+        assert self._socket is not None
+        port: int = self._socket.getsockname()[1]
+        return port
+
+    @property
+    def url(self) -> str:
+        """What a browser is given; it has the token."""
+        host = self._settings.host
+        if host in ("0.0.0.0", "::"):
+            host = _own_address()
+        if ":" in host:
+            host = f"[{host}]"
+        token = "" if self._settings.token is None else f"?token={self._settings.token}"
+        return f"http://{host}:{self.port}/{token}"
+
+    async def serve(self, stop: asyncio.Event) -> None:
+        """Serve until ``stop`` is set."""
+        server = await asyncio.start_server(
+            self._connected, sock=self._socket, limit=_MOST_HEAD_BYTES
+        )
+        try:
+            await stop.wait()
+        finally:
+            server.close()
+            for task in list(self._connections):
+                task.cancel()
+            await asyncio.gather(*self._connections, return_exceptions=True)
+
+    # -- one connection ------------------------------------------------------------------------
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections.add(task)
+        try:
+            writer.transport.set_write_buffer_limits(high=_BUFFER_BYTES)
+            await self._converse(reader, writer)
+            await _drain(writer)
+        except (OSError, TimeoutError, asyncio.CancelledError):
+            writer.transport.abort()
+        finally:
+            writer.close()
+            self._connections.discard(task)
+
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        head_only = False
+        try:
+            if len(self._connections) > _MOST_CONNECTIONS:
+                raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
+            request = await _read_request(reader)
+            head_only = request.method == "HEAD"
+            await self._answer(request, reader, writer)
+        except _Refused as refused:
+            body = f"{refused.line}\n".encode()
+            kind = "text/plain; charset=utf-8"
+            _write(writer, refused.status, kind, body, refused.headers, head_only=head_only)
+            if writer.can_write_eof():  # what a stranger still sends is not reset before it is read
+                writer.write_eof()
+
+    async def _answer(
+        self, request: _Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        self._check_origin(request)
+        self._check_token(request)
+        head_only = request.method == "HEAD"
+        if request.path in self._files:
+            body, kind = self._files[request.path]
+        elif request.path == "/model":
+            body, kind = await self._model(request.query.get("leg", "")), "application/json"
+        elif request.path == "/stream" and head_only:
+            body, kind = b"", "text/event-stream"
+        elif request.path == "/stream":
+            await self._stream(request, reader, writer)
+            return
+        else:
+            raise _Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
+        _write(writer, HTTPStatus.OK, kind, body, head_only=head_only)
+
+    def _check_origin(self, request: _Request) -> None:
+        """Refuse what a page of another site asks, under whatever name it reached this server."""
+        host = request.headers.get("host", "")
+        if host.lower() not in self._own_hosts() and not self._is_address(host):
+            raise _Refused(
+                HTTPStatus.MISDIRECTED_REQUEST,
+                "this name is not an address of this page; use the link that `watch` printed",
+            )
+        origin = request.headers.get("origin")
+        if origin is not None and origin.lower() != f"http://{host}".lower():
+            raise _Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
+        site = request.headers.get("sec-fetch-site", "none")
+        # A link elsewhere may lead here; nothing else may.
+        follows_link = request.path == "/" and request.headers.get("sec-fetch-mode") == "navigate"
+        if site not in ("same-origin", "none") and not follows_link:
+            raise _Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
+
+    def _own_hosts(self) -> set[str]:
+        if self._settings.loopback:
+            names = {"127.0.0.1", "localhost", "[::1]", self._settings.host}
+        else:
+            own = socket.gethostname().lower()
+            names = {"localhost", self._settings.host.lower(), own, f"{own}.local"}
+        return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
+
+    def _is_address(self, host: str) -> bool:
+        """Whether it is a bare address, which no foreign name server can point elsewhere.
+
+        On loopback only its own are let in; beyond, packets have come to one of this computer's.
+        """
+        if self._settings.loopback:
+            return False
+        name, _, port = host.rpartition(":")
+        if port != str(self.port):
+            return False
+        with contextlib.suppress(ValueError):
+            ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
+            return True
+        return False
+
+    def _check_token(self, request: _Request) -> None:
+        token = self._settings.token
+        if token is None:
+            return
+        cookie = f"adaptive_contact_{self.port}"  # cookies of all ports of a host are one jar
+        given = request.query.get("token")
+        if request.path == "/" and given is not None and _same(given, token):
+            raise _Refused(
+                HTTPStatus.SEE_OTHER,
+                "the token is kept in a cookie",
+                ("Location", "/"),
+                # Lax: a link in a mail or chat leads here, and is followed by a redirection.
+                ("Set-Cookie", f"{cookie}={token}; HttpOnly; SameSite=Lax; Path=/"),
+            )
+        pairs = (
+            part.strip().partition("=") for part in request.headers.get("cookie", "").split(";")
+        )
+        if not any(name == cookie and _same(value, token) for name, _, value in pairs):
+            raise _Refused(
+                HTTPStatus.FORBIDDEN, "a token is needed; use the link that `watch` printed"
+            )
+
+    async def _model(self, leg: str) -> bytes:
+        if not is_leg_id(leg):
+            raise _Refused(HTTPStatus.BAD_REQUEST, "no leg's id; expected /model?leg=rf")
+        model = await self._model_of(leg)
+        if model is None:
+            raise _Refused(HTTPStatus.NOT_FOUND, "no model of this leg")
+        return model
+
+    async def _stream(
+        self, request: _Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        if self.streams >= MOST_STREAMS:
+            raise _Refused(
+                HTTPStatus.SERVICE_UNAVAILABLE,
+                f"{self.streams} browsers look already, as many as may; close one",
+            )
+        own = writer.get_extra_info("socket")
+        if own is not None:  # or the kernel alone keeps megabytes for each that hangs
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+        self.streams += 1
+        try:
+            _write(writer, HTTPStatus.OK, "text/event-stream", None)
+            last = request.headers.get("last-event-id", request.query.get("after", ""))
+            pump = asyncio.ensure_future(self._pump(self.history.resume(last), writer))
+            gone = asyncio.ensure_future(reader.read(1))  # a browser that looks says nothing more
+            try:
+                await asyncio.wait((pump, gone), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                pump.cancel()
+                gone.cancel()
+                await asyncio.gather(pump, gone, return_exceptions=True)
+            if pump.done() and not pump.cancelled():
+                pump.result()
+        finally:
+            self.streams -= 1
+
+    async def _pump(self, number: int, writer: asyncio.StreamWriter) -> None:
+        history, shown = self.history, -1
+        writer.write(b"retry: 1000\n\n")
+        while not writer.is_closing():
+            if shown != history.views:
+                shown = history.views
+                writer.write(history.view)
+            some, number = history.after(number)
+            if some:
+                writer.write(some)
+                await _drain(writer)
+            elif history.farewell is not None:
+                writer.write(history.farewell)
+                return
+            else:
+                await history.changed()
+
+
+def _own_address() -> str:
+    """Address of this computer on its network, for a phone, which knows no names; else its name."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # sends nothing; of documentation (RFC 5737)
+        address: str = probe.getsockname()[0]
+        return address
+    return socket.gethostname()
+
+
+async def _drain(writer: asyncio.StreamWriter) -> None:
+    """Wait until a browser has taken most of what it was sent.
+
+    Not by ``wait_for``, which may swallow a cancellation in Python 3.11.
+
+    Raises:
+        TimeoutError: it hangs.
+    """
+    async with asyncio.timeout(_HUNG_AFTER_S):
+        await writer.drain()
+
+
+async def _read_request(reader: asyncio.StreamReader) -> _Request:
+    try:
+        async with asyncio.timeout(_HEAD_WITHIN_S):
+            head = await reader.readuntil(b"\r\n\r\n")
+    except asyncio.LimitOverrunError:
+        line = f"more than {_MOST_HEAD_BYTES} bytes of headers"
+        raise _Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, line) from None
+    except TimeoutError:
+        line = f"no whole request within {_HEAD_WITHIN_S:g} s"
+        raise _Refused(HTTPStatus.REQUEST_TIMEOUT, line) from None
+    except asyncio.IncompleteReadError as short:
+        if not short.partial:
+            raise ConnectionResetError from None
+        raise _Refused(HTTPStatus.BAD_REQUEST, "half a request") from None
+    first, *lines = head[:-4].decode("latin-1").split("\r\n")
+    words = first.split(" ")
+    if len(words) != 3 or words[2] not in ("HTTP/1.1", "HTTP/1.0"):
+        raise _Refused(HTTPStatus.BAD_REQUEST, "no request of HTTP/1.1")
+    method, target, _ = words
+    if method not in ("GET", "HEAD"):
+        raise _Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET only", ("Allow", "GET, HEAD"))
+    headers = _headers(lines)
+    if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
+        raise _Refused(HTTPStatus(413), "a request with a body")
+    path, _, query = target.partition("?")
+    try:
+        pairs = parse_qs(query, max_num_fields=8, strict_parsing=False)
+    except ValueError:
+        raise _Refused(HTTPStatus.BAD_REQUEST, "too many parameters") from None
+    return _Request(method, path, {name: values[0] for name, values in pairs.items()}, headers)
+
+
+def _headers(lines: list[str]) -> dict[str, str]:
+    if len(lines) > _MOST_HEADERS:
+        line = f"{len(lines)} headers; at most {_MOST_HEADERS}"
+        raise _Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, line)
+    headers: dict[str, str] = {}
+    for line in lines:
+        name, colon, value = line.partition(":")
+        name = name.lower()
+        if not colon or not name or not name.isascii() or name != name.strip() or "\n" in line:
+            raise _Refused(HTTPStatus.BAD_REQUEST, "a header that is none")
+        if name in headers and name in ("host", "origin", "sec-fetch-site"):
+            raise _Refused(HTTPStatus.BAD_REQUEST, f"two headers {name}")
+        headers[name] = value.strip()
+    return headers
+
+
+def _write(
+    writer: asyncio.StreamWriter,
+    status: HTTPStatus,
+    kind: str,
+    body: bytes | None,
+    headers: tuple[tuple[str, str], ...] = (),
+    *,
+    head_only: bool = False,
+) -> None:
+    """Write an answer; without a body what follows is a stream."""
+    lines = [f"HTTP/1.1 {status.value} {status.phrase}", f"Content-Type: {kind}"]
+    if body is not None:
+        lines.append(f"Content-Length: {len(body)}")
+    lines += [f"{name}: {value}" for name, value in (*_SECURITY, *headers)]
+    lines += ["Connection: close", "", ""]
+    writer.write("\r\n".join(lines).encode("latin-1"))
+    if body is not None and not head_only:
+        writer.write(body)
+
+
+def _same(given: str, token: str) -> bool:
+    """Compare in a time that says nothing of where they differ."""
+    return hmac.compare_digest(given.encode(), token.encode())

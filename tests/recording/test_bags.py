@@ -1,0 +1,413 @@
+"""Bags of ROS 2 as recordings: the same samples, events and scores as of our own recordings."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from adaptive_contact.cli.fit import gather
+from adaptive_contact.errors import ConfigurationError, RecordingError
+from adaptive_contact.robot import Robot, inverse, parse_robot, shipped_robot
+from adaptive_contact.service.recording import RecordingWriter, read_recording
+from adaptive_contact.wire import (
+    ContactTruth,
+    Message,
+    ServoSample,
+    decode,
+    servo_key,
+    truth_key,
+)
+
+pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
+
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys.store import Typestore
+
+from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE, JOINT_STATE
+from adaptive_contact.ros2.types import typestore
+
+TICK = 20_000_000
+START = 1_700_000_000_000_000_000
+LATE = 3_000_000  # of the recorder against the stamp
+LEGS = ("lf", "rf")
+JOINTS = [f"{leg}_{joint}" for leg in LEGS for joint in "cft"]
+STATE = "/legs/controller_state"
+TEXT = """
+[robot]
+name = "mini"
+period_s = 0.02
+quantum_rad = 0.00511
+[ros2]
+state = "/legs/controller_state"
+phase = "/gait/{leg}/swing"
+truth = "/feet/{leg}"
+""" + "".join(
+    f"""
+[[leg]]
+id = "{leg}"
+joints = ["coxa", "femur", "tibia"]
+lengths_m = [0.052, 0.066, 0.138]
+ros2 = {{ joints = ["{leg}_c", "{leg}_f", "{leg}_t"] }}
+"""
+    for leg in LEGS
+)
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return parse_robot(TEXT, source="test")
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def walk(swings: int = 4) -> list[tuple[dict[str, ServoSample], list[tuple[str, ContactTruth]]]]:
+    """Ticks of two legs that step in turn, 30 of 40 ticks in the air, and their touches."""
+    lengths = shipped_robot().leg("rf").lengths_m
+    assert lengths is not None
+    rng = np.random.default_rng(5)
+    ticks = []
+    for k in range(40 * swings):
+        samples, truth = {}, []
+        for shift, leg in ((0, "lf"), (20, "rf")):
+            phase = (k + shift) % 40
+            height = -0.1 + 0.05 * (1 - abs(phase - 15) / 15 if phase < 30 else 0)
+            desired = [float(q) for q in inverse([0.13, 0.0, height], lengths)]
+            measured = [q + float(rng.normal(0, 0.002)) for q in desired]
+            swing = phase < 30
+            samples[leg] = ServoSample(
+                t_ns=START + k * TICK,
+                seq=k,
+                measured=measured,
+                desired=desired,
+                phase="swing" if swing else "stance",
+            )
+            if phase in (0, 30):
+                at = START + k * TICK
+                truth.append((leg, ContactTruth(t_ns=at, contact=not swing, force=0.0)))
+        ticks.append((samples, truth))
+    return ticks
+
+
+class BagWriter:
+    """Writes ticks into a bag of rosbags."""
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        storage: StoragePlugin = StoragePlugin.MCAP,
+        compressed: CompressionMode = CompressionMode.NONE,
+    ) -> None:
+        self.store: Typestore = typestore()
+        self.writer = Writer(path, version=9, storage_plugin=storage)
+        if compressed is not CompressionMode.NONE:
+            self.writer.set_compression(compressed, CompressionFormat.ZSTD)
+        self._connections: dict[tuple[str, str], Any] = {}
+
+    def __enter__(self) -> BagWriter:
+        self.writer.open()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.writer.close()
+
+    def put(self, topic: str, message: Any, time_ns: int, raw: bytes | None = None) -> None:
+        kind = (topic, message.__msgtype__)
+        if kind not in self._connections:
+            self._connections[kind] = self.writer.add_connection(
+                topic, message.__msgtype__, typestore=self.store
+            )
+        payload = bytes(self.store.serialize_cdr(message, kind[1])) if raw is None else raw
+        self.writer.write(self._connections[kind], time_ns, payload)
+
+    def header(self, t_ns: int) -> Any:
+        types = self.store.types
+        stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+
+    def flag(self, value: bool) -> Any:
+        return self.store.types[BOOL](data=value)
+
+    def joints(self, names: list[str], positions: list[float], t_ns: int) -> Any:
+        empty = np.zeros(0)
+        return self.store.types[JOINT_STATE](
+            self.header(t_ns), names, np.array(positions), empty, empty
+        )
+
+    def state(self, samples: dict[str, ServoSample]) -> Any:
+        types = self.store.types
+        duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
+        nothing = types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]([], [], [], duration)
+        empty = np.zeros(0)
+
+        def point(angles: Iterable[float]) -> Any:
+            return types["trajectory_msgs/msg/JointTrajectoryPoint"](
+                np.array(list(angles)), empty, empty, empty, duration
+            )
+
+        names = [f"{leg}_{joint}" for leg in samples for joint in "cft"]
+        return types[CONTROLLER_STATE](
+            header=self.header(next(iter(samples.values())).t_ns),
+            joint_names=names,
+            reference=point(q for sample in samples.values() for q in sample.desired),
+            feedback=point(q for sample in samples.values() for q in sample.measured),
+            error=point([]),
+            output=point([]),
+            multi_dof_joint_names=[],
+            multi_dof_reference=nothing,
+            multi_dof_feedback=nothing,
+            multi_dof_error=nothing,
+            multi_dof_output=nothing,
+            speed_scaling_factor=1.0,
+        )
+
+    def tick(
+        self, samples: dict[str, ServoSample], truth: list[tuple[str, ContactTruth]] = ()
+    ) -> None:
+        at = next(iter(samples.values())).t_ns + LATE
+        for leg, sample in samples.items():
+            self.put(f"/gait/{leg}/swing", self.flag(sample.phase == "swing"), at - 2)
+        self.put(STATE, self.state(samples), at)
+        for leg, change in truth:
+            self.put(f"/feet/{leg}", self.flag(change.contact), change.t_ns + LATE)
+
+
+def read(path: Path, robot: Robot) -> tuple[dict[str, list[Message]], Any]:
+    """Messages by key, and the recording after the pass."""
+    recording = read_recording(path, robot)
+    found: dict[str, list[Message]] = {}
+    for record in recording:
+        kind = ServoSample if record.key.endswith("/servo") else ContactTruth
+        message = decode(record.payload, kind, record.encoding)
+        assert isinstance(message, kind)
+        found.setdefault(record.key, []).append(message)
+    return found, recording
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+@pytest.mark.parametrize(
+    "compressed", [CompressionMode.NONE, CompressionMode.MESSAGE, CompressionMode.FILE]
+)
+def test_a_bag_gives_what_was_on_the_wire(tmp_path, robot, storage, compressed) -> None:
+    if storage is StoragePlugin.MCAP and compressed is CompressionMode.MESSAGE:
+        pytest.skip("MCAP packs its chunks")
+    ticks = walk()
+    with BagWriter(tmp_path / "bag", storage=storage, compressed=compressed) as bag:
+        for samples, truth in ticks:
+            bag.tick(samples, truth)
+    found, recording = read(tmp_path / "bag", robot)
+    assert recording.notes == ()
+    assert recording.damage is None
+    for leg in LEGS:
+        sent = [samples[leg] for samples, _ in ticks]
+        got: list[Any] = found[servo_key(leg)]
+        assert [s.seq for s in got] == list(range(len(sent)))
+        assert len({s.run for s in got}) == 1
+        for mine, other in zip(got, sent, strict=True):
+            assert (mine.t_ns, mine.phase) == (other.t_ns, other.phase)
+            assert (mine.measured, mine.desired) == (other.measured, other.desired)
+        changes = [change for _, truth in ticks for which, change in truth if which == leg]
+        assert found[truth_key(leg)] == changes
+    again = list(recording)
+    assert len(again) == sum(map(len, found.values()))
+
+
+@pytest.mark.parametrize("name", ["bag.mcap", "bag.db3"])
+def test_a_single_file_is_a_bag(tmp_path, robot, name) -> None:
+    storage = StoragePlugin.MCAP if name.endswith("mcap") else StoragePlugin.SQLITE3
+    with BagWriter(tmp_path / "bag", storage=storage) as bag:
+        for samples, truth in walk(1):
+            bag.tick(samples, truth)
+    found, _ = read(tmp_path / "bag" / name, robot)
+    assert len(found[servo_key("rf")]) == 40
+
+
+def test_lost_messages_are_gaps(tmp_path, robot) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for k, (samples, truth) in enumerate(walk(1)):
+            if k not in (7, 8, 20):
+                bag.tick(samples, truth)
+    found, _ = read(tmp_path / "bag", robot)
+    seqs = [sample.seq for sample in found[servo_key("rf")]]
+    assert seqs == [k for k in range(40) if k not in (7, 8, 20)]
+
+
+def test_a_cut_bag_is_read_up_to_the_cut(tmp_path, robot) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for samples, truth in walk(100):
+            bag.tick(samples, truth)
+    (tmp_path / "bag" / "metadata.yaml").unlink()  # as a recorder that is killed leaves it
+    file = tmp_path / "bag" / "bag.mcap"
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    found, recording = read(tmp_path / "bag", robot)
+    assert 100 < len(found[servo_key("rf")]) < 4000
+    assert "cut at byte" in recording.damage
+
+
+def test_what_is_missing_is_told_a_line_each(tmp_path, robot) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for samples, _ in walk(1):
+            only = {"lf": samples["lf"]}
+            bag.put("/other/controller_state", bag.state(samples), samples["lf"].t_ns)
+            bag.put("/feet/lf", bag.joints(JOINTS, [0.0] * 6, 1), samples["lf"].t_ns)
+            message = bag.state(only)
+            message.joint_names[2] = "lf_gripper"
+            bag.put(STATE, message, samples["lf"].t_ns)
+        bag.put(STATE, message, START + 99 * TICK, raw=b"\x00\x01\x00\x00junk")
+    found, recording = read(tmp_path / "bag", robot)
+    assert not found
+    text = "\n".join(recording.notes)
+    assert len(recording.notes) == len(set(recording.notes)) == 7, text
+    for words in (
+        "no topic /gait/lf/swing in the bag",
+        "no topic /gait/rf/swing in the bag",
+        "no topic /feet/rf in the bag",
+        "/feet/lf: holds sensor_msgs/msg/JointState; expected std_msgs/msg/Bool",
+        "lf_gripper belong to no leg",
+        "leg 'lf' lacks lf_t",
+        "a message is no control_msgs/msg/JointTrajectoryControllerState",
+    ):
+        assert words in text
+    assert "(80 times)" in text  # both legs lack joints in each of 40 messages
+
+
+def test_a_missing_state_topic_names_those_that_fit(tmp_path, robot) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for samples, _ in walk(1):
+            bag.put("/other/controller_state", bag.state(samples), samples["lf"].t_ns)
+    _, recording = read(tmp_path / "bag", robot)
+    (line,) = [note for note in recording.notes if STATE in note]
+    assert "such topics are /other/controller_state" in line
+
+
+def run(name: str, *arguments: str | Path, code: int = 0) -> str:
+    """Output of a command, both streams."""
+    module = __import__(f"adaptive_contact.cli.{name}", fromlist=[name])
+    app = typer.Typer()
+    app.command()(getattr(module, name))
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def hexapod(names: dict[str, list[str]]) -> str:
+    """The shipped robot's text with its names in ROS 2."""
+    lines = []
+    shipped = resources.files("adaptive_contact_models").joinpath("hexapod", "robot.toml")
+    for line in shipped.read_text().splitlines():
+        lines.append(line)
+        found = re.match(r'id = "(\w+)"', line)
+        if found:
+            lines.append(f"ros2 = {{ joints = {json.dumps(names[found[1]])} }}")
+    return "\n".join(lines) + TEXT[TEXT.index("[ros2]") : TEXT.index("[[leg]]")]
+
+
+def test_replay_and_score_take_a_bag_as_they_take_a_recording(tmp_path) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra 'sim'")
+    from adaptive_contact_sim import Simulation, SimulationSettings, WalkSettings
+
+    robot = shipped_robot()
+    names = {leg.id: [f"{leg.id}_{joint}" for joint in "cft"] for leg in robot.legs}
+    config = tmp_path / "robot.toml"
+    config.write_text(hexapod(names))
+    models = resources.files("adaptive_contact_models")
+    baseline = str(models.joinpath("hexapod", "baseline.json"))
+    sim = Simulation(SimulationSettings(motion=WalkSettings(), seed=31))
+    with (
+        BagWriter(tmp_path / "bag") as bag,
+        RecordingWriter(tmp_path / "own.mcap", {"robot": robot.name}) as own,
+    ):
+        for tick in sim.run(12.0):
+            samples = {
+                leg: msgspec.structs.replace(sample, preview=None, t_ns=START + sample.t_ns)
+                for leg, sample in tick.samples.items()
+            }
+            truth = [
+                (change.leg, ContactTruth(t_ns=START + t.t_ns, contact=t.contact, force=0.0))
+                for change in tick.truth
+                for t in [change.message]
+            ]
+            bag.tick(samples, truth)
+            for leg, sample in samples.items():
+                own.write_message(servo_key(leg), sample, sample.t_ns)
+            for leg, change in truth:
+                own.write_message(truth_key(leg), change, samples[leg].t_ns)
+    events, scores = [], []
+    for name in ("own.mcap", "bag"):
+        out = tmp_path / f"{name}.jsonl"
+        path = tmp_path / name
+        run("replay", path, "--config", config, "--baseline", baseline, "--events", out)
+        events.append(out.read_text().splitlines())
+        said = run("score", path, "--config", config, "--events", out, "--json")
+        scores.append(said[said.index("{") :].replace(str(path), ""))
+    assert len(events[0]) > 20
+    assert events[0] == events[1]
+    assert scores[0] == scores[1]
+
+
+def test_fit_gathers_from_a_bag_what_it_gathers_from_a_recording(tmp_path, config, robot) -> None:
+    ticks = walk(10)
+    with (
+        BagWriter(tmp_path / "bag") as bag,
+        RecordingWriter(tmp_path / "own.mcap") as own,
+    ):
+        for samples, truth in ticks:
+            bag.tick(samples, truth)
+            for leg, sample in samples.items():
+                own.write_message(servo_key(leg), sample, sample.t_ns)
+            for leg, change in truth:
+                own.write_message(truth_key(leg), change, change.t_ns)
+    mine, other = (gather([tmp_path / name], robot, refuse=False) for name in ("own.mcap", "bag"))
+    for leg in LEGS:
+        assert other[leg].samples == mine[leg].samples == len(ticks)
+        for free in (False, True):
+            pairs = zip(
+                mine[leg].stretches(free=free), other[leg].stretches(free=free), strict=True
+            )
+            for a, b in pairs:
+                assert repr(a) == repr(b)
+
+
+def test_a_bag_needs_a_mapping(tmp_path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.tick(walk(1)[0][0])
+    with pytest.raises(ConfigurationError, match="give --config"):
+        run("replay", tmp_path / "bag", "--events", tmp_path / "out")
+    with pytest.raises(ConfigurationError, match=r"write \[ros2\]"):
+        read_recording(tmp_path / "bag", shipped_robot())
+
+
+def test_other_folders_and_bags_are_refused(tmp_path, robot) -> None:
+    with pytest.raises(RecordingError, match="cannot be read"):
+        read_recording(tmp_path, robot)
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(RecordingError, match="a bag of ROS 1; convert it"):
+        read_recording(tmp_path / "old.bag", robot)
+    (tmp_path / "bad.db3").write_bytes(b"nothing")
+    with pytest.raises(RecordingError, match="cannot be read as a bag") as refused:
+        list(read_recording(tmp_path / "bad.db3", robot))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(RecordingError, match="cannot be read"):
+        list(read_recording(tmp_path / "none.db3", robot))
+
+
+def test_an_mcap_of_our_own_is_no_bag(tmp_path) -> None:
+    with RecordingWriter(tmp_path / "own.mcap") as writer:
+        writer.write_message(servo_key("lf"), walk(1)[0][0]["lf"], 0)
+    assert len(list(read_recording(tmp_path / "own.mcap"))) == 1

@@ -1,0 +1,113 @@
+"""The banner: what needs a person, and what to do."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.service.attention import Attention, remedy_of
+from adaptive_contact.service.status import LegFacts, ServiceStatus
+from adaptive_contact.service.watch import LegView, View
+from adaptive_contact.wire import LearnerStatus
+
+OPERATING = Path(__file__).parents[2] / "docs" / "operating.md"
+S = 1_000_000_000
+
+
+def service(**fields: Any) -> ServiceStatus:
+    facts = {leg: LegFacts(joints=["coxa", "femur", "tibia"]) for leg in ("lf", "rf")}
+    given = {"baseline": "shipped", "legs": facts, "uptime_s": 9.0, **fields}
+    return ServiceStatus(version="1", robot="mini", period_s=0.02, **given)
+
+
+def status(leg: str, **fields: Any) -> LearnerStatus:
+    given: dict[str, Any] = {"status": "valid", "model_version": 1, "t_ns": S, **fields}
+    return LearnerStatus(leg=leg, residual_rms=[0.0] * 3, noise_floor=[0.0] * 3, **given)
+
+
+def view(of: ServiceStatus | None, *statuses: LearnerStatus, **fields: Any) -> View:
+    legs = [LegView(leg=s.leg, status=s.status, note=s.note) for s in statuses]
+    return View(legs=legs, service=of, **{"alive": True, **fields})
+
+
+def look(of: View, *statuses: LearnerStatus) -> list[tuple[str, list[str], str, str]]:
+    found = Attention().look(of, {s.leg: s for s in statuses}, 0)
+    return [(f.level, f.legs, f.what, f.remedy) for f in found]
+
+
+def notes_of_the_page() -> list[str]:
+    table = OPERATING.read_text("utf-8").split("### What the note of a leg asks for")[1]
+    rows = [line for line in table.splitlines() if line.startswith("| `")]
+    assert len(rows) > 10
+    return [note for row in rows for note in re.findall(r"`([^`]+)`", row.split(" | ")[0])]
+
+
+@pytest.mark.parametrize("note", notes_of_the_page())
+def test_each_note_of_the_page_has_a_remedy(note: str) -> None:
+    remedy = remedy_of(note)
+    assert remedy is not None
+    assert remedy.endswith(".")
+
+
+def test_all_is_well() -> None:
+    legs = status("lf"), status("rf")
+    assert look(view(service(), *legs), *legs) == []
+
+
+@pytest.mark.parametrize(
+    ("of", "what"),
+    [
+        (view(service(), connected=False), "the router is lost"),
+        (view(None, alive=False), "no service is running here"),
+        (view(service(), alive=False), "the service is gone: no contact is reported"),
+    ],
+)
+def test_what_is_not_there_is_the_only_entry(of: View, what: str) -> None:
+    (entry,) = look(of)
+    assert entry[0] == "error"
+    assert entry[2] == what
+    assert "adaptive-contact serve" in entry[3]
+
+
+def test_one_cause_of_several_legs_is_one_entry() -> None:
+    note = "no sample for 4.0 s"
+    legs = status("lf", status="silent", note=note), status("rf", status="silent", note=note)
+    (entry,) = look(view(service(), *legs), *legs)
+    assert entry[:2] == ("error", ["lf", "rf"])
+    assert entry[3].startswith("Start what publishes")
+
+
+def test_a_note_comes_with_its_own_remedy() -> None:
+    note = "the foot came 40 % of its command's way, 3 swings in a row: caught, or no strength"
+    legs = status("lf"), status("rf", status="ambiguous", note=note, doubt="held")
+    (entry,) = look(view(service(), *legs), *legs)
+    assert entry[1] == ["rf"]
+    assert entry[3].startswith("Free the foot.")
+
+
+def test_all_legs_lost_point_to_what_they_have_in_common() -> None:
+    note = "lifts have been 3.1 times as far from the model as they should for 40 swings: x"
+    legs = [status(leg, status="ambiguous", note=note) for leg in ("lf", "lm", "rf", "rm")]
+    (entry,) = look(view(service(), *legs), *legs)
+    assert "all legs move otherwise than their models" in entry[2]
+    assert "signs" in entry[3]
+
+
+def test_a_count_is_shown_when_it_grows_and_for_a_minute() -> None:
+    attention = Attention()
+    of_old = view(service(events_lost=3))
+    assert attention.look(of_old, {}, 0) == [], "nobody can do anything about it now"
+    (grown,) = attention.look(view(service(events_lost=4)), {}, S)
+    assert grown.what == "4 contact events were lost to a subscriber that hung"
+    assert len(attention.look(view(service(events_lost=4)), {}, 60 * S)) == 1
+    assert attention.look(view(service(events_lost=4)), {}, 62 * S) == []
+    assert attention.look(view(service(events_lost=0)), {}, 63 * S) == [], "it began again"
+
+
+def test_the_services_own_words_are_shown() -> None:
+    found = look(view(service(note="another service runs here", strays={"rf/servo": "did you?"})))
+    assert [entry[2] for entry in found] == ["another service runs here", "nobody reads rf/servo"]
+    assert found[1][3] == "Did you?"

@@ -1,0 +1,432 @@
+"""The gateway as a process between a service and a router of ROS 2; a foreign SDK behind it."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+import zenoh.ext
+
+from adaptive_contact.service.link import Link
+from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, learner_key, servo_key
+
+pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
+
+from adaptive_contact.ros2 import rmw
+from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE
+from adaptive_contact.ros2.types import typestore
+from adaptive_contact.service.ros2 import WAITING, _Inbox
+from adaptive_contact.service.traffic import Received
+
+pytestmark = pytest.mark.e2e
+
+STATE = "/legs/controller_state"
+LEGS = ("lf", "rf")
+JOINTS = [f"{leg}_{joint}" for leg in LEGS for joint in ("coxa", "femur", "tibia")]
+ROBOT = f"""
+[robot]
+name = "mini"
+period_s = 0.02
+quantum_rad = 0.00511
+[ros2]
+state = "{STATE}"
+[[leg]]
+id = "lf"
+joints = ["coxa", "femur", "tibia"]
+ros2 = {{ joints = ["lf_coxa", "lf_femur", "lf_tibia"] }}
+[[leg]]
+id = "rf"
+joints = ["coxa", "femur", "tibia"]
+ros2 = {{ joints = ["rf_coxa", "rf_femur", "rf_tibia"] }}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT)
+    return path
+
+
+def open_router(port: int) -> zenoh.Session:
+    """A router with the settings of rmw_zenohd: peers find each other through it."""
+    settings = {
+        "mode": "router",
+        "listen/endpoints": [f"tcp/127.0.0.1:{port}"],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "timestamping/enabled": True,
+    }
+    chosen = zenoh.Config()
+    for key, value in settings.items():
+        chosen.insert_json5(key, json.dumps(value))
+    return zenoh.open(chosen)
+
+
+@pytest.fixture
+def port() -> int:
+    import socket
+
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        return int(bound.getsockname()[1])
+
+
+@pytest.fixture
+def ros(port: int) -> Iterator[zenoh.Session]:
+    with open_router(port) as session:
+        yield session
+
+
+class Running:
+    """A process whose lines can be waited for."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self.lines: list[str] = []
+        self._changed = threading.Condition()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._changed:
+                self.lines.append(line.rstrip())
+                self._changed.notify_all()
+
+    def wait(self, test: Callable[[list[str]], Any], timeout_s: float = 20.0) -> list[str]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: test(self.lines), timeout_s), self.lines[-8:]
+            return list(self.lines)
+
+    def says(self, *words: str, times: int = 1) -> list[str]:
+        """Lines that hold all words, once there are so many."""
+
+        def found(lines: list[str]) -> list[str]:
+            return [line for line in lines if all(word in line for word in words)]
+
+        return found(self.wait(lambda lines: len(found(lines)) >= times))
+
+
+@pytest.fixture
+def gateway(command, config: Path, port: int) -> Callable[..., Running]:
+    """Starts `bridge ros2`, and waits until it reads."""
+
+    def start(endpoint: str, *args: str) -> Running:
+        process = command(
+            *("-m", "adaptive_contact", "bridge", "ros2", "--config", str(config)),
+            *("--connect", endpoint, "--ros-connect", f"127.0.0.1:{port}", *args),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+        running = Running(process)
+        running.says("reading", STATE)
+        return running
+
+    return start
+
+
+class Publisher:
+    """A publisher of the far side, with rmw_zenoh's keys and attachments."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.store = typestore()
+        self._session = session
+        self._seq = 0
+
+    def state(self, read: list[float], told: list[float] | None = None) -> Any:
+        types = self.store.types
+        duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
+        nothing = types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]([], [], [], duration)
+        empty = np.zeros(0)
+
+        def point(angles: list[float]) -> Any:
+            return types["trajectory_msgs/msg/JointTrajectoryPoint"](
+                np.array(angles), empty, empty, empty, duration
+            )
+
+        t_ns = time.time_ns()
+        stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+        names = ("reference", "feedback", "error", "output")
+        return types[CONTROLLER_STATE](
+            header=types["std_msgs/msg/Header"](stamp, ""),
+            joint_names=JOINTS,
+            reference=point(told or [0.0] * 6),
+            feedback=point(read),
+            error=point([]),
+            output=point([]),
+            multi_dof_joint_names=[],
+            speed_scaling_factor=1.0,
+            **{f"multi_dof_{name}": nothing for name in names},
+        )
+
+    def cdr(self, message: Any) -> bytes:
+        return bytes(self.store.serialize_cdr(message, message.__msgtype__))
+
+    def put(
+        self,
+        payload: bytes,
+        name: str = CONTROLLER_STATE,
+        *,
+        hash_: str | None = None,
+        topic: str = STATE,
+        lost: int = 0,
+    ) -> None:
+        self._seq += 1 + lost
+        address = rmw.Address(topic, name, hash_ or self.store.hash_rihs01(name))
+        self._session.put(
+            rmw.topic_key(0, address),
+            payload,
+            attachment=rmw.encode_attachment(rmw.Attachment(self._seq, time.time_ns(), bytes(16))),
+        )
+
+
+def until_used(publisher: Publisher, samples: Any) -> None:
+    """Publish until the first sample arrives: the declarations travel."""
+    end_s = time.monotonic() + 20.0
+    while not samples.items and time.monotonic() < end_s:
+        publisher.put(publisher.cdr(publisher.state([0.0] * 6)))
+        threading.Event().wait(0.02)
+    assert samples.items
+
+
+def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port) -> None:
+    if importlib.util.find_spec("zenoh_ros2_sdk") is None:
+        pytest.skip("needs zenoh-ros2-sdk (extra 'ros2-test')")
+    served = serve()
+    link: Link = join(served.endpoint)
+    samples, learners = inbox(ServoSample), inbox()
+    link.subscribe(servo_key("rf"), samples)
+    link.subscribe(learner_key("rf"), learners)
+    gateway(served.endpoint)
+    foreign = Running(
+        command(
+            str(Path(__file__).parent / "foreign_ros2.py"),
+            str(port),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+    )
+
+    def told(topic: str) -> list[Any]:
+        return [
+            line
+            for line in map(json.loads, (text for text in foreign.lines if text[:1] == "{"))
+            if line["topic"] == topic
+        ]
+
+    foreign.wait(lambda _: len(told("rf")) >= 6 and told("diagnostics"))
+    assert foreign.process.stdin is not None
+    foreign.process.stdin.write("quiet\n")
+    foreign.process.stdin.flush()
+    foreign.wait(lambda _: told("sent"))
+
+    ticks = told("sent")[0]["ticks"]
+    foreign.process.stdin.close()
+    got: list[ServoSample] = samples.wait(50)
+    assert ticks >= len(got)
+    assert [s.seq for s in got] == list(range(got[0].seq, got[0].seq + len(got)))
+    assert len({s.run for s in got}) == 1
+    assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(got))
+    assert {s.measured[0] for s in got} == {0.0, 0.5}
+
+    contacts = [line["contact"] for line in told("rf")]
+    assert all(a != b for a, b in itertools.pairwise(contacts))
+    values = told("values")[-1]
+    assert set(values["legs"]["rf"]) == {"contact", "score", "onset_age", "withheld"}
+    assert any(line["legs"].get("rf", {}).get("score") == 2.0 for line in told("values"))
+    assert values["stamp"] in {s.t_ns for s in got}
+    rows = told("diagnostics")[-1]["rows"]
+    assert {f"adaptive_contact: leg {leg}" for leg in LEGS} <= set(rows)
+    graph = told("graph")[0]["topics"]
+    assert graph["/adaptive_contact/rf/contact"] == [BOOL]
+    assert graph[STATE] == [CONTROLLER_STATE]
+
+
+def test_late_joiners_get_the_latched_contact(serve, gateway, join, inbox, ros, sample) -> None:
+    served = serve()
+    link: Link = join(served.endpoint)
+    events = inbox(ContactEvent)
+    link.subscribe(contact_key("rf"), events)
+    source = link.publisher(servo_key("rf"))
+    gateway(served.endpoint)
+    for seq in range(200):  # until the service listens
+        source.put(sample(seq, contact=True))
+        if any(event.contact for event in events.items):
+            break
+        threading.Event().wait(0.02)
+    events.wait(lambda all_: all_[-1].contact)
+    key = rmw.topic_key(
+        0, rmw.Address("/adaptive_contact/rf/contact", BOOL, typestore().hash_rihs01(BOOL))
+    )
+    late = inbox()
+    # As rmw_zenoh declares a subscription that is reliable and transient local, of depth 1.
+    subscriber = zenoh.ext.declare_advanced_subscriber(
+        ros,
+        key,
+        lambda got: late((got.payload.to_bytes(), got.attachment.to_bytes())),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        recovery=zenoh.ext.RecoveryConfig(heartbeat=True),
+        subscriber_detection=True,
+    )
+    payload, attached = late.wait(lambda all_: all_[-1][0][-1:] == b"\x01")[-1]
+    assert payload == b"\x00\x01\x00\x00\x01"
+    attachment = rmw.decode_attachment(attached)
+    assert attachment is not None
+    assert abs(attachment.time_ns - time.time_ns()) < 60e9
+    subscriber.undeclare()
+
+
+def test_bad_messages_get_a_line_each_and_hold_up_nothing(serve, gateway, join, inbox, ros) -> None:
+    served = serve()
+    link: Link = join(served.endpoint)
+    samples = inbox(ServoSample)
+    link.subscribe(servo_key("lf"), samples)
+    running = gateway(served.endpoint)
+    publisher = Publisher(ros)
+    booleans = inbox()
+    out = rmw.Address("/adaptive_contact/lf/contact", BOOL, publisher.store.hash_rihs01(BOOL))
+    ros.declare_subscriber(
+        rmw.topic_key(0, out), lambda got: booleans(got.payload.to_bytes()[-1] == 1)
+    )
+    until_used(publisher, samples)
+
+    good = publisher.cdr(publisher.state([0.1] * 6))
+    for _ in range(3):
+        publisher.put(b"\x00\x01\x00\x00\x01", BOOL)
+        publisher.put(good, hash_="RIHS01_" + 64 * "0")
+        publisher.put(good[: len(good) // 2])
+        publisher.put(b"")
+        publisher.put(bytes(300_000))
+        publisher.put(publisher.cdr(publisher.state([np.nan] + [0.2] * 5)))
+    publisher.put(publisher.cdr(publisher.state([0.3] * 6)), lost=2)
+    got = samples.wait(lambda all_: all_[-1].measured == [0.3] * 3)
+    assert [s.valid for s in got if s.measured[1] == 0.2] == [[False, True, True]] * 3
+    assert got[-1].seq - got[-2].seq == 3  # two were lost
+    for words in (
+        ("carries std_msgs/msg/Bool", "expected control_msgs"),
+        ("type hash RIHS01_00000000…", "another definition"),
+        ("is no control_msgs/msg/JointTrajectoryControllerState",),
+        ("300000 bytes, at most",),
+        ("NaN or infinite", "lf_coxa"),
+    ):
+        assert len(running.says(STATE, *words)) == 1  # of three
+
+    # A flood on the way in, and contacts on the way out; the service's own come first.
+    booleans.wait(lambda all_: all_[-1])
+    booleans.items.clear()
+    over = threading.Event()
+
+    def flood() -> None:
+        while not over.is_set():
+            for _ in range(100):
+                publisher.put(good[:-20])
+
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    try:
+        events = link.publisher(contact_key("lf"), reliable=True)
+        expected = []
+        for seq in range(6):
+            contact = seq % 2 == 0
+            expected.append(contact)
+            events.put(
+                ContactEvent(
+                    leg="lf",
+                    t_ns=seq,
+                    seq=seq,
+                    onset_ns=seq,
+                    contact=contact,
+                    status="valid",
+                    score=2.0,
+                    residual=[0.0, 0.0, 0.0],
+                    model_version=0,
+                )
+            )
+            booleans.wait(seq + 1)
+        assert booleans.items == expected
+    finally:
+        over.set()
+        flooding.join()
+    assert running.process.poll() is None
+
+
+def test_a_topic_that_floods_drops_its_own_oldest() -> None:
+    inbox = _Inbox(("/a", "/b"))
+    messages = [Received(str(i), b"", "", i, None) for i in range(WAITING + 36)]
+    inbox.put("/b", messages[0])
+    for message in messages:
+        inbox.put("/a", message)
+    got = [inbox.get(0.0) for _ in range(WAITING + 1)]
+    assert got == [("/b", messages[0]), *(("/a", message) for message in messages[36:])]
+    assert inbox.get(0.0) is None
+    assert inbox.take_dropped() == {"/a": 36}
+    assert inbox.take_dropped() == {}
+
+
+def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:
+    served = serve()
+    link: Link = join(served.endpoint)
+    samples = inbox(ServoSample)
+    link.subscribe(servo_key("lf"), samples)
+    with open_router(port) as first:
+        running = gateway(served.endpoint)
+        until_used(Publisher(first), samples)
+    running.says("ROS 2 cannot be reached")
+    samples.items.clear()
+    with open_router(port) as second:
+        running.says("the service and ROS 2 are there")
+        until_used(Publisher(second), samples)
+
+
+def test_legs_without_samples_are_told_of(serve, gateway, ros) -> None:
+    served = serve()
+    other = rmw.Address("/joint_controller/state", CONTROLLER_STATE, "x")
+    node = rmw.Node(0, "aa", "controller")
+    token = ros.liveliness().declare_token(node.endpoint_token("MP", 1, other, rmw.STREAM))
+    running = gateway(served.endpoint)
+    (line,) = running.says("no sample of legs lf, rf yet")
+    assert "nobody publishes there" in line
+    assert "/joint_controller/state" in line
+    token.undeclare()
+
+
+def test_a_robot_without_topics_is_refused(command, tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(ROBOT.split("[ros2]")[0] + '[[leg]]\nid = "a"\njoints = ["x"]\n')
+    process = command(
+        *("-m", "adaptive_contact", "bridge", "ros2", "--config", str(path)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert len(said.splitlines()) == 1
+    assert "write [ros2]" in said
+    assert str(path) in said
+
+
+def test_the_extra_is_named(command, config: Path) -> None:
+    code = (
+        "import sys; sys.modules['rosbags'] = None; sys.argv[0] = 'adaptive-contact'; "
+        "from adaptive_contact.cli.main import main; main()"
+    )
+    process = command(
+        *("-c", code, "bridge", "ros2", "--config", str(config)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 2
+    assert "adaptive-contact[ros2]" in said
+    assert len(said.splitlines()) == 1

@@ -1,0 +1,140 @@
+"""Ticks that are kept while somebody asks for them."""
+
+from __future__ import annotations
+
+from adaptive_contact.robot import parse_robot
+from adaptive_contact.service.trace import LEASE_S, MOST_TICKS, Judged, Tracer, judged_tick
+from adaptive_contact.wire import Phase, ServoSample
+
+S = 1_000_000_000
+ROBOT = parse_robot(
+    """
+[robot]
+name = "mini"
+period_s = 0.02
+quantum_rad = 0.00511
+[[leg]]
+id = "rf"
+joints = ["coxa", "femur", "tibia"]
+lengths_m = [0.05, 0.07, 0.14]
+[leg.angles]
+directions = [1, -1, 1]
+offsets_rad = [0.0, 0.5, 0.0]
+[[leg]]
+id = "lf"
+joints = ["coxa", "femur", "tibia"]
+""",
+    source="mini",
+)
+
+
+def sample(
+    seq: int, phase: Phase | None = "swing", femur: float = 0.2, joints: int = 3
+) -> ServoSample:
+    angles = [0.1, femur, -1.2, 0.0][:joints]
+    return ServoSample(t_ns=seq * 20_000_000, seq=seq, measured=angles, desired=angles, phase=phase)
+
+
+def asked(tracer: Tracer, after: str | None = None, now_ns: int = 0) -> dict[str, list[int]]:
+    return {trace.leg: trace.seq for trace in tracer.answer(("rf", "lf"), after, now_ns)}
+
+
+def test_ticks_are_wanted_while_somebody_asks() -> None:
+    tracer = Tracer(ROBOT)
+    assert not tracer.wanted(0)
+    assert asked(tracer) == {}
+    assert tracer.wanted(int(LEASE_S * S) - 1)
+    assert not tracer.wanted(int(LEASE_S * S))
+    tracer.take([("rf", sample(1), None)])
+    assert asked(tracer, now_ns=S) == {"rf": [1]}
+    assert tracer.wanted(int(LEASE_S * S) + S - 1), "each question asks for more"
+    assert asked(tracer, now_ns=100 * S) == {}, "what is old was kept for nobody"
+
+
+def test_each_asker_gets_what_it_has_not_had() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    for seq in (1, 2, 3):
+        tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
+    (first, _) = tracer.answer(("rf", "lf"), None, 0)
+    assert first.number == 3
+    tracer.take([("rf", sample(4), None)])
+    assert asked(tracer, "3") == {"rf": [4], "lf": []}
+    assert asked(tracer, "2") == {"rf": [3, 4], "lf": [3]}
+    assert asked(tracer) == {"rf": [1, 2, 3, 4], "lf": [1, 2, 3]}
+
+
+def test_a_number_that_is_none_gets_all() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    tracer.take([("rf", sample(1), None)])
+    for after in (None, "", "-1", "x", "1e3", "٣", "9" * 5000, "999"):
+        assert asked(tracer, after) == {"rf": [1]}, after
+
+
+def test_what_is_kept_and_what_is_answered_is_bounded() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    for seq in range(3 * MOST_TICKS):
+        tracer.take([("rf", sample(seq), None)])
+    newest = 3 * MOST_TICKS - 1
+    assert asked(tracer)["rf"] == list(range(newest - 199, newest + 1))
+
+
+def test_who_falls_behind_gets_all_in_several_answers() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    for seq in range(MOST_TICKS):
+        tracer.take([("rf", sample(seq), None), ("lf", sample(seq), None)])
+    seen: dict[str, list[int]] = {"rf": [], "lf": []}
+    after, answers = 0, 0
+    while after < MOST_TICKS:
+        traces = tracer.answer(("rf", "lf"), str(after), 0)
+        assert sum(len(trace.seq) for trace in traces) <= 201
+        for trace in traces:
+            seen[trace.leg] += trace.seq
+        assert len({trace.number for trace in traces}) == 1
+        after = traces[0].number
+        answers += 1
+    assert answers == 4
+    assert seen == {"rf": list(range(MOST_TICKS)), "lf": list(range(MOST_TICKS))}
+
+
+def test_a_prediction_is_in_the_angles_of_the_source() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    # In the description's angles the reading of the femur is 0.5 - 0.2, and was expected at 0.28.
+    tracer.take([("rf", sample(1), Judged([0.01, 0.02, 0.0], 1.5)), ("lf", sample(1), None)])
+    rf, lf = tracer.answer(("rf", "lf"), None, 0)
+    (predicted,) = rf.predicted
+    assert predicted is not None
+    assert [round(angle, 6) for angle in predicted] == [0.09, 0.22, -1.2]
+    assert rf.test_ratio == [1.5]
+    assert (lf.predicted, lf.test_ratio) == ([None], [None])
+
+
+def test_swing_is_the_samples_word_or_the_commands() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    for seq, femur in enumerate((0.2, 0.2, 0.1, 0.0, -0.1, -0.2)):  # counted downwards: it rises
+        silent = sample(seq, None, femur)
+        tracer.take([("rf", silent, None), ("lf", silent, None), ("xx", silent, None)])
+    rf, lf, stranger = tracer.answer(("rf", "lf", "xx"), None, 0)
+    assert rf.swing == [False, False, True, True, True, True]
+    assert lf.swing == [None] * 6, "without lengths nobody knows"
+    assert stranger.swing == [None] * 6
+    tracer.take([("rf", sample(6, "stance", -0.3), None)])
+    assert tracer.answer(("rf",), None, 0)[0].swing[-1] is False
+
+
+def test_a_sample_of_other_joints_is_kept_as_it_is() -> None:
+    tracer = Tracer(ROBOT)
+    asked(tracer)
+    tracer.take([("rf", sample(1, None, joints=2), Judged([0.0] * 3, 1.0))])
+    (trace,) = tracer.answer(("rf",), None, 0)
+    assert trace.predicted == [None]
+    assert trace.swing == [None]
+
+
+def test_a_stand_in_for_a_learner_judges_nothing() -> None:
+    assert judged_tick(object()) is None

@@ -1,0 +1,375 @@
+"""The live page of a simulated robot: real processes, real Zenoh, a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptive_contact.service.link import Link, Received, client_settings
+from adaptive_contact.wire import (
+    ALL_CONTACT,
+    ContactEvent,
+    LearnerStatus,
+    LegTrace,
+    decode,
+    learner_key,
+    trace_key,
+)
+
+from .chromium import Chromium, Tab, found, wait_for
+
+pytestmark = pytest.mark.e2e
+
+LEGS = ["lf", "lm", "lr", "rf", "rm", "rr"]
+
+
+class Running:
+    """A command as a process; its lines are kept."""
+
+    def __init__(self, *args: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "adaptive_contact", *args],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self.lines: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip("\n"))
+
+    def wait_line(self, pattern: str, timeout_s: float = 60.0) -> re.Match[str]:
+        def match() -> re.Match[str] | None:
+            assert self.process.poll() is None or self.lines, "it has ended without a word"
+            return next((m for line in list(self.lines) if (m := re.search(pattern, line))), None)
+
+        found_: re.Match[str] = wait_for(match, f"{pattern} in {self.lines}", timeout_s)
+        return found_
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(20)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait(20)
+        self._reader.join(20)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+class Robot:
+    """Service, simulated robot and page."""
+
+    def __init__(self) -> None:
+        self.parts: list[Running] = []
+        service = self.begin("serve", "--no-state", "--listen", "tcp/127.0.0.1:0")
+        # The first start of a revision compiles, which takes long beside other work.
+        self.endpoint = service.wait_line(r"listening on (tcp/\S+?)[;,]", 180).group(1)
+        self.begin("sim", "walk", "--terrain", "rough", "--connect", self.endpoint)
+        self.page = self.begin("watch", "--web", "--no-browser", "--connect", self.endpoint)
+        self.url = self.page.wait_line(r"live page at (http://\S+)").group(1)
+
+    def begin(self, *args: str) -> Running:
+        part = Running(*args)
+        self.parts.append(part)
+        return part
+
+    def close(self) -> None:
+        for part in reversed(self.parts):
+            part.close()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Robot]:
+    one = Robot()
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    if found() is None:
+        pytest.skip("no chromium is installed (apt install chromium)")
+    pytest.importorskip("websockets")
+    with Chromium(tmp_path_factory.mktemp("chromium")) as one:
+        yield one
+
+
+@pytest.fixture
+def tab(robot: Robot, browser: Chromium) -> Iterator[Tab]:
+    one = browser.page()
+    one.size(1280, 860)
+    one.go(robot.url)
+    one.wait("document.querySelectorAll('.leg').length === 6 && state.now > 0")
+    yield one
+    one.close()
+
+
+def test_a_trace_is_what_the_learner_judged(robot: Robot) -> None:
+    """Its prediction and ratio at an event's tick are those of the event."""
+    events: dict[tuple[str, int], ContactEvent] = {}
+
+    def take(received: Received) -> None:
+        event = decode(received.payload, ContactEvent, received.encoding)
+        assert isinstance(event, ContactEvent)
+        if event.contact:
+            events[event.leg, event.seq] = event
+
+    compared: set[str] = set()
+    judged: dict[tuple[str, int], tuple[list[float], list[float] | None, float | None]] = {}
+    numbers: dict[str, list[int]] = {leg: [] for leg in LEGS}
+    after = -1
+    with Link.open(client_settings([robot.endpoint])) as link:
+        link.subscribe(ALL_CONTACT, take)
+        until = time.monotonic() + 60
+        while compared != set(LEGS):
+            assert time.monotonic() < until, compared
+            for reply in link.query(f"{trace_key('*')}?after={after}"):
+                trace = decode(reply.payload, LegTrace, reply.encoding)
+                assert isinstance(trace, LegTrace)
+                after = max(after, trace.number)
+                rows = zip(
+                    trace.seq, trace.measured, trace.predicted, trace.test_ratio, strict=True
+                )
+                for seq, measured, predicted, ratio in rows:
+                    judged[trace.leg, seq] = measured, predicted, ratio
+                numbers[trace.leg] += trace.seq
+            for key in events.keys() & judged.keys():
+                measured, predicted, ratio = judged[key]
+                if predicted is None:  # two ticks in one go, on a busy machine
+                    continue
+                residual = [m - p for m, p in zip(measured, predicted, strict=True)]
+                assert residual == pytest.approx(events[key].residual, abs=1e-9)
+                assert ratio is not None
+                assert ratio > 0.9, "a contact is decided where the ratio is above 1"
+                compared.add(key[0])
+            time.sleep(0.1)
+    for leg, seqs in numbers.items():
+        assert len(seqs) == len(set(seqs)), f"{leg}: no tick comes twice"
+        assert seqs == sorted(seqs)
+        assert len(seqs) > 20
+
+
+def test_nothing_is_answered_to_who_asks_for_everything(robot: Robot) -> None:
+    with Link.open(client_settings([robot.endpoint])) as link:
+        replies = link.query("robot/leg/**")
+        kinds = {reply.key.rpartition("/")[2] for reply in replies}
+        assert "model" in kinds
+        assert "trace" not in kinds
+
+
+def test_it_draws_every_leg(tab: Tab) -> None:
+    names = tab.value("[...document.querySelectorAll('.leg .name')].map(e => e.textContent)")
+    assert names == LEGS
+    begin = tab.value("state.now")
+    tab.wait(f"state.now > {begin + 2000}")
+    tab.wait("[...state.legs.values()].every(l => l.ticks.count > 50 && l.contacts.length > 0)")
+    assert tab.value("[...state.legs.values()].map(l => l.ticks.joints)") == [3] * 6
+    # What is drawn: blue of a contact, and the prediction's colour.
+    for name in ("contact", "predicted", "stance", "ratio"):
+        tab.wait(f"({_HAS_COLOUR})('{name}')")
+    said = [line for line in tab.log if "willReadFrequently" not in line]  # of `_HAS_COLOUR`
+    assert said == [], "the content policy and the console have nothing to say"
+
+
+_HAS_COLOUR = """(name) => {
+  const canvas = document.querySelector('.leg canvas');
+  const pen = canvas.getContext('2d');
+  const data = pen.getImageData(0, 0, canvas.width, canvas.height).data;
+  const probe = document.createElement('canvas').getContext('2d');
+  probe.fillStyle = colour[name];
+  probe.fillRect(0, 0, 1, 1);
+  const [r, g, b] = probe.getImageData(0, 0, 1, 1).data;
+  for (let i = 0; i < data.length; i += 4) {
+    if (data[i] === r && data[i + 1] === g && data[i + 2] === b) return true;
+  }
+  return false;
+}"""
+
+
+def test_a_leg_opens_with_its_joints_and_equations(tab: Tab) -> None:
+    tab.value("document.querySelector('.leg').click()")
+    tab.wait("document.querySelectorAll('.equation').length === 3")
+    assert tab.value("document.querySelectorAll('#detail-plots canvas').length") == 3
+    refit = tab.value("document.getElementById('detail-refit').textContent")
+    assert re.match(r"Version \d+\. Refits: \d+ promoted, .* Last: .+\.", refit)
+    assert "coxa" in tab.value("document.querySelector('.equation').textContent")
+    tab.value("document.getElementById('detail-close').click()")
+    assert tab.value("document.getElementById('detail').open") is False
+
+
+def test_it_looks_back(tab: Tab) -> None:
+    tab.value("document.getElementById('span').value = '3000'")
+    tab.value("document.getElementById('span').dispatchEvent(new Event('change'))")
+    tab.wait("state.now - state.begin > 6000")
+    tab.value("document.getElementById('scrub').value = '-2500'")
+    tab.value("document.getElementById('scrub').dispatchEvent(new Event('input'))")
+    end = tab.value("state.end")
+    assert end is not None
+    begin = tab.value("state.now")
+    tab.wait(f"state.now > {begin + 500}")
+    assert tab.value("state.end") == end, "what is looked at stays"
+    assert "ago" in tab.value("document.getElementById('when').textContent")
+    tab.value("document.getElementById('live').click()")
+    tab.wait("state.end === null && document.getElementById('when').textContent === 'now'")
+
+
+@pytest.mark.parametrize("width", [320, 390, 768, 1280])
+def test_it_fits_a_phone(tab: Tab, width: int) -> None:
+    tab.size(width, 844, phone=width < 500)
+    tab.wait(f"innerWidth === {width}")
+    assert tab.value("document.documentElement.scrollWidth") <= width
+    tab.value("openPanel('rf')")
+    tab.wait("document.querySelectorAll('.equation').length === 3")
+    assert tab.value("document.documentElement.scrollWidth") <= width
+    tab.value("closePanel()")
+
+
+def test_text_of_the_wire_is_text(robot: Robot, tab: Tab) -> None:
+    """A note that would be a page of its own is shown, letter by letter."""
+    note = '<img src=x onerror="document.title=1"><script>alert(1)</script>\u202e\x1b[2J'
+    status = LearnerStatus(
+        leg="rf",
+        t_ns=0,
+        status="ambiguous",
+        model_version=1,
+        residual_rms=[0.0] * 3,
+        noise_floor=[0.0] * 3,
+        note=note,
+    )
+    with Link.open(client_settings([robot.endpoint])) as link:
+        publisher = link.publisher(learner_key("rf"))
+        shown = (
+            "document.getElementById('banner').textContent.includes('<script>alert(1)</script>')"
+        )
+
+        def seen() -> bool:
+            publisher.put(status)
+            return bool(tab.value(shown))
+
+        wait_for(seen, shown)
+    text = tab.value("document.getElementById('banner').textContent")
+    assert "\\u202e\\u001b[2J" in text
+    assert tab.value("document.querySelectorAll('#banner img, #banner script').length") == 0
+    assert tab.value("document.title") != "1"
+    policy = tab.value(
+        "(() => { try { document.body.innerHTML = '<b>x</b>' } catch (e) { return e.name } })()"
+    )
+    assert policy == "TypeError", "trusted types are asked for"
+
+
+def test_its_memory_is_flat(tab: Tab) -> None:
+    """Two hours of frames, as fast as they go: what is kept after half an hour stays as it is."""
+    tab.value("source.close(); state.over = 'test'; forget()")
+    tab.value(_FEED)
+    sizes = []
+    for half_hour in range(4):
+        tab.value(f"feedFrames({half_hour * 18_000}, 18_000)")
+        tab.call("HeapProfiler.collectGarbage")
+        sizes.append(tab.metrics()["JSHeapUsedSize"] / 1e6)
+    kept = tab.value("[...state.legs.values()].map(l => [l.ticks.count, l.contacts.length])")
+    assert kept == [[15_000, kept[0][1]]] * 6, "five minutes of 50 Hz"
+    assert kept[0][1] < 1000
+    assert sizes[-1] - sizes[0] < 0.5, f"MB of the heap after each half hour: {sizes}"
+
+
+_FEED = """
+globalThis.feedFrames = (first, count) => {
+  const names = ['lf', 'lm', 'lr', 'rf', 'rm', 'rr'];
+  for (let n = first; n < first + count; n += 1) {
+    const t = 1e6 + n * 100;
+    const k = {};
+    for (const name of names) {
+      k[name] = [];
+      for (let i = 0; i < 5; i += 1) {
+        k[name].push([t + i * 20, n % 2, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
+      }
+    }
+    const frame = { t: t + 100, k };
+    if (n % 5 === 0) {
+      frame.e = names.map((name) => [name, t, t, n % 10 ? 0 : 1, 150, 0]);
+      frame.g = names.map((name) => [name, t, n % 10 ? 0 : 1]);
+      frame.v = names.map((name) => [name, 'missed', t]);
+    }
+    takeFrame(frame);
+  }
+}
+"""
+
+
+def test_pictures(tab: Tab, tmp_path: Path) -> None:
+    """A picture in light and dark: the page follows what the reader prefers."""
+    shades = {}
+    for scheme in ("light", "dark"):
+        tab.scheme(scheme)
+        tab.wait(f"document.documentElement.dataset.theme === '{scheme}'")
+        back = tab.value("getComputedStyle(document.body).backgroundColor")
+        shades[scheme] = sum(map(int, re.findall(r"\d+", back)[:3]))
+        tab.picture(tmp_path / f"{scheme}.png")
+    assert shades["light"] > 600
+    assert shades["dark"] < 150
+
+
+def test_a_port_in_use_and_options_that_do_not_go_together_are_one_line(robot: Robot) -> None:
+    port = robot.url.rstrip("/").rpartition(":")[2]
+    for args, line in (
+        (("--web", "--no-browser", "--port", port), f"port {port} of 127.0.0.1 is in use; give"),
+        (("--web", "--json"), "--web shows a page; leave --once and --json out"),
+        (("--port", "1234"), "--host, --port and --no-browser are of the page; give --web"),
+    ):
+        second = Running("watch", *args, "--connect", robot.endpoint)
+        assert second.process.wait(30) == 2
+        second.close()
+        assert len(second.lines) == 1
+        assert line in second.lines[0]
+
+
+def test_the_page_is_there_before_the_router_is() -> None:
+    page = Running("watch", "--web", "--no-browser", "--connect", "tcp/127.0.0.1:1")
+    try:
+        url = page.wait_line(r"live page at (http://\S+)").group(1)
+        line = "nobody listens on tcp/127.0.0.1:1"
+        wait_for(lambda: line in str(_banner(url)), line)
+        assert page.end() == 0
+    finally:
+        page.close()
+
+
+def test_the_service_goes_and_comes_back(robot: Robot) -> None:
+    """Last, as it ends the service: the page says so, and a page that ends is ended well."""
+    robot.parts[0].end()
+    wait_for(lambda: "the router is lost" in str(_banner(robot.url)), "the banner", 30)
+    robot.begin("serve", "--no-state", "--listen", robot.endpoint)
+    wait_for(lambda: "router" not in str(_banner(robot.url)), "the banner without it", 60)
+    assert robot.page.end(signal.SIGTERM) == 0
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(robot.url, timeout=5)
+
+
+def _banner(url: str) -> list[dict[str, Any]]:
+    """What a browser is given first."""
+    with urllib.request.urlopen(f"{url}stream", timeout=20) as answer:
+        for line in answer:
+            if line.startswith(b'data: {"legs"'):
+                banner: list[dict[str, Any]] = json.loads(line[6:])["banner"]
+                return banner
+    raise AssertionError("no table")

@@ -1,0 +1,514 @@
+"""The page's server against strangers: real sockets on loopback, requests byte by byte."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.web import WebSettings, server
+from adaptive_contact.web.server import MOST_STREAMS, History, Site
+
+FRAME = b'{"t":1}'
+
+
+class Running:
+    """A site whose loop runs on a thread; it pushes a frame when it is told to."""
+
+    def __init__(self, settings_: WebSettings) -> None:
+        self.loop = asyncio.new_event_loop()
+        self.site = Site(settings_, self._model)
+        self.site.bind()
+        self.stop = asyncio.Event()
+        self.asked: list[str] = []
+        self.faults: list[object] = []
+        self.loop.set_exception_handler(lambda _, context: self.faults.append(context))
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+        self.port = self.site.port
+        self.host = f"127.0.0.1:{self.port}"
+
+    def _run(self) -> None:
+        self.loop.run_until_complete(self.site.serve(self.stop))
+        self.loop.close()
+
+    async def _model(self, leg: str) -> bytes | None:
+        self.asked.append(leg)
+        return b'{"leg":"rf"}' if leg == "rf" else None
+
+    def push(self, frame: bytes = FRAME, view: bytes | None = None) -> None:
+        self.on_loop(lambda: self.site.history.push(frame, view))
+
+    def on_loop(self, call: Callable[[], object]) -> None:
+        """Call something in the loop, and wait for it."""
+        done = threading.Event()
+
+        def run() -> None:
+            call()
+            done.set()
+
+        self.loop.call_soon_threadsafe(run)
+        assert done.wait(20)
+
+    def until(self, test: Callable[[], bool]) -> None:
+        end = time.monotonic() + 20
+        while not test():
+            assert time.monotonic() < end
+            time.sleep(0.005)
+
+    def connect(self) -> socket.socket:
+        return socket.create_connection(("127.0.0.1", self.port), 20)
+
+    def send(self, request: bytes) -> tuple[int, dict[str, str], bytes]:
+        """Send bytes; the answer, once the server has closed."""
+        with self.connect() as one:
+            one.sendall(request)
+            return answer_of(everything(one))
+
+    def get(
+        self, path: str, *headers: str, method: str = "GET"
+    ) -> tuple[int, dict[str, str], bytes]:
+        lines = [f"{method} {path} HTTP/1.1", f"Host: {self.host}", *headers, "", ""]
+        return self.send("\r\n".join(lines).encode())
+
+    def stream(self, after: str = "") -> socket.socket:
+        one = self.connect()
+        one.sendall(f"GET /stream?after={after} HTTP/1.1\r\nHost: {self.host}\r\n\r\n".encode())
+        return one
+
+    def close(self) -> None:
+        self.loop.call_soon_threadsafe(self.stop.set)
+        self.thread.join(10)
+        assert not self.thread.is_alive()
+        assert not self.faults
+
+
+def everything(one: socket.socket) -> bytes:
+    parts = []
+    while part := one.recv(65536):
+        parts.append(part)
+    return b"".join(parts)
+
+
+def answer_of(data: bytes) -> tuple[int, dict[str, str], bytes]:
+    head, _, body = data.partition(b"\r\n\r\n")
+    first, *lines = head.decode().split("\r\n")
+    pairs = (line.split(": ", 1) for line in lines)
+    return int(first.split()[1]), dict(pairs), body
+
+
+def read_until(one: socket.socket, what: bytes) -> bytes:
+    data = b""
+    while what not in data:
+        part = one.recv(65536)
+        assert part, f"closed before {what!r}: {data[-200:]!r}"
+        data += part
+    return data
+
+
+@pytest.fixture
+def running() -> Iterator[Running]:
+    site = Running(WebSettings())
+    yield site
+    site.close()
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Running]:
+    site = Running(WebSettings())
+    yield site
+    site.close()
+
+
+@pytest.fixture
+def guarded() -> Iterator[Running]:
+    site = Running(WebSettings(token="s3cret-token"))
+    yield site
+    site.close()
+
+
+# -- what is served ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ["/", "/page.js", "/page.css", "/icon.svg"])
+def test_a_page_comes_with_a_policy_that_lets_nothing_else_in(shared: Running, path: str) -> None:
+    status, headers, body = shared.get(path)
+    assert status == 200
+    assert len(body) == int(headers["Content-Length"])
+    policy = headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "*" not in policy
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert shared.get("/stream", method="HEAD")[0] == 200
+    head = shared.get(path, method="HEAD")
+    assert head[0] == 200
+    assert head[1] == headers
+    assert head[2] == b""
+
+
+def test_the_page_asks_for_nothing_from_elsewhere(shared: Running) -> None:
+    texts = {path: shared.get(path)[2].decode() for path in ("/", "/page.js", "/page.css")}
+    for path, text in texts.items():
+        for address in re.findall(r"(?:https?:)?//[\w.]+\.\w+", text):
+            pytest.fail(f"{path} names {address}")
+    html = texts["/"]
+    assert not re.search(r"<script(?![^>]*src=)|\son\w+=|style=|<style", html), "nothing inline"
+    for way in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval("):
+        assert way not in texts["/page.js"]
+
+
+def test_a_model_is_asked_for_by_the_id_of_a_leg_only(shared: Running) -> None:
+    assert shared.get("/model?leg=rf")[::2] == (200, b'{"leg":"rf"}')
+    assert shared.get("/model?leg=lf")[0] == 404
+    before = len(shared.asked)
+    for leg in ("*", "**", "a/b", "", "%2a", "%00", "x" * 33, "rf?x"):
+        assert shared.get(f"/model?leg={leg}")[0] == 400
+    assert len(shared.asked) == before, "no wildcard reaches the service"
+
+
+# -- strangers -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("/../etc/passwd", 404),
+        ("/%2e%2e/%2e%2e/etc/passwd", 404),
+        ("/static/page.js", 404),
+        ("/server.py", 404),
+        ("//", 404),
+        ("/page.js/", 404),
+        ("/PAGE.JS", 404),
+        ("/page.js%00.html", 404),
+        ("http://evil.example/", 404),
+        ("*", 404),
+        ("/" + "a" * 8000, 404),
+        ("/?" + "&".join(f"a{i}=1" for i in range(100)), 400),
+    ],
+)
+def test_paths(shared: Running, path: str, status: int) -> None:
+    found, headers, body = shared.get(path)
+    assert found == status
+    assert body.count(b"\n") == 1
+    assert "Content-Security-Policy" in headers
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "get"])
+def test_methods(shared: Running, method: str) -> None:
+    status, headers, body = shared.get("/", method=method)
+    assert status == 405
+    assert headers["Allow"] == "GET, HEAD"
+    assert body == b"GET only\n"
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "evil.example:{port}",
+        "127.0.0.1.evil.example:{port}",
+        "127.0.0.1:1",
+        "127.0.0.1",
+        "192.168.1.7:{port}",
+        "[::1",
+        "",
+    ],
+)
+def test_a_name_that_leads_here_from_elsewhere_is_refused(shared: Running, host: str) -> None:
+    line = host.format(port=shared.port)
+    request = f"GET /stream HTTP/1.1\r\nHost: {line}\r\n\r\n".encode()
+    status, _, body = shared.send(request)
+    assert status == 421
+    assert b"not an address of this page" in body
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "[::1]"])
+def test_its_own_names_are_let_in(shared: Running, host: str) -> None:
+    request = f"GET / HTTP/1.1\r\nHost: {host}:{shared.port}\r\n\r\n".encode()
+    assert shared.send(request)[0] == 200
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        ("Origin: http://evil.example",),
+        ("Origin: null",),
+        ("Origin: https://{host}",),
+        ("Origin: http://127.0.0.1:1",),
+        ("Sec-Fetch-Site: cross-site",),
+        ("Sec-Fetch-Site: same-site",),
+        ("Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: navigate"),
+    ],
+)
+@pytest.mark.parametrize("path", ["/stream", "/page.js", "/model?leg=rf"])
+def test_pages_of_other_sites_are_refused(
+    shared: Running, path: str, headers: tuple[str, ...]
+) -> None:
+    given_ = [line.format(host=shared.host) for line in headers]
+    assert shared.get(path, *given_)[::2] == (403, b"requests of other sites are refused\n")
+
+
+def test_a_link_on_another_site_leads_to_the_page(shared: Running) -> None:
+    headers = ("Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: navigate")
+    assert shared.get("/", *headers)[0] == 200
+    assert shared.get("/page.js", f"Origin: http://{shared.host}")[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("request_", "status"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\nX: " + b"a" * 20_000 + b"\r\n\r\n", 431),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\n" + b"X: a\r\n" * 100 + b"\r\n", 431),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\nHost: {host}\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\n folded: a\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\nno colon\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost : {host}\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\n: a\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\nX\xe9: a\r\n\r\n", 400),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\nContent-Length: 5\r\n\r\nhello", 413),
+        (b"GET / HTTP/1.1\r\nHost: {host}\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n", 413),
+        (b"GET / HTTP/2.0\r\nHost: {host}\r\n\r\n", 400),
+        (b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", 400),
+        (b"GET /\r\n\r\n", 400),
+        (b"GET  / HTTP/1.1\r\n\r\n", 400),
+        (b"\r\n\r\n", 400),
+        (b"\x00\x01\x02 \xff HTTP/1.1\r\n\r\n", 405),
+        (b"GET / HTTP/1.1\r\n\r\n", 421),
+    ],
+)
+def test_requests_that_are_none(shared: Running, request_: bytes, status: int) -> None:
+    found, headers, body = shared.send(request_.replace(b"{host}", shared.host.encode()))
+    assert found == status
+    assert body.count(b"\n") == 1
+    assert headers["Connection"] == "close"
+
+
+def test_half_a_request_is_ended(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch, running.connect() as one:
+        patch.setattr(server, "_HEAD_WITHIN_S", 0.2)
+        one.sendall(b"GET / HTTP/1.1\r\nHost:")
+        assert answer_of(everything(one))[0] == 408
+    with running.connect() as one:
+        one.sendall(b"GET / HT")
+        one.shutdown(socket.SHUT_WR)
+        assert answer_of(everything(one))[0] == 400
+    with running.connect() as one:  # nothing at all gets nothing
+        one.shutdown(socket.SHUT_WR)
+        assert everything(one) == b""
+    assert running.get("/")[0] == 200
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(junk=st.binary(max_size=400), line=st.sampled_from([b"", b"GET ", b"GET / HTTP/1.1\r\n"]))
+def test_whatever_comes_is_answered_or_closed(shared: Running, junk: bytes, line: bytes) -> None:
+    with shared.connect() as one:
+        one.sendall(line + junk + b"\r\n\r\n")
+        one.shutdown(socket.SHUT_WR)
+        try:
+            data = everything(one)
+        except ConnectionResetError:
+            data = b""
+    if data:
+        assert answer_of(data)[0] in (400, 403, 404, 405, 413, 421, 431)
+    assert not shared.faults
+
+
+# -- beyond loopback -----------------------------------------------------------------------------
+
+
+def test_without_the_token_nothing_is_shown(guarded: Running) -> None:
+    for path in ("/", "/page.js", "/stream", "/model?leg=rf", "/?token=wrong", "/?token="):
+        status, headers, _ = guarded.get(path)
+        assert status == 403
+        assert "Set-Cookie" not in headers
+    name = f"adaptive_contact_{guarded.port}"
+    for cookie in (
+        f"{name}=wrong",
+        f"{name}",
+        f"other={guarded.site.url}",
+        f"{name}=s3cret-tokenx",
+    ):
+        assert guarded.get("/", f"Cookie: {cookie}")[0] == 403
+
+
+def test_the_token_of_the_link_becomes_a_cookie(guarded: Running) -> None:
+    assert guarded.site.url.endswith("/?token=s3cret-token")
+    status, headers, _ = guarded.get("/?token=s3cret-token")
+    assert (status, headers["Location"]) == (303, "/")
+    cookie, *flags = headers["Set-Cookie"].split("; ")
+    assert {"HttpOnly", "SameSite=Lax"} <= set(flags)
+    assert guarded.get("/", f"Cookie: a=b; {cookie}")[0] == 200
+
+
+def test_beyond_loopback_a_token_is_made() -> None:
+    one, other = WebSettings(host="0.0.0.0"), WebSettings(host="0.0.0.0")
+    assert one.token is not None
+    assert len(one.token) >= 32
+    assert one.token != other.token
+    for host in ("127.0.0.1", "127.1.2.3", "localhost", "::1"):
+        assert WebSettings(host=host).token is None
+
+
+def test_beyond_loopback_an_address_or_an_own_name_is_let_in() -> None:
+    site = Running(WebSettings(host="0.0.0.0", token="t"))
+    try:
+        port = site.port
+        for host, status in (
+            (f"192.168.1.7:{port}", 403),
+            (f"[fe80::1]:{port}", 403),
+            (f"{socket.gethostname()}:{port}", 403),
+            (f"evil.example:{port}", 421),
+            ("192.168.1.7:1", 421),
+        ):
+            request = f"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n".encode()
+            assert site.send(request)[0] == status, host
+    finally:
+        site.close()
+
+
+# -- the port ------------------------------------------------------------------------------------
+
+
+def test_a_port_in_use_is_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+
+        async def model(_: str) -> None:
+            return None
+
+        with pytest.raises(
+            ConfigurationError, match=rf"port {port} of 127\.0\.0\.1 is in use; give"
+        ):
+            Site(WebSettings(port=port), model).bind()
+        with pytest.raises(ConfigurationError, match=r"--host 192\.0\.2\.1: cannot listen there"):
+            Site(WebSettings(host="192.0.2.1"), model).bind()
+
+
+@pytest.mark.parametrize("port", [-1, 65_536])
+def test_a_port_that_is_none(port: int) -> None:
+    with pytest.raises(ConfigurationError, match="expected 0 to 65535"):
+        WebSettings(port=port)
+
+
+# -- streams -------------------------------------------------------------------------------------
+
+
+def test_a_stream_begins_with_the_table_and_goes_on(running: Running) -> None:
+    running.push(view=b'{"legs":[]}')
+    with running.stream() as one:
+        data = read_until(one, b'data: {"t":1}\n\n')
+        status, headers, body = answer_of(data)
+        assert status == 200
+        assert headers["Content-Type"] == "text/event-stream"
+        assert body.index(b"event: view") < body.index(b"id: ")
+        running.push(b'{"t":2}')
+        assert b'data: {"t":2}' in read_until(one, b"\n\n")
+        running.push(b'{"t":3}', b'{"legs":[1]}')
+        assert b"event: view" in read_until(one, b'{"legs":[1]}')
+
+
+def test_a_stream_resumes_where_it_was(running: Running) -> None:
+    for i in range(5):
+        running.push(b'{"t":%d}' % i)
+    session = running.site.history.session
+    for after, first in ((f"{session}.2", 3), ("other.2", 0), ("", 0), (f"{session}.x", 0)):
+        with running.stream(after) as one:
+            times = re.findall(rb'"t":(\d)', read_until(one, b'{"t":4}\n\n'))
+        assert times == [b"%d" % t for t in range(first, 5)], after
+    with running.stream(f"{session}.99") as one:  # from the future: what comes next
+        running.until(lambda: running.site.streams == 1)
+        running.push(b'{"t":5}')
+        assert re.findall(rb'"t":(\d)', read_until(one, b"}\n\n")) == [b"5"]
+
+
+def test_the_history_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_MOST_FRAMES", 10)
+    monkeypatch.setattr(server, "_MOST_HISTORY_BYTES", 2000)
+    history = History()
+    for _ in range(50):
+        history.push(FRAME, None)
+    assert history.begin == 40
+    for _ in range(50):
+        history.push(b"x" * 900, None)
+    assert 98 <= history.begin < 100
+    some, following = history.after(0)  # long gone: the oldest there is
+    assert following == 100
+    assert some.count(b"data: ") == 100 - history.begin
+
+
+def test_the_last_words_end_a_stream(running: Running) -> None:
+    running.push()
+    with running.stream() as one:
+        running.until(lambda: running.site.streams == 1)
+        running.on_loop(lambda: running.site.history.end('over\n\nid: 1\ndata: "x"'))
+        body = answer_of(everything(one))[2]
+    assert json.loads(body.split(b"event: end\ndata: ")[1].strip()) == 'over\n\nid: 1\ndata: "x"'
+    running.until(lambda: running.site.streams == 0)
+
+
+def test_one_browser_too_many_gets_a_line(running: Running) -> None:
+    running.push()
+    streams = [running.stream() for _ in range(MOST_STREAMS)]
+    try:
+        for one in streams:
+            read_until(one, b"\n\n")
+        running.until(lambda: running.site.streams == MOST_STREAMS)
+        with running.stream() as one:
+            status, _, body = answer_of(everything(one))
+        assert status == 503
+        assert body == b"%d browsers look already, as many as may; close one\n" % MOST_STREAMS
+        assert running.get("/")[0] == 200, "the page itself is still there"
+        streams.pop().close()
+        running.until(lambda: running.site.streams < MOST_STREAMS)
+        with running.stream() as one:
+            assert read_until(one, b"\n\n").startswith(b"HTTP/1.1 200 ")
+    finally:
+        for one in streams:
+            one.close()
+
+
+def test_a_hundred_that_hang_hold_up_nobody(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They take no memory beyond their buffers, and are dropped."""
+    monkeypatch.setattr(server, "_HUNG_AFTER_S", 0.5)
+    running.push(b'{"t":0}')
+    hung = []
+    for _ in range(100):
+        one = running.connect()
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        one.sendall(f"GET /stream HTTP/1.1\r\nHost: {running.host}\r\n\r\n".encode())
+        hung.append(one)
+    try:
+        running.until(lambda: running.site.streams == 100)
+        with running.stream() as well:
+            read_until(well, b'{"t":0}')
+            seen, dropped = 0, False
+            for i in range(1, 400):
+                frame = b'{"t":%d,"x":"%s"}' % (i, b"x" * 20_000)
+                running.push(frame)
+                data = read_until(well, b"\n\n")
+                while frame not in data:
+                    data += read_until(well, b"\n\n")
+                seen += 1
+                if running.site.streams == 1:
+                    dropped = True
+                    break
+                time.sleep(0.01)
+            assert dropped, f"{running.site.streams - 1} that hang are still held"
+            assert seen > 10
+    finally:
+        for one in hung:
+            one.close()
