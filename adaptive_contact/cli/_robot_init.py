@@ -99,10 +99,10 @@ def write_description(wishes: Wishes) -> None:
     for note in () if read is None else read.notes:
         say(f"adaptive-contact: {note}", err=True)
     todo = "" if robot.legs[0].chain is not None else "fill in lengths_m, then "
-    counts = sorted({len(leg.joints) for leg in robot.legs})
+    sizes = " and ".join(map(str, sorted({len(leg.joints) for leg in robot.legs})))
     live = "" if devices else "--live "
     say(
-        f"wrote {out}: {len(robot.legs)} legs of {' or '.join(map(str, counts))} joints; {todo}run "
+        f"wrote {out}: {len(robot.legs)} legs of {sizes} joints; {todo}run "
         f"`adaptive-contact robot check {live}--config {out}`"
     )
 
