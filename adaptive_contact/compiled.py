@@ -35,7 +35,7 @@ _config: Any = _numba_config  # its settings are made at import, and have no typ
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
-_SOURCES: Final = ("detect", "learn", "model")
+_SOURCES: Final = ("detect", "learn", "model", "robot")
 
 
 def compiles() -> bool:

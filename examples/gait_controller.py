@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
-from adaptive_contact.robot import Leg, foot, inverse, load_robot, shipped_robot
+from adaptive_contact.robot import Leg, axis_text, inverse, load_robot, shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.probe import Finding
 from adaptive_contact.service.settings import SERVICE_TOKEN
@@ -149,7 +149,7 @@ class Legwork:
         return "none"
 
     def _line(self, target_m, ticks: int) -> list[np.ndarray]:
-        start = foot(self.goal, self.leg.lengths_m, self.leg.joint_axes)
+        start = self.leg.chain.foot(self.goal)
         way = np.array(target_m) - start
         return [angles(self.leg, start + (k / ticks) * way) for k in range(1, ticks + 1)]
 
@@ -157,15 +157,17 @@ class Legwork:
 def angles(leg: Leg, point_m) -> np.ndarray:
     """Joint angles that put the foot at a point of the leg's frame."""
     if leg.lengths_m is None:
-        raise ConfigurationError(f"leg '{leg.id}' has no lengths_m; fill them in")
+        raise ConfigurationError(
+            f"leg '{leg.id}' has no lengths_m; this example knows straight legs only"
+        )
     if leg.joint_axes == ("pitch", "pitch"):  # three joints without the first
         found = inverse([point_m[0], 0.0, point_m[2]], (0.0, *leg.lengths_m))[1:]
     elif leg.joint_axes == ("yaw", "pitch", "pitch"):
         found = inverse(point_m, leg.lengths_m)
     else:
         raise ConfigurationError(
-            f"leg '{leg.id}' has the axes {', '.join(leg.joint_axes)}; this example knows legs of "
-            "yaw, pitch, pitch and of pitch, pitch"
+            f"leg '{leg.id}' has the axes {', '.join(map(axis_text, leg.joint_axes))}; this "
+            "example knows legs of yaw, pitch, pitch and of pitch, pitch"
         )
     if not np.isfinite(found).all():
         x, _, z = point_m
@@ -212,7 +214,7 @@ def run(options: argparse.Namespace) -> None:
     """Step as told."""
     robot = load_robot(options.config) if options.config else shipped_robot()
     leg = robot.leg(options.leg)
-    stretched = sum(leg.lengths_m or ())
+    stretched = leg.chain.reach_m if leg.chain is not None else 0.0
     reach, up, down = (
         share * stretched if given is None else given
         for share, given in (
@@ -238,7 +240,7 @@ def run(options: argparse.Namespace) -> None:
                 work.await_service()
                 work.move([reach, 0.0, up], LIFT_TICKS)
                 found = work.descend([reach, 0.0, down], DESCENT_TICKS)
-            height = foot(work.sample.measured, work.leg.lengths_m, work.leg.joint_axes)[2]
+            height = work.leg.chain.foot(work.sample.measured)[2]
             print(f"step {step + 1}: {said[found]}, foot at {100 * height:+.1f} cm", flush=True)
             work.hold(STAND_TICKS)
             work.move([reach, 0.0, up], LIFT_TICKS)

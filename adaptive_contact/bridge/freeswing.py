@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import Leg, foot
+from adaptive_contact.robot import Leg
 
 __all__ = ["HELD_SWINGS", "HELD_TICKS", "REST_TICKS", "free_swings"]
 
@@ -48,7 +48,7 @@ def free_swings(
     """Goals of one leg, tick by tick, without end.
 
     Args:
-        leg: with ``lengths_m``; its limits are kept.
+        leg: with a geometry; its limits are kept.
         start_rad: (J,) where it is now.
         rng: of the poses and paces.
         amplitude_rad: how far from there a joint may go.
@@ -57,10 +57,10 @@ def free_swings(
     Raises:
         ConfigurationError: its lengths are not known, or it cannot lift its foot that way.
     """
-    if leg.lengths_m is None:
+    if leg.chain is None:
         raise ConfigurationError(
-            f"leg '{leg.id}' has no lengths_m, so its swings cannot be told; measure its links and "
-            "fill them in"
+            f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; measure "
+            "its links and fill them in"
         )
     home = np.array(start_rad, dtype=np.float64)
     lower, upper = home - amplitude_rad, home + amplitude_rad
@@ -93,10 +93,10 @@ def _goals(
 
 def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """A low and a high pose."""
-    assert leg.lengths_m is not None
+    assert leg.chain is not None
     for _ in range(_TRIES):
         one, other = rng.uniform(lower, upper), rng.uniform(lower, upper)
-        heights = foot(np.stack([one, other]), leg.lengths_m, leg.joint_axes)[:, 2]
+        heights = leg.chain.foot(np.stack([one, other]))[:, 2]
         if abs(heights[1] - heights[0]) >= _RISE_M:
             return (one, other) if heights[1] > heights[0] else (other, one)
     raise ConfigurationError(

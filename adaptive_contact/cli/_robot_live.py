@@ -1,4 +1,4 @@
-"""``robot check --live``: what any source on the wire says of the robot's legs, live and judged."""
+"""``robot check --live`` and ``robot learn --live``: the samples of any source on the wire."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
     from adaptive_contact.service.livecheck import LegView, LiveReport
     from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.service.traffic import Received
+    from adaptive_contact.wire import ServoSample
 
-__all__ = ["check_live"]
+__all__ = ["check_live", "collect_live"]
 
 _BACKLOG: Final = 50_000
 _POLL_S: Final = 0.05
@@ -106,6 +108,49 @@ def check_live(
     return report.exit_code
 
 
+def collect_live(
+    robot: Robot, settings: LinkSettings, seconds: float, *, stop: threading.Event
+) -> dict[str, list[ServoSample]]:
+    """Collect the samples of a robot's legs, as the wire has them, in the order of arrival.
+
+    Raises:
+        NoRouterError: there is no router.
+        ConfigurationError: no samples of these legs came.
+    """
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_of_key
+
+    waiting: deque[Received] = deque()
+    kept: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
+    strangers: set[str] = set()
+    with Link.open(settings) as link:
+        samples = link.subscribe(ALL_SERVO, waiting.append)
+        say(
+            f"listening for {seconds:g} s: swing every leg in free air meanwhile; Ctrl-C ends it "
+            "earlier",
+            err=True,
+        )
+        stop.wait(seconds)
+        samples.close()
+    for received in waiting:
+        leg = leg_of_key(received.key)
+        sample = decode(received.payload, ServoSample, received.encoding)
+        if leg is None or isinstance(sample, Rejected):
+            continue
+        if leg in kept:
+            kept[leg].append(sample)
+        else:
+            strangers.add(leg)
+    if not any(kept.values()):
+        others = f", only of leg {', '.join(sorted(strangers))}" if strangers else ""
+        raise ConfigurationError(
+            f"no samples of leg {', '.join(robot.leg_ids)} came in {seconds:g} s{others}; "
+            "publish robot/leg/LEG/servo meanwhile (docs/messages.md), and see "
+            "`adaptive-contact doctor`"
+        )
+    return kept
+
+
 def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
     from rich.text import Text
 
@@ -127,10 +172,18 @@ def _told(report: LiveReport) -> list[str]:
         lines.append(
             f"signs, order and zeros: as the motion says, leg {' '.join(report.confirmed)}"
         )
-    if report.open:
+    waiting = [leg for leg in report.open if leg not in report.by_hand]
+    if waiting:
         lines.append(
-            f"signs, order and zeros: not told by the motion of leg {' '.join(report.open)} (it "
+            f"signs, order and zeros: not told by the motion of leg {' '.join(waiting)} (it "
             "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
+        )
+    by_hand = [leg for leg in report.open if leg in report.by_hand]
+    if by_hand:
+        lines.append(
+            f"signs, order and zeros of leg {' '.join(by_hand)}: no motion confirms them, as the "
+            "mirror image of such a chain may walk as well (docs/robot.md); move joints by hand, "
+            "and compare"
         )
     for sign, where in (
         (-1, "below their commands: so it is where they hang"),

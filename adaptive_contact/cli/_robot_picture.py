@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from adaptive_contact.cli._output import say
 from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
-from adaptive_contact.robot import Leg, Mount, Robot, foot
+from adaptive_contact.robot import Leg, Mount, Robot
 
 __all__ = ["chain", "draw", "write_picture"]
 
@@ -39,23 +39,40 @@ _ARC_PX: Final = (16.0, 40.0)
 _ARC_RAD: Final = 0.9
 _ZERO_PX: Final = 62
 _HEAD_PX: Final = 6
+# A joint's turn is drawn where its axis points this much towards the eye, and from a link that is
+# no shorter than this share of the leg.
+_FACING: Final = 0.5
+_LEAST_LINK: Final = 0.05
+
+# A joint, where its link points at 0, rad from the right, and 1 or -1, the way its angle grows.
+_Turn = tuple[int, float, int]
+
+
+class _View(NamedTuple):
+    """From where a leg is seen: which ways of the body go right and up."""
+
+    words: str
+    right: tuple[float, float, float]
+    up: tuple[float, float, float]
+
+
+_SIDE: Final = _View("from the side", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+_FRONT: Final = _View("from the front", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_ABOVE: Final = _View("from above", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def chain(leg: Leg, angles: Sequence[float]) -> Array:
     """Joints and foot of a leg in its own frame.
 
     Args:
-        leg: with ``lengths_m``.
+        leg: with a geometry.
         angles: (J,) rad.
 
     Returns:
         (J + 1, 3) m, from the body outwards.
     """
-    assert leg.lengths_m is not None
-    points = [np.zeros(3)]
-    for j in range(1, len(leg.joints) + 1):
-        points.append(foot(list(angles[:j]), leg.lengths_m[:j], leg.joint_axes[:j]))
-    return np.stack(points)
+    assert leg.chain is not None
+    return leg.chain.frames(angles)[0]
 
 
 def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Path) -> None:
@@ -64,8 +81,10 @@ def write_picture(robot: Robot, angles: Mapping[str, Sequence[float]], path: Pat
     Raises:
         ConfigurationError: no leg can be drawn.
     """
-    if all(leg.lengths_m is None for leg in robot.legs):
-        raise ConfigurationError("no leg has lengths_m, so there is nothing to draw; measure one")
+    if all(leg.chain is None for leg in robot.legs):
+        raise ConfigurationError(
+            "no leg has lengths_m or origins_m, so there is nothing to draw; measure one"
+        )
     if not angles:
         raise ConfigurationError(f"no samples came, so there is nothing to draw in {path}")
     write_file(path, draw(robot, angles), advice="give another --picture")
@@ -76,19 +95,18 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
     """The picture.
 
     Args:
-        robot: legs without ``lengths_m`` are left out.
+        robot: legs without a geometry are left out.
         angles: (J,) rad by leg.
 
     Returns:
         SVG text.
     """
-    legs = [leg for leg in robot.legs if leg.lengths_m is not None and leg.id in angles]
+    legs = [leg for leg in robot.legs if leg.chain is not None and leg.id in angles]
     placed = sum(leg.mount != Mount() for leg in legs) >= _LEAST_PLACED
-    columns = max(-(-len(legs) // _ROWS), 1)
+    views = [(leg, view) for leg in legs for view in _views(leg, placed=placed)]
+    columns = max(-(-len(views) // _ROWS), 1)
     rows = _ROWS
     body = _ROWS * _CELL if placed else 0
-    # Without mounts nobody knows where the legs sit: each is drawn from above by itself.
-    views = [(leg, above) for leg in legs for above in ((False,) if placed else (False, True))]
     if not placed:
         columns = min(_COLUMNS, max(len(views), 1))
         rows = -(-len(views) // columns)
@@ -103,9 +121,9 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
     ]
     if placed:
         parts += _from_above(legs, angles, body)
-    for k, (leg, above) in enumerate(views):
+    for k, (leg, view) in enumerate(views):
         left, top = body + (k % columns) * _CELL, _TOP + (k // columns) * _CELL
-        parts += _panel(leg, angles[leg.id], left, top, above=above)
+        parts += _panel(leg, angles[leg.id], left, top, view)
     parts.append("</svg>")
     return "\n".join(parts) + "\n"
 
@@ -136,7 +154,7 @@ def _from_above(
         points = [at(point) for point in chains[leg.id]]
         for j in range(len(leg.joints)):
             parts.append(_link(points[j], points[j + 1], _COLOURS[j % len(_COLOURS)]))
-        if leg.joint_axes[0] == "yaw":
+        if leg.joint_axes[0] == "yaw" and _straight(leg):
             yaw = np.pi / 2 + leg.mount.yaw_rad
             parts += _turning(points[0], points[1], yaw, _COLOURS[0])
         parts += _ends(points)
@@ -162,41 +180,81 @@ def _around(legs: Sequence[Leg]) -> list[Leg]:
     return sorted(legs, key=lambda leg: float(np.arctan2(leg.mount.xyz_m[1], leg.mount.xyz_m[0])))
 
 
-def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, *, above: bool) -> list[str]:
-    """One leg, the body on the left: from the side, or from above."""
-    assert leg.lengths_m is not None
-    points = chain(leg, angles)
-    reach = np.hypot(points[:, 0], points[:, 1]) * np.sign(points[:, 0] + 1e-9)
-    flat = points[:, :2] if above else np.stack([reach, points[:, 2]], axis=1)
+def _views(leg: Leg, *, placed: bool) -> list[_View]:
+    """From where a leg is drawn, beside the robot as a whole."""
+    if _straight(leg):
+        # Without mounts nobody knows where the legs sit: each is drawn from above by itself.
+        return [_SIDE] if placed else [_SIDE, _ABOVE]
+    assert leg.chain is not None
+    upright = bool(np.abs(leg.chain.vectors[0, 2]) > _FACING)
+    return [_SIDE, _FRONT, *([_ABOVE] if upright or not placed else [])]
+
+
+def _straight(leg: Leg) -> bool:
+    return leg.chain is not None and leg.chain.is_straight
+
+
+def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _View) -> list[str]:
+    """One leg by itself."""
+    assert leg.chain is not None
+    flat, turns = (_flat_straight if _straight(leg) else _flat_any)(leg, angles, view)
     # Room for arrows all around, the heading above, and the joints' lines below.
     room = _CELL - 2 * _MARGIN, _CELL - _HEADING - _MARGIN - _LINE * len(leg.joints)
     # Never so large that a leg that stretches looks another one than a leg that stands.
-    span = np.maximum(np.ptp(flat, axis=0), _LEAST_SPAN * sum(leg.lengths_m))
+    span = np.maximum(np.ptp(flat, axis=0), _LEAST_SPAN * leg.chain.reach_m)
     scale = float((np.array(room) / span).min())
     middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
     x0 = left + _CELL / 2 - scale * middle[0]
     y0 = top + _HEADING + room[1] / 2 + scale * middle[1]
     at = [(float(x0 + scale * a), float(y0 - scale * b)) for a, b in flat]
     parts = [_frame(left, top, _CELL)]
-    side = _side(leg)
-    view = "from above" if above else "from the side"
     parts.append(_text(left + 10, top + 20, leg.id, _INK, bold=True))
-    parts.append(_text(left + 10, top + 36, f"{side}{view}", _GREY))
-    # The direction in which each joint's link points when its angle is 0.
-    kind = "yaw" if above else "pitch"
-    axes = np.array([axis == kind for axis in leg.joint_axes])
-    before = np.concatenate([[0.0], np.cumsum(np.where(axes, np.asarray(angles), 0.0))[:-1]])
+    parts.append(_text(left + 10, top + 36, f"{_side(leg)}{view.words}", _GREY))
     for j in range(len(leg.joints)):
         parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
-    for j in (j for j, turns in enumerate(axes) if turns):
-        parts += _turning(at[j], at[j + 1], float(before[j]), _COLOURS[j % len(_COLOURS)])
-    if not above:
+    for j, zero_rad, way in turns:
+        parts += _turning(at[j], at[j + 1], zero_rad, _COLOURS[j % len(_COLOURS)], way)
+    if view is _SIDE:
         for j in range(len(leg.joints)):
             y = top + _CELL - 12 - _LINE * (len(leg.joints) - 1 - j)
             parts.append(
                 _text(left + 10, y, _label(leg, j, angles[j]), _COLOURS[j % len(_COLOURS)])
             )
     return parts + _ends(at)
+
+
+def _flat_straight(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
+    """A straight leg, the body on the left: in its own plane, or from above."""
+    points, above = chain(leg, angles), view is _ABOVE
+    reach = np.hypot(points[:, 0], points[:, 1]) * np.sign(points[:, 0] + 1e-9)
+    flat = points[:, :2] if above else np.stack([reach, points[:, 2]], axis=1)
+    # The direction in which each joint's link points when its angle is 0.
+    kind = "yaw" if above else "pitch"
+    axes = np.array([axis == kind for axis in leg.joint_axes])
+    before = np.concatenate([[0.0], np.cumsum(np.where(axes, np.asarray(angles), 0.0))[:-1]])
+    return flat, [(j, float(before[j]), 1) for j in np.flatnonzero(axes).tolist()]
+
+
+def _flat_any(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
+    """Any other leg, along the axes of the body."""
+    assert leg.chain is not None
+    plane = np.array([view.right, view.up])
+
+    def seen(vectors: Array) -> Array:
+        return np.asarray((on_body(leg, vectors) - on_body(leg, np.zeros(3))) @ plane.T)
+
+    points, axes = leg.chain.frames(angles)
+    facing = np.cross(view.right, view.up)
+    towards = (on_body(leg, axes) - on_body(leg, np.zeros(3))) @ facing
+    turns: list[_Turn] = []
+    for j in np.flatnonzero(np.abs(towards) > _FACING).tolist():
+        at_zero = [0.0 if k == j else angle for k, angle in enumerate(angles)]
+        beyond = seen(leg.chain.frames(at_zero)[0])[j:]
+        far = np.hypot(*(beyond - beyond[0]).T) > _LEAST_LINK * leg.chain.reach_m
+        if far.any():
+            x, y = (beyond - beyond[0])[int(np.argmax(far))]
+            turns.append((j, float(np.arctan2(y, x)), 1 if towards[j] > 0 else -1))
+    return seen(points), turns
 
 
 def _side(leg: Leg) -> str:
@@ -211,23 +269,27 @@ def _side(leg: Leg) -> str:
 
 
 def _turning(
-    joint: tuple[float, float], tip: tuple[float, float], zero_rad: float, colour: str
+    joint: tuple[float, float],
+    tip: tuple[float, float],
+    zero_rad: float,
+    colour: str,
+    way: int = 1,
 ) -> list[str]:
     """Where a joint's link is at 0, and the way its angle grows; counter-clockwise from right."""
     x, y = joint
     length = float(np.hypot(tip[0] - x, tip[1] - y))
     radius = float(np.clip(length / 2, *_ARC_PX))
-    end = zero_rad + _ARC_RAD
+    end = zero_rad + way * _ARC_RAD
     x0, y0 = x + radius * np.cos(zero_rad), y - radius * np.sin(zero_rad)
     x1, y1 = x + radius * np.cos(end), y - radius * np.sin(end)
     far = _ZERO_PX if length > _ZERO_PX else radius + _HEAD_PX
-    ahead = end + np.pi / 2
+    ahead = end + way * np.pi / 2
     return [
         f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + far * np.cos(zero_rad):.1f}" '
         f'y2="{y - far * np.sin(zero_rad):.1f}" stroke="{colour}" stroke-width="1.2" '
         'stroke-dasharray="4 3"/>',
-        f'<path d="M {x0:.1f} {y0:.1f} A {radius:.1f} {radius:.1f} 0 0 0 {x1:.1f} {y1:.1f}" '
-        f'fill="none" stroke="{colour}" stroke-width="1.6"/>',
+        f'<path d="M {x0:.1f} {y0:.1f} A {radius:.1f} {radius:.1f} 0 0 {int(way < 0)} '
+        f'{x1:.1f} {y1:.1f}" fill="none" stroke="{colour}" stroke-width="1.6"/>',
         _head(x1, y1, float(ahead), colour),
         _text(
             x + (radius + 13) * np.cos(end),
@@ -291,10 +353,9 @@ def _text(
 
 def _label(leg: Leg, joint: int, angle_rad: float) -> str:
     """A joint's name, angle, length, and how the source counts it."""
-    assert leg.lengths_m is not None
-    told = (
-        f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, {1000 * leg.lengths_m[joint]:.0f} mm"
-    )
+    assert leg.chain is not None
+    length_m = np.hypot.reduce(leg.chain.origins_m[joint])
+    told = f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, {1000 * length_m:.0f} mm"
     turned = leg.angles or leg.servos
     if turned is not None:
         sign = 1 if turned.directions is None else turned.directions[joint]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,7 +30,7 @@ from adaptive_contact.cli.bridge import (
     robot_of,
 )
 from adaptive_contact.errors import ConfigurationError, TooLittleDataError
-from adaptive_contact.files import holds_content, write_file
+from adaptive_contact.files import holds_content
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -44,9 +43,6 @@ __all__ = ["app"]
 
 app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
-_JOINTS: Final = 3
-# Slopes within this of each other are as good as one.
-_ALIKE: Final = 1.2
 _PIPE_WIDTH: Final = 110
 # How long to look at a bus, and at a source that walks.
 _BUS_S: Final = 1.0
@@ -62,9 +58,12 @@ def init(
         Path, typer.Option("--out", "-o", metavar="FILE", help="Description to write.")
     ] = Path("robot.toml"),
     joints: Annotated[
-        int | None,
+        str | None,
         typer.Option(
-            "--joints", min=1, max=16, help="Per leg; 3 unless given.", show_default=False
+            "--joints",
+            metavar="NUMBER|NAME,NAME,...",
+            help="Per leg, from the body outwards; 3 unless given.  A URDF has its own.",
+            show_default=False,
         ),
     ] = None,
     ids: Annotated[
@@ -82,7 +81,8 @@ def init(
         typer.Option(
             "--legs",
             metavar="ID,ID,...",
-            help="Names, in the order of the servos' ids, or of --ids.",
+            help="Names, in the order of the servos' ids, or of --ids; with --urdf ID=LINK,..., "
+            "with each foot's link.",
             show_default=False,
         ),
     ] = None,
@@ -95,7 +95,59 @@ def init(
             show_default=False,
         ),
     ] = None,
-    name: Annotated[str, typer.Option("--name", help="Of the robot.")] = "my-robot",
+    urdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--urdf",
+            metavar="FILE",
+            help="Take joints, axes, origins and limits from this URDF.",
+            show_default=False,
+        ),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            "--base",
+            metavar="LINK",
+            help="The URDF's link that is the body, z up; the last one that all legs hang on "
+            "unless given.",
+            show_default=False,
+        ),
+    ] = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            "--tip",
+            metavar="X,Y,Z",
+            help="The foot's tip in the frame of its link, m, where a URDF has no link there.",
+            show_default=False,
+        ),
+    ] = None,
+    name: Annotated[
+        str | None, typer.Option("--name", help="Of the robot.", show_default=False)
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            "--resolution",
+            metavar="RAD",
+            min=1e-6,
+            max=0.2,
+            help="One step of a reading; told by the servos of --device.",
+            show_default=False,
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            min=1.0,
+            max=10_000.0,
+            help="Control ticks per second; 50 with --device.",
+            show_default=False,
+        ),
+    ] = None,
     baud: Annotated[
         int | None,
         typer.Option("--baud", help="Otherwise the usual ones are tried.", show_default=False),
@@ -110,140 +162,34 @@ def init(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
-    """Ask the bus who is there, and write a robot.toml to fill in.  Moves nothing.
+    """Write a robot.toml to fill in, from a bus, from a URDF, or from both.
 
-    Without --configure it sets nothing either.
+    With --device the bus is asked who is there; nothing is moved, and without --configure nothing
+    is set.  Without a bus, for servos of
+    any kind, joints come from --urdf or --joints, and --resolution and --rate are asked for where
+    they are not given.
     """
-    import msgspec
+    from adaptive_contact.cli._robot_init import Wishes, write_description
 
-    with needs_sdk():
-        from adaptive_contact.bridge.survey import (
-            describe,
-            find_servos,
-            group,
-            steepness,
-            wanted_legs,
-            write_robot,
-        )
-        from adaptive_contact.bridge.tables import BAUDS
-    from adaptive_contact.robot import parse_robot
-
-    # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
-    devices = {port: str(Path(path).absolute()) for port, path in devices_of(device).items()}
-    if not devices:
-        raise ConfigurationError(
-            "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...)"
-        )
-    if holds_content(out) and not force:
-        raise ConfigurationError(f"{out} is there already; give another --out, or --force")
-    check_output(out, "--out")
-    names = _names(legs, name, devices)
-    wanted = () if ids is None else wanted_legs(ids)
-    odd = next((leg.ids for leg in wanted if len(leg.ids) != (joints or len(leg.ids))), None)
-    if odd is not None:
-        raise ConfigurationError(
-            f"--ids has a leg of {len(odd)} servos ({','.join(map(str, odd))}), --joints says "
-            f"{joints}; leave --joints out, or correct --ids"
-        )
-    for leg in wanted:
-        if leg.port is not None and leg.port not in devices:
-            raise ConfigurationError(
-                f"--ids names port '{leg.port}'; --device gives {', '.join(devices)}"
-            )
-    if baud is not None and baud not in BAUDS:
-        raise ConfigurationError(
-            f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
-        )
-    bauds = () if baud is None else (baud,)
-    measured = None
-    if lengths is not None:
-        numbers = {len(leg.ids) for leg in wanted} or {joints or _JOINTS}
-        if len(numbers) > 1:
-            raise ConfigurationError(
-                "--lengths is for legs that are alike, and --ids has legs of "
-                f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
-            )
-        measured = _lengths(lengths, numbers.pop())
-    found = [
-        find_servos(
-            port,
-            path,
-            *((bauds,) if bauds else ()),
-            ids=[s for leg in wanted if leg.port in (port, None) for s in leg.ids]
-            if len(devices) == 1 or all(leg.port for leg in wanted)
-            else (),
+    write_description(
+        Wishes(
+            devices=devices_of(device),
+            out=out,
+            joints=joints,
+            ids=ids,
+            legs=legs,
+            lengths=lengths,
+            urdf=urdf,
+            base=base,
+            tip=tip,
+            name=name,
+            resolution=resolution,
+            rate=rate,
+            baud=baud,
             configure=configure,
+            force=force,
         )
-        for port, path in devices.items()
-    ]
-    for line in describe(found):
-        say(line)
-    robot = group(found, joints or _JOINTS, names, wanted=wanted)
-    robot = msgspec.structs.replace(robot, name=name)
-    for port, settings in robot.ports.items():
-        if settings.ignore:
-            say(f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored")
-    if measured is not None:
-        alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
-        robot = msgspec.structs.replace(robot, legs=alike)
-    slopes = steepness(found, robot)
-    if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
-        told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
-        say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
-    text = write_robot(robot)
-    parse_robot(text, source=f"{out} would not be read back, so it is not written")
-    write_file(out, text, advice="give another --out")
-    todo = "" if lengths is not None else "fill in lengths_m, then "
-    sizes = " and ".join(map(str, sorted({len(leg.joints) for leg in robot.legs})))
-    say(
-        f"wrote {out}: {len(robot.legs)} legs of {sizes} joints; {todo}run "
-        f"`adaptive-contact robot check --config {out}`"
     )
-
-
-def _names(legs: str | None, name: str, devices: Mapping[str, str]) -> tuple[str, ...]:
-    """The legs' ids of ``--legs``, once all that would make a bad description is ruled out.
-
-    Before the bus is asked: a search of all rates takes its time.
-    """
-    from adaptive_contact.wire import is_leg_id
-
-    expected = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
-    ids = () if legs is None else tuple(part.strip() for part in legs.split(","))
-    for leg in ids:
-        if not is_leg_id(leg):
-            raise ConfigurationError(
-                f"--legs {legs}: '{leg}' cannot name a leg; expected {expected}, such as lf,lm,lr"
-            )
-        if ids.count(leg) > 1:
-            raise ConfigurationError(f"--legs {legs}: '{leg}' is there twice; names must differ")
-    if not name.isprintable() or not name.strip():
-        raise ConfigurationError(f"--name {name!r} is no name; give one such as my-robot")
-    owners: dict[str, str] = {}
-    for port, path in devices.items():
-        if not is_leg_id(port):
-            raise ConfigurationError(
-                f"--device {port}={path}: '{port}' cannot name a port; expected {expected}"
-            )
-        before = owners.setdefault(os.path.realpath(path), port)
-        if before != port:
-            raise ConfigurationError(
-                f"--device gives {path} to port '{before}' and to port '{port}'; give each its own"
-            )
-    return ids
-
-
-def _lengths(text: str, joints: int) -> tuple[float, ...]:
-    try:
-        lengths = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        lengths = ()
-    if len(lengths) != joints or not all(0.0 < length <= 5.0 for length in lengths):
-        raise ConfigurationError(
-            f"--lengths {text}: expected {joints} lengths in m, such as "
-            f"{','.join(['0.1'] * joints)}"
-        )
-    return lengths
 
 
 @app.command()
@@ -351,9 +297,9 @@ def _check_bus(
         from adaptive_contact.cli._robot_picture import write_picture
 
         write_picture(robot, {leg: rows[-1].measured for leg, rows in samples.items()}, picture)
-    blank = [leg.id for leg in robot.legs if leg.lengths_m is None]
+    blank = [leg.id for leg in robot.legs if leg.chain is None]
     if blank:
-        say(f"lengths_m are still missing for leg {', '.join(blank)}", err=True)
+        say(f"lengths_m (or origins_m) are still missing for leg {', '.join(blank)}", err=True)
 
 
 @app.command("learn")
@@ -369,6 +315,13 @@ def learn_(
             "--drive",
             help="Let the bridge swing the legs.  Without it, your own controller has to swing "
             "them in free air meanwhile.",
+        ),
+    ] = False,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live",
+            help="Learn from the samples of any source on the wire; no bus is opened.",
         ),
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
@@ -409,13 +362,18 @@ def learn_(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     realtime: RealtimeOption = False,
+    connect: ConnectOption = None,
+    namespace: NamespaceOption = None,
+    zenoh_config: ZenohConfigOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
     stop = stoppable()
-    with needs_sdk():
-        from adaptive_contact.bridge.collect import collect
-
+    _check_source(
+        live=live,
+        of_bus={"--device": device, "--drive": drive, "--pose": pose, "--realtime": realtime},
+        of_wire={"--connect": connect, "--namespace": namespace, "--zenoh-config": zenoh_config},
+    )
     from adaptive_contact.cli import _robot_learning as learning
     from adaptive_contact.cli.fit import (
         check_conventions,
@@ -432,26 +390,36 @@ def learn_(
     check_output(kept, "--recording")
     if holds_content(kept):
         raise ConfigurationError(f"{kept} is there already; give another --recording")
-    robot, plans = _planned(config, device)
+    robot = robot_of(config)
     for leg in robot.legs:
-        if leg.lengths_m is None:
+        if leg.chain is None:
             raise ConfigurationError(
-                f"leg '{leg.id}' has no lengths_m, so its swings cannot be told; measure its links "
-                "and fill them in"
+                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
+                "measure its links and fill them in"
             )
-    home = None if pose is None else learning.pose_of(pose, robot, plans)
     gathered = gather(more or [], robot, refuse=False)
-    _shake_hands(plans, drive=drive)
-    if drive and not yes:
-        around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
-        typer.confirm(
-            f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad around "
-            f"{around}.  Does the robot hang free, with nothing and nobody in reach?",
-            abort=True,
-            err=True,
-        )
-    scripts = learning.swings_of(robot, plans, amplitude, seed, home) if drive else None
-    samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
+    if live:
+        from adaptive_contact.cli._robot_live import collect_live
+
+        link = client(connect, namespace, zenoh_config, wait=False)
+        samples = collect_live(robot, link, seconds, stop=stop)
+    else:
+        with needs_sdk():
+            from adaptive_contact.bridge.collect import collect
+
+        plans = plans_of(robot, config, device)
+        home = None if pose is None else learning.pose_of(pose, robot, plans)
+        _shake_hands(plans, drive=drive)
+        if drive and not yes:
+            around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
+            typer.confirm(
+                f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad around "
+                f"{around}.  Does the robot hang free, with nothing and nobody in reach?",
+                abort=True,
+                err=True,
+            )
+        scripts = learning.swings_of(robot, plans, amplitude, seed, home) if drive else None
+        samples = collect(plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=_say)
     for line in learning.losses(samples):
         _say(line)
     learning.keep(samples, kept, robot)
@@ -460,7 +428,7 @@ def learn_(
             gathered[name].take_sample(sample)
     # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
     check_streams(robot, samples, {}, refuse=False)
-    check_conventions(robot, gathered, bridge=True)
+    check_conventions(robot, gathered, bridge=not live)
     try:
         training = learning.fit_samples(
             robot, gathered, f"adaptive-contact robot learn ({out.name})"
@@ -478,6 +446,22 @@ def learn_(
     for line in verdict(robot, training):
         say(line, err=json)
     say(f"baseline written to {out}, the recording to {kept}", err=True)
+
+
+def _check_source(
+    *, live: bool, of_bus: Mapping[str, object], of_wire: Mapping[str, object]
+) -> None:
+    """Refuse options of the other source of samples."""
+    given = [name for name, value in (of_bus if live else of_wire).items() if value]
+    if given and live:
+        raise ConfigurationError(
+            f"--live listens to the wire, {', '.join(given)} is the bridge's; your own controller "
+            "swings the legs: leave it out"
+        )
+    if given:
+        raise ConfigurationError(
+            f"{', '.join(given)} goes with --live; without it, the bus is asked"
+        )
 
 
 def _planned(config: Path | None, device: list[str] | None) -> tuple[Robot, tuple[PortPlan, ...]]:

@@ -13,6 +13,9 @@ driven wrong without any error.  Three facts of a robot's body show it, none of 
 Only commands are used for 1 and 2: they have no noise, and no drift of a servo changes them.  A
 finding needs facts that a right description contradicts *and* another choice that explains them;
 all else is no finding: a wrong accusation is worse than silence.
+
+Of a chain that is not straight (yaws, then pitches, links along x) only the second fact is judged:
+its mirror image often walks as well, so that rigid feet would confirm wrong signs.
 """
 
 from __future__ import annotations
@@ -130,7 +133,7 @@ def speaks_of_angles(note: str) -> bool:
 
 
 def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
-    """Judge signs, order and zeros of all legs that have lengths.
+    """Judge signs, order and zeros of all legs that have a geometry.
 
     Args:
         robot: its description, as the samples were turned by.
@@ -140,12 +143,13 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     legs = [
         LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
         for leg in robot.legs
-        if leg.id in ticks and leg.lengths_m is not None and len(ticks[leg.id]) > 1
+        if leg.id in ticks and leg.chain is not None and len(ticks[leg.id]) > 1
     ]
     legs = [leg for leg in legs if len(leg.flips) > 1]
     if not legs:
         return Verdict()
-    chosen = choose(legs, robot.period_s) if _mounts_told(robot) else {}
+    straight = [leg for leg in legs if leg.chain.is_straight]
+    chosen = choose(straight, robot.period_s) if straight and _mounts_told(robot) else {}
     findings, fits = [], []
     for leg in legs:
         pattern = chosen.get(leg.leg.id)
@@ -175,11 +179,11 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     findings, fits = [], []
     ticks = control_ticks(motions, robot.period_s)
     for leg in robot.legs:
-        if leg.id not in motions or leg.lengths_m is None or len(ticks.get(leg.id, ())) < 2:
+        if leg.id not in motions or leg.chain is None or len(ticks.get(leg.id, ())) < 2:
+            continue
+        if not leg.chain.is_straight:
             continue
         choices = LegChoices(leg, motions[leg.id], ticks[leg.id], robot.period_s)
-        if not choices.pitch.any():
-            continue
         sags = choices.sags_rad()
         if len(sags) < LEAST_HOLDS or abs(float(np.median(sags))) < SAG_QUANTA * robot.quantum(
             leg.id
@@ -189,7 +193,7 @@ def judge_hanging(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
         if down >= SURE_SHARE:
             fits.append(leg.id)
         elif down <= 1 - SURE_SHARE:
-            signs = [-1 if pitch else 1 for pitch in choices.pitch]
+            signs = [-1 if lifts else 1 for lifts in choices.lifts]
             findings.append(_sign_finding(leg, signs, _PULLED))
     return Verdict(tuple(findings), tuple(fits))
 
@@ -279,9 +283,8 @@ def _sign_finding(
         turned = [s * d for s, d in zip(other, frame.directions, strict=True)]
         advice += f"; if that does not help, directions = {turned}"
     message = f"the angles of {_listed(joints)} {_WRONG_WAY}: {told}"
-    pitched = {
-        name for name, axis in zip(leg.joints, leg.joint_axes, strict=True) if axis == "pitch"
-    }
+    assert leg.chain is not None
+    lifting = {name for name, lifts in zip(leg.joints, leg.chain.lifts, strict=True) if lifts}
     return ConventionFinding(
         leg.id,
         joints,
@@ -291,7 +294,7 @@ def _sign_finding(
         offsets,
         certain=not others,
         # A wrong yaw alone changes no height.
-        grave=bool(pitched & set(joints)),
+        grave=bool(lifting & set(joints)),
     )
 
 

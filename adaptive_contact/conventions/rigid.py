@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.robot.description import Leg
-from adaptive_contact.robot.kinematics import foot
 
 __all__ = [
     "FLOOR",
@@ -116,7 +115,7 @@ class Stream:
     """What one leg was commanded.
 
     Attributes:
-        leg: its description, with lengths and mount.
+        leg: its description, with geometry and mount.
         desired: (n, J) rad.
         grid: (n,) control ticks.
         swing: (n,) the source's word; None where it does not tell.
@@ -129,9 +128,9 @@ class Stream:
 
     def place(self, reading: Reading, rows: Ints | None = None) -> Array:
         """(n, 3) m, the commanded foot in the leg's frame."""
-        assert self.leg.lengths_m is not None
+        assert self.leg.chain is not None
         source = self.desired if rows is None else self.desired[rows]
-        return foot(reading.angles(source), self.leg.lengths_m, self.leg.joint_axes)
+        return self.leg.chain.foot(reading.angles(source))
 
 
 def on_body(leg: Leg, place: Array) -> Array:
@@ -358,7 +357,7 @@ def fit_readings(
     """Find the signs and zeros, the same for all legs, for which standing feet are rigid.
 
     Args:
-        streams: of three legs or more, with the same axes.
+        streams: of three straight legs or more, with the same axes.
         lag: ticks of a displacement.
         period_s: the control tick.
         sane: whether a leg, by its place, may move so.

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import Reading, Stream, standing
 from adaptive_contact.robot.description import Leg
-from adaptive_contact.robot.kinematics import height_gradients
 
 __all__ = ["HOLD_S", "SURE_SHARE", "Alone", "LegChoices"]
 
@@ -58,12 +57,14 @@ class LegChoices:
     """One leg under every pattern of signs, and under others that are looked at.
 
     Args:
-        leg: its description, with lengths.
+        leg: its description, with a geometry.
         motion: what it did.
         grid: (n,) control ticks.
         period_s: the control tick.
 
     Attributes:
+        chain: its geometry.
+        lifts: (J,) the joints that can raise its foot.
         flips: (F, J) 1 or -1; the description's is the first.
         readings: those of the flips, and others that were looked at.
         stream: what it was commanded.
@@ -74,10 +75,12 @@ class LegChoices:
     ) -> None:
         self.leg, self.motion = leg, motion
         self.stream = Stream(leg, motion.desired, grid, motion.swing)
-        self.pitch = np.array([axis == "pitch" for axis in leg.joint_axes])
-        told = self.pitch.copy()
+        assert leg.chain is not None
+        self.chain = leg.chain
+        self.lifts = leg.chain.lifts
+        told = self.lifts.copy()
         if len(told) <= MOST_FLIPS:
-            told |= ~self.pitch
+            told |= ~self.lifts
         free = np.flatnonzero(told)[:MOST_FLIPS]
         self.flips = np.ones((2 ** len(free), len(leg.joints)))
         for row, signs in zip(
@@ -130,7 +133,7 @@ class LegChoices:
         return sum(rise > 0 for rise in told) / len(told)
 
     def below(self, pattern: int) -> float:
-        """Share of ticks in which the commanded foot is below its first pitch axis."""
+        """Share of ticks in which the commanded foot is below its first joint."""
         return float(np.mean(self.height(pattern) < 0.0))
 
     def sane(self, pattern: int) -> bool:
@@ -154,8 +157,7 @@ class LegChoices:
 
     def load_m(self, pattern: int) -> float | None:
         """How far above its command the foot is on slow ticks, median, m; None for too few."""
-        motion, leg = self.motion, self.leg
-        assert leg.lengths_m is not None
+        motion = self.motion
         moved = np.abs(np.diff(motion.measured, axis=0)).max(axis=1)
         next_tick = np.diff(self.stream.grid) == 1
         slow = np.flatnonzero((moved < self._slow) & next_tick)
@@ -164,31 +166,33 @@ class LegChoices:
         flip = self.flips[pattern]
         ahead = (motion.measured[slow + 1] - motion.desired[slow]) * flip
         at = motion.measured[slow + 1] * flip
-        rise = height_gradients(at, leg.lengths_m, leg.joint_axes)
-        first = int(np.flatnonzero(self.pitch)[0])
+        rise = self.chain.height_gradients(at)
+        if not self.chain.is_straight:
+            return float(np.median((rise * ahead).sum(axis=1)))
+        first = int(np.flatnonzero(self.lifts)[0])
         return float(np.median(rise[:, first] * ahead[:, first]))
 
     def sags_rad(self) -> Array:
         """By how much the first pitch joint gives way to gravity in each hold, (m,) rad.
 
         Plus is down, by the description; holds in which the foot is under the joint are left out.
+        The leg is straight.
         """
-        motion, leg = self.motion, self.leg
-        assert leg.lengths_m is not None
+        motion = self.motion
         grid = self.stream.grid
         same = (np.diff(motion.desired, axis=0) == 0.0).all(axis=1) & (np.diff(grid) == 1)
         hold, rest = round(HOLD_S / self._period_s), round(REST_S / self._period_s)
         # The last tick of every stretch of unchanged commands.
         ends = np.flatnonzero(same & np.append(~same[1:], True)) + 1
         begins = np.flatnonzero(same & np.append(True, ~same[:-1]))
-        first = int(np.flatnonzero(self.pitch)[0])
-        least = LEVER * sum(leg.lengths_m[first:])
+        first = int(np.flatnonzero(self.lifts)[0])
+        least = LEVER * sum(length for length, _, _ in self.chain.origins_m[first:])
         sags = []
         for begin, end in zip(begins, ends, strict=True):
             if end - begin < hold:
                 continue
             command = motion.desired[end]
-            lever = height_gradients(command, leg.lengths_m, leg.joint_axes)[first]
+            lever = self.chain.height_gradients(command)[first]
             off = float(np.mean(motion.measured[end - rest : end + 1, first]) - command[first])
             if abs(lever) >= least:
                 sags.append(-math.copysign(off, off * lever))
@@ -202,10 +206,10 @@ class LegChoices:
             wrong = pushed = load is not None and load < 0
         if not wrong:
             return None
-        pitched = [k for k, flip in enumerate(self.flips) if (flip[~self.pitch] > 0).all()]
-        left = [k for k in pitched if not self.insane(k) and self._within(k)]
+        lifting = [k for k, flip in enumerate(self.flips) if (flip[~self.lifts] > 0).all()]
+        left = [k for k in lifting if not self.insane(k) and self._within(k)]
         # That all of them are turned round is the usual case: half of all robots are.
-        left.sort(key=lambda k: not (self.flips[k][self.pitch] < 0).all())
+        left.sort(key=lambda k: not (self.flips[k][self.lifts] < 0).all())
         best = next((k for k in left if self.sane(k)), None)
         if best is None:
             return None

@@ -44,6 +44,7 @@ from adaptive_contact.detect.swing import (
     follow_command,
     follow_foot,
     forget_phase,
+    height_gradient,
     place_foot,
 )
 from adaptive_contact.model.noise import SPEED_EDGES_QUANTA
@@ -251,22 +252,9 @@ def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, 
 
 
 @compiled
-def height_gradient(angles, lengths, pitched, gradient):
-    """Fill (J,) m per rad, how the foot rises with each joint."""
-    pitch = beyond = 0.0
-    for j in range(len(angles)):
-        if pitched[j]:
-            pitch += angles[j]
-        gradient[j] = lengths[j] * math.cos(pitch)
-    for j in range(len(angles) - 1, -1, -1):
-        beyond += gradient[j]
-        gradient[j] = beyond if pitched[j] else 0.0
-
-
-@compiled
 def enter_row(
     leg, rows, thetas, targets, asides, theta, history, distance, value, free, past_top,
-    whiten, unit, last_measured, lengths, pitched, gradient, target,
+    whiten, unit, last_measured, links, turns, gradient, target,
 ):  # fmt: skip
     """Hold a judged tick back until its swing is resolved."""
     joints = history.shape[2]
@@ -305,7 +293,7 @@ def enter_row(
         targets[at, j] = target[j]
     thetas[at] = theta
     if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
-        height_gradient(last_measured, lengths, pitched, gradient)
+        height_gradient(last_measured, links, turns, gradient)
         push_from_ground(
             leg, row, asides[at], history[0, 0], target, whiten, unit, gradient, target
         )
@@ -403,7 +391,7 @@ def follow_source(
 def judge_tick(
     legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid,
     preview_in, ring, seam, echo_commands, echo_runs, echo_off, echoing, phase_before, parts,
-    command, before, lengths, pitched, low, lengths_ticks, last_desired, last_measured,
+    command, before, links, turns, low, lengths_ticks, last_desired, last_measured,
     last_read, path, asked, commanded, foot, start, heights, window, lags, preview, history,
     increment, theta, thetas, began_window, reach, believed, last, doubts, stale, refused,
     values, counts, kind, first, entry, weight, knee, law, xi0, coefficients, whiten, limits,
@@ -459,14 +447,14 @@ def judge_tick(
         take_command(leg, desired[i], echo_commands[i])
         height = 0.0
         if leg.has_lengths and phase[i] != UNKNOWN:
-            place_foot(desired[i], lengths[i], pitched[i], now)
+            place_foot(desired[i], links[i], turns[i], now)
             height = now[2]
         take_phase(leg, phase[i], desired[i], height, phase_before[i], parts[i])
         # The swing, by the command.
         awaited = leg.known and not (leg.loaded or leg.contact)
         whole = leg.whole
         ends = follow_command(
-            leg, phase[i], measured[i], desired[i], seq[i], lengths[i], pitched[i], low[i],
+            leg, phase[i], measured[i], desired[i], seq[i], links[i], turns[i], low[i],
             lengths_ticks[i], last_desired[i], last_measured[i], last_read[i], path[i], asked[i],
             commanded[i], foot[i], start[i], now, awaited,
         )  # fmt: skip
@@ -515,7 +503,7 @@ def judge_tick(
         take(leg, floats[6], window[i], lags, history[i], increment[i])
         can = judged(leg, theta[i], thetas[i])
         follow_foot(
-            leg, floats[6], lengths[i], pitched[i], lengths_ticks[i], last_measured[i], heights[i],
+            leg, floats[6], links[i], turns[i], lengths_ticks[i], last_measured[i], heights[i],
             asked[i], commanded[i], foot[i], start[i], now,
         )  # fmt: skip
         if leg.rate_off:
@@ -553,7 +541,7 @@ def judge_tick(
             floats[2, j] = 1.0 / math.sqrt(unit[i, j])
         against = leg.after > 0 and leg.has_lengths
         if against:
-            height_gradient(last_measured[i], lengths[i], pitched[i], floats[3])
+            height_gradient(last_measured[i], links[i], turns[i], floats[3])
         of_tick = limits_awaited[i] if leg.after else limits[i]
         leg.distance = statistic(
             leg, history[i], whiten[i], floats[2], of_tick, scores[i], sums, floats[3], against
@@ -597,7 +585,7 @@ def judge_tick(
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
                     history[i], leg.distance, scores[i, 0] * of_tick[0], free, past_lift,
-                    whiten[i], unit[i], last_measured[i], lengths[i], pitched[i], floats[0],
+                    whiten[i], unit[i], last_measured[i], links[i], turns[i], floats[0],
                     floats[1],
                 )  # fmt: skip
                 if leg.topped and not leg.broken and not leg.top_seen:

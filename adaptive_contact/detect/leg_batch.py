@@ -25,6 +25,7 @@ from adaptive_contact.detect.layout import (
     new_legs,
 )
 from adaptive_contact.detect.regressors import term_table
+from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
 from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.noise import CONTEXTS
@@ -99,7 +100,7 @@ class LegBatch:
         self.echo_off, self.echoing = zeros(joints, dtype=i), zeros(joints, dtype=b)
         self.phase_before, self.parts = zeros(joints), zeros(3, 4)
         # Swing.
-        self.lengths, self.pitched = zeros(joints), zeros(joints, dtype=b)
+        self.links, self.turns = zeros(joints, 6), zeros(joints, dtype=np.int8)
         self.low, self.lengths_ticks = zeros(LOW_TICKS), zeros(SWINGS, dtype=i)
         self.last_desired, self.last_measured = zeros(joints), zeros(joints)
         self.last_read = zeros(joints)
@@ -140,10 +141,9 @@ class LegBatch:
             legs_[row]["max_step"] = max_step
             legs_[row]["length"] = shape.length
             legs_[row]["period_ns"] = period_ns
-            legs_[row]["has_lengths"] = leg.lengths_m is not None
-            if leg.lengths_m is not None:
-                self.lengths[row] = leg.lengths_m
-            self.pitched[row] = [axis == "pitch" for axis in leg.joint_axes]
+            legs_[row]["has_lengths"] = leg.chain is not None
+            if leg.chain is not None:
+                self.links[row], self.turns[row] = tabulate(leg.chain)
 
     @property
     def flags(self) -> list[int]:
@@ -158,8 +158,8 @@ class LegBatch:
             records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
             self.phase, self.measured, self.desired, self.valid, self.has_valid, self.preview_in,
             self.ring, self.seam, self.echo_commands, self.echo_runs, self.echo_off,
-            self.echoing, self.phase_before, self.parts, self.command, self.before, self.lengths,
-            self.pitched, self.low, self.lengths_ticks, self.last_desired, self.last_measured,
+            self.echoing, self.phase_before, self.parts, self.command, self.before, self.links,
+            self.turns, self.low, self.lengths_ticks, self.last_desired, self.last_measured,
             self.last_read, self.path, self.asked, self.commanded, self.foot, self.start,
             self.heights, self.window, self.lags, self.preview, self.history, self.increment,
             self.theta, self.thetas, self.began_window, self.reach, self.believed, self.last,

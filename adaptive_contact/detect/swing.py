@@ -10,10 +10,12 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS, SWINGS
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, RISE_M, STILL_M, STILL_TICKS
+from adaptive_contact.robot.kinematics import Chain
 
 # A foot this far above where it stood has left the ground.  Ground that gives, and legs that were
 # pressed, let it rise before that: by less in all but one tick in a thousand on hard ground and
@@ -47,24 +49,93 @@ QUIET_SCORE: Final = 0.3
 UNKNOWN: Final = -1  # phase
 SWING: Final = 1
 
+# How the joints of a leg turn: one of the first two each in a straight leg, else all the last.
+YAW: Final = 0
+PITCH: Final = 1
+ANY: Final = 2
+
+
+def tabulate(chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    """A leg's geometry for compiled code.
+
+    Returns:
+        (J, 6), the way from each joint to the next in m, and its axis; (J,) how it turns.
+    """
+    links = np.concatenate([np.array(chain.origins_m), chain.vectors], axis=1)
+    kinds = [PITCH if axis == "pitch" else YAW for axis in chain.axes]
+    turns = np.array(kinds if chain.is_straight else [ANY] * len(kinds), dtype=np.int8)
+    return links, turns
+
 
 @compiled
-def place_foot(angles, lengths, pitched, foot):
-    """Fill the (3,) place of the foot in its leg's frame, m."""
+def turned(x, y, z, links, j, cos, sin):
+    """A vector, turned about the axis of joint j (Rodrigues)."""
+    a, b, c = links[j, 3], links[j, 4], links[j, 5]
+    along = (a * x + b * y + c * z) * (1.0 - cos)
+    return (
+        x * cos + (b * z - c * y) * sin + a * along,
+        y * cos + (c * x - a * z) * sin + b * along,
+        z * cos + (a * y - b * x) * sin + c * along,
+    )
+
+
+@compiled
+def place_any(angles, links):
+    """The foot of any chain in its leg's frame, m."""
+    x = y = z = 0.0
+    for j in range(len(angles) - 1, -1, -1):
+        x, y, z = turned(
+            x + links[j, 0], y + links[j, 1], z + links[j, 2], links, j,
+            math.cos(angles[j]), math.sin(angles[j]),
+        )  # fmt: skip
+    return x, y, z
+
+
+@compiled
+def place_foot(angles, links, turns, foot):
+    """Fill the (3,) place of the foot in its leg's frame, m; see :func:`tabulate`."""
+    if turns[0] == ANY:
+        foot[0], foot[1], foot[2] = place_any(angles, links)
+        return
     pitch = yaw = x = y = z = 0.0
     along, up, ahead, aside = 1.0, 0.0, 1.0, 0.0
     for j in range(len(angles)):
-        if pitched[j]:
+        if turns[j] == PITCH:
             pitch += angles[j]
             along, up = math.cos(pitch), math.sin(pitch)
         else:
             yaw += angles[j]
             ahead, aside = math.cos(yaw), math.sin(yaw)
-        reach = lengths[j] * along
+        reach = links[j, 0] * along
         x += reach * ahead
         y += reach * aside
-        z += lengths[j] * up
+        z += links[j, 0] * up
     foot[0], foot[1], foot[2] = x, y, z
+
+
+@compiled
+def height_gradient(angles, links, turns, gradient):
+    """Fill (J,) m per rad, how the foot rises with each joint."""
+    if turns[0] == ANY:
+        # The foot from each joint, and the vertical, as the link beyond the joint sees them.
+        x, y, z = place_any(angles, links)
+        u, v, w = 0.0, 0.0, 1.0
+        for j in range(len(angles)):
+            cos, sin = math.cos(angles[j]), -math.sin(angles[j])
+            x, y, z = turned(x, y, z, links, j, cos, sin)
+            u, v, w = turned(u, v, w, links, j, cos, sin)
+            a, b, c = links[j, 3], links[j, 4], links[j, 5]
+            gradient[j] = u * (b * z - c * y) + v * (c * x - a * z) + w * (a * y - b * x)
+            x, y, z = x - links[j, 0], y - links[j, 1], z - links[j, 2]
+        return
+    pitch = beyond = 0.0
+    for j in range(len(angles)):
+        if turns[j] == PITCH:
+            pitch += angles[j]
+        gradient[j] = links[j, 0] * math.cos(pitch)
+    for j in range(len(angles) - 1, -1, -1):
+        beyond += gradient[j]
+        gradient[j] = beyond if turns[j] == PITCH else 0.0
 
 
 @compiled
@@ -142,7 +213,7 @@ def stand(leg, measured, desired, lengths_ticks, last_desired, last_read, awaite
 
 @compiled
 def follow_command(
-    leg, phase, measured, desired, seq, lengths, pitched,
+    leg, phase, measured, desired, seq, links, turns,
     low, lengths_ticks, last_desired, last_measured, last_read, path, asked, commanded, foot,
     start, now, awaited,
 ):  # fmt: skip
@@ -156,7 +227,7 @@ def follow_command(
     joints = len(desired)
     placed = False
     if phase == UNKNOWN and leg.has_lengths:
-        place_foot(desired, lengths, pitched, now)
+        place_foot(desired, links, turns, now)
         placed = True
         if leg.told:
             forget_phase(leg)
@@ -183,8 +254,8 @@ def follow_command(
         if leg.ticks == 1:
             leg.path_n = 0
             leg.path_first = seq
-            place_foot(last_desired if leg.has_desired else desired, lengths, pitched, commanded)
-            place_foot(last_measured if leg.has_measured else measured, lengths, pitched, start)
+            place_foot(last_desired if leg.has_desired else desired, links, turns, commanded)
+            place_foot(last_measured if leg.has_measured else measured, links, turns, start)
             for k in range(3):
                 foot[k] = start[k]
             leg.rise = leg.moved = 0.0
@@ -199,7 +270,7 @@ def follow_command(
             leg.path_n += 1
         leg.path_last = seq
         if not placed:
-            place_foot(desired, lengths, pitched, now)
+            place_foot(desired, links, turns, now)
         leg.commanded_up = now[2] > commanded[2]
         for k in range(3):
             commanded[k] = now[k]
@@ -211,7 +282,7 @@ def follow_command(
 
 @compiled
 def follow_foot(
-    leg, reading, lengths, pitched, lengths_ticks, last_measured, heights, asked,
+    leg, reading, links, turns, lengths_ticks, last_measured, heights, asked,
     commanded, foot, start, now,
 ):  # fmt: skip
     """Take in where the leg is, with substitutes for bad readings."""
@@ -227,7 +298,7 @@ def follow_foot(
         return
     out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
     leg.cleared = out and (leg.rise > CLEARANCE_M or leg.ticks >= CLEAR_TICKS)
-    place_foot(reading, lengths, pitched, now)
+    place_foot(reading, links, turns, now)
     leg.rising = now[2] > foot[2]
     for k in range(3):
         foot[k] = now[k]

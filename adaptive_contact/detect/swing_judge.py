@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adaptive_contact.detect.layout import ASKED, HEIGHTS, SWINGS
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing import LIFT_TICKS, LIFTED_M
-from adaptive_contact.robot import Leg, foot_point
+from adaptive_contact.robot import Leg
 
 __all__ = ["Landings", "Rollout", "SwingJudge"]
 
@@ -98,17 +98,17 @@ class SwingJudge:
     @property
     def measures(self) -> bool:
         """Whether the foot's height is known; without geometry, time stands for it."""
-        return self._leg.lengths_m is not None
+        return self._leg.chain is not None
 
     @property
     def lifted(self) -> bool:
         """Whether the foot has come up at all; assumed without geometry."""
-        return self._leg.lengths_m is None or float(self._place.leg["rise"]) > LIFTED_M
+        return self._leg.chain is None or float(self._place.leg["rise"]) > LIFTED_M
 
     @property
     def had_lifted(self) -> bool:
         """The same of the swing that has ended last."""
-        return self._leg.lengths_m is None or float(self._place.leg["resolved_rise"]) > LIFTED_M
+        return self._leg.chain is None or float(self._place.leg["resolved_rise"]) > LIFTED_M
 
     @property
     def phase_unknown_note(self) -> str | None:
@@ -216,5 +216,5 @@ class SwingJudge:
         self._unasked = 0
 
     def _foot(self, angles: Sequence[float]) -> _Point:
-        assert self._leg.lengths_m is not None
-        return foot_point(angles, self._leg.lengths_m, self._leg.joint_axes)
+        assert self._leg.chain is not None
+        return self._leg.chain.point(angles)

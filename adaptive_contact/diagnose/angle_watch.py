@@ -161,7 +161,7 @@ class ConventionWatch:
 
     def track(self, leg: Leg) -> MotionTrack | None:
         """Make the track of a leg; None for one whose geometry is not known."""
-        if leg.lengths_m is None or leg.id not in self._robot.leg_ids:
+        if leg.chain is None or leg.id not in self._robot.leg_ids:
             return None
         self._tracks[leg.id] = MotionTrack(leg)
         return self._tracks[leg.id]

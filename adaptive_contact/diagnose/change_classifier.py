@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from adaptive_contact.model.change_prior import speaks_of
 from adaptive_contact.model.labelled_swing import Row, residuals_of
 from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.robot.kinematics import yaws_then_pitches
 
 __all__ = ["ChangeClassifier"]
 
@@ -124,12 +125,15 @@ def _shapes(model: LegModel, joint: int) -> _Shapes:
     drive = np.array([t.startswith("sat(") and speaks_of(t, name) for t in names])
     weaker = [np.where(drive, own, 0.0)] if drive.any() else []
     softer = _difference(names, f"sat(e_{name}/2s)", f"sat(e_{name}/s)")
-    outwards = [
-        other
-        for other, axis in zip(library.joints[joint:], library.axes[joint:], strict=True)
-        if axis == library.axes[joint] == "pitch"
+    # Links that lie level at 0 weigh by the cosine; of others it is not known.
+    of_zero = ("cos",) if yaws_then_pitches(library.axes) else ("cos", "sin")
+    gravity = [
+        one
+        for angle in library.gravity
+        if angle.weights[joint]
+        for of in of_zero
+        for one in _term(names, f"{of} {angle.name}")
     ]
-    gravity = [one for other in outwards for one in _term(names, f"cos φ_{other}")]
     # Inertia: a movement takes longer to become another.
     slower = [own - before for before in _term(names, f"v_{name}")]
     columns = [*weaker, *softer, *gravity, *slower]

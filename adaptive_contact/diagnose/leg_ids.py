@@ -28,7 +28,7 @@ from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.fit.train import cautious
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
-from adaptive_contact.robot import Leg, Robot, foot
+from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ServoSample
 
@@ -232,7 +232,11 @@ def judge_ids(
 def _places(legs: Sequence[Leg], rows: Sequence[LegRows], period_s: float) -> _Places | None:
     """The places of legs on the body, where the description tells enough of them."""
     alike = len({leg.joint_axes for leg in legs}) == 1
-    if not alike or not 3 <= len(legs) <= MOST_LEGS or any(leg.lengths_m is None for leg in legs):
+    if (
+        not alike
+        or not 3 <= len(legs) <= MOST_LEGS
+        or any(leg.chain is None or not leg.chain.is_straight for leg in legs)
+    ):
         return None
     if len({leg.mount for leg in legs}) < len(legs):
         return None
@@ -341,12 +345,12 @@ class _Places:
 
 def _on_body(place: Leg, desired: Array) -> Array:
     """(n, 3) m, the foot of a leg that sits there, in the body's frame."""
-    assert place.lengths_m is not None
+    assert place.chain is not None
     yaw = place.mount.yaw_rad
     turn = np.array(
         [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
     )
-    in_leg = foot(desired, place.lengths_m, place.joint_axes)
+    in_leg = place.chain.foot(desired)
     return np.asarray(in_leg @ turn.T + np.array(place.mount.xyz_m))
 
 

@@ -73,7 +73,7 @@ def library_key(library: Library) -> dict[str, object]:
     return {
         "name": library.name,
         "joints": list(library.joints),
-        "axes": list(library.axes),
+        "axes": [axis if isinstance(axis, str) else list(axis) for axis in library.axes],
         "window": [window.past_measured, window.past_desired, window.preview],
         "slope_rad": library.slope_rad,
         "period_s": library.period_s,

@@ -7,7 +7,7 @@ r"""Defines the candidate libraries: the terms a leg model may be made of.
     :math:`\mathrm{sat}(e/s)` at the present and past commands and half a tick on, where the joint
     will have moved by :math:`v/2`, Coulomb friction
     :math:`\tanh(v/v_0)`, back-EMF and viscous friction (the differences), gravity
-    :math:`\cos\phi, \sin\phi` of the absolute link angles.
+    :math:`\cos\phi, \sin\phi` of the absolute link angles (:mod:`.gravity`).
 ``paper``
     the paper's Eq. 8: sine, cosine and all polynomials up to degree 2 of every position and
     command in the window.
@@ -29,8 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.model.gravity import GravityAngle, gravity_angles
 from adaptive_contact.model.window import Window
 from adaptive_contact.robot import Leg, Robot
+from adaptive_contact.robot.description import Axis
 
 __all__ = [
     "ChangeLibrary",
@@ -77,7 +79,7 @@ class Library:
     Attributes:
         name: which of the libraries above.
         joints: (J,) names, from the body outwards.
-        axes: (J,) ``yaw`` or ``pitch``.
+        axes: (J,) a word or a unit vector, with all angles 0.
         window: past and future it looks at.
         slope_rad: s of the servo's control law.
         period_s: control tick, for the friction knee.
@@ -85,7 +87,7 @@ class Library:
 
     name: LibraryName
     joints: tuple[str, ...]
-    axes: tuple[str, ...]
+    axes: tuple[Axis, ...]
     window: Window = dataclasses.field(default_factory=Window)
     slope_rad: float = 0.164
     period_s: float = 0.02
@@ -165,8 +167,9 @@ class Library:
         return first, second
 
     @cached_property
-    def _pitch(self) -> Array:
-        return np.array([1.0 if axis == "pitch" else 0.0 for axis in self.axes])
+    def gravity(self) -> tuple[GravityAngle, ...]:
+        """Angles whose cosine and sine gravity acts by."""
+        return gravity_angles(self.joints, self.axes)
 
     def _variable_names(self) -> list[str]:
         w = self.window
@@ -216,7 +219,8 @@ class Library:
         # The command of the tick before against the position it led to: what the servo still
         # pushed with just before the new command came.
         left = (desired[:, 1:depth] - measured[:, : depth - 1]) / self.slope_rad
-        angles = np.cumsum(position * self._pitch, axis=-1)[:, self._pitch > 0]
+        weights = np.array([angle.weights for angle in self.gravity]).reshape(-1, joints)
+        angles = position @ weights.T
         knee = FRICTION_KNEE_RAD_S * self.period_s
         straight = [
             np.zeros((len(unit), 1)),  # the constant
@@ -252,8 +256,7 @@ class Library:
         if w.past_measured:
             names += [f"sat((e_{j}-v_{j}/2)/s)" for j in joints]
             names += [f"tanh(v_{j}/v₀)" for j in joints]
-        pitched = [j for j, axis in zip(joints, self.axes, strict=True) if axis == "pitch"]
-        names += [f"cos φ_{j}" for j in pitched] + [f"sin φ_{j}" for j in pitched]
+        names += [f"{of} {angle.name}" for of in ("cos", "sin") for angle in self.gravity]
         names += [f"u_{j}{_at(lead)}-u_{j}" for lead in range(1, w.preview + 1) for j in joints]
         return names
 

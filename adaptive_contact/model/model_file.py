@@ -26,6 +26,7 @@ from adaptive_contact.model.tail import SHAPE_RANGE, Tail
 from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.model.window import Window
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
+from adaptive_contact.robot.description import Axis
 
 __all__ = [
     "FORMAT",
@@ -124,7 +125,7 @@ def thresholds_of(tails: tuple[Tail, ...], false_alarms_per_hour: float) -> Arra
 
 class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     joints: tuple[str, ...]
-    axes: tuple[str, ...]
+    axes: tuple[Axis, ...]
     rows: int
     terms: dict[str, dict[str, float]]
     scale: dict[str, float]
@@ -297,7 +298,7 @@ def _library_file(library: Library) -> _LibraryFile:
 
 
 def leg_library_of(
-    file_library: _LibraryFile, joints: tuple[str, ...], axes: tuple[str, ...]
+    file_library: _LibraryFile, joints: tuple[str, ...], axes: tuple[Axis, ...]
 ) -> Library:
     """Return the library that a file's leg was fitted with."""
     return Library(

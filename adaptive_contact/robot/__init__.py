@@ -18,6 +18,8 @@ from adaptive_contact.robot.description import (
     ServoLaw,
 )
 from adaptive_contact.robot.kinematics import (
+    Chain,
+    axis_text,
     foot,
     foot_point,
     height_gradient,
@@ -30,6 +32,7 @@ __all__ = [
     "ROBOT_HOUR_TICKS",
     "AngleFrame",
     "Angles",
+    "Chain",
     "DetectorSettings",
     "Leg",
     "LegRos2",
@@ -40,6 +43,7 @@ __all__ = [
     "Ros2",
     "ServoBus",
     "ServoLaw",
+    "axis_text",
     "foot",
     "foot_point",
     "height_gradient",

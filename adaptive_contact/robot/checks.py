@@ -15,6 +15,9 @@ __all__ = ["check"]
 
 # What one service has been tried with (`make many`).
 MAX_LEGS: Final = 64
+# A link is no longer, m; a direction is no shorter.
+MOST_M: Final = 5.0
+LEAST_AXIS: Final = 1e-3
 # A Dynamixel bus: 253 is reserved, 254 is everybody.
 MAX_SERVO_ID: Final = 252
 
@@ -125,6 +128,7 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
     sized: list[tuple[str, tuple[object, ...] | None]] = [
         ("lengths_m", leg.lengths_m),
         ("axes", leg.axes),
+        ("origins_m", leg.origins_m),
         ("limits.lower_rad", leg.limits.lower_rad if leg.limits else None),
         ("limits.upper_rad", leg.limits.upper_rad if leg.limits else None),
         ("servos.ids", leg.servos.ids if leg.servos else None),
@@ -137,10 +141,7 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
     for name, values in sized:
         if values is not None and len(values) != joints:
             fail(f"{where}: {name} has {len(values)} values for {joints} joints")
-    if leg.lengths_m is not None and "pitch" not in leg.joint_axes:
-        fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
-    if leg.lengths_m is not None and not all(0 < x <= 5 for x in leg.lengths_m):
-        fail(f"{where}: lengths_m is {list(leg.lengths_m)}; expected metres above 0, up to 5")
+    _check_chain(leg, where, fail)
     if leg.limits is not None:
         for low, high in zip(leg.limits.lower_rad, leg.limits.upper_rad, strict=True):
             if not -2 * math.pi <= low < high <= 2 * math.pi:
@@ -153,6 +154,33 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
     for offset in (leg.angles.offsets_rad if leg.angles else None) or ():
         if not -2 * math.pi <= offset <= 2 * math.pi:  # false for NaN, too
             fail(f"{where}: angles.offsets_rad has {offset}; expected -6.28 to 6.28 rad")
+
+
+def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
+    """The leg's axes, lengths and origins."""
+    for axis in leg.axes or ():
+        if not isinstance(axis, str) and not LEAST_AXIS <= math.hypot(*axis) < math.inf:
+            fail(f"{where}: axes has {list(axis)}; expected a direction such as [0, 1, 0]")
+    if leg.lengths_m is not None and not all(0 < x <= MOST_M for x in leg.lengths_m):
+        fail(f"{where}: lengths_m is {list(leg.lengths_m)}; expected metres above 0, up to 5")
+    origins = leg.origins_m
+    if origins is not None and leg.lengths_m is not None:
+        fail(
+            f"{where}: has lengths_m and origins_m; give one: lengths_m of links that lie along x, "
+            "origins_m of any others"
+        )
+    if origins is not None and not all(abs(x) <= MOST_M for origin in origins for x in origin):
+        fail(f"{where}: origins_m is {[list(o) for o in origins]}; expected metres, up to 5")
+    chain = leg.chain
+    if chain is None:
+        return
+    if not chain.reach_m:
+        fail(f"{where}: origins_m are all 0; expected the way from each joint to the next, m")
+    if not chain.lifts.any():
+        if chain.is_straight:
+            fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
+        key = "lengths_m" if origins is None else "origins_m"
+        fail(f"{where}: no joint raises the foot; look at axes, or leave {key} out")
 
 
 def _check_ros2(robot: Robot, fail: _Fail) -> None:

@@ -5,16 +5,20 @@ A description is frozen, and checked once, on load (:mod:`adaptive_contact.robot
 
 from __future__ import annotations
 
+import math
+from functools import cached_property
 from typing import Final, Literal
 
 import msgspec
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot.kinematics import AXES, Chain, Vector, straight
 
 __all__ = [
     "ROBOT_HOUR_TICKS",
     "Angles",
     "Axis",
+    "AxisWord",
     "DetectorSettings",
     "Leg",
     "LegRos2",
@@ -27,7 +31,14 @@ __all__ = [
     "ServoLaw",
 ]
 
-Axis = Literal["yaw", "pitch"]
+AxisWord = Literal["roll", "pitch", "yaw"]
+# A word, or a direction in the leg's frame with all angles 0.
+Axis = AxisWord | Vector
+_WORDS: Final[dict[Vector, AxisWord]] = {
+    AXES["roll"]: "roll",
+    AXES["pitch"]: "pitch",
+    AXES["yaw"]: "yaw",
+}
 
 # One robot-hour is 540,000 judged swing leg-ticks: six legs at 50 Hz, half of the time in swing.
 ROBOT_HOUR_TICKS: Final = 540_000
@@ -154,13 +165,21 @@ class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     false_alarms_per_hour: float = 1.0
 
 
-class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One leg: its joints from the body outwards, and what is known of them."""
+class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
+    """One leg: its joints from the body outwards, and what is known of them.
+
+    Attributes:
+        lengths_m: (J,) m, of links that lie along x with all angles 0.
+        axes: (J,) of the joints, with all angles 0.
+        origins_m: (J,) m from each joint to the next, the last to the foot's tip, with all angles
+            0; in place of ``lengths_m``.
+    """
 
     id: str
     joints: tuple[str, ...]
     lengths_m: tuple[float, ...] | None = None
     axes: tuple[Axis, ...] | None = None
+    origins_m: tuple[Vector, ...] | None = None
     quantum_rad: float | None = None
     mount: Mount = Mount()
     limits: Limits | None = None
@@ -168,14 +187,31 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     angles: Angles | None = None
     ros2: LegRos2 | None = None
 
-    @property
+    @cached_property
     def joint_axes(self) -> tuple[Axis, ...]:
-        """The axis of every joint; without ``axes``: a yaw first where there are 3 or more."""
+        """The axis of every joint: a word, or a unit vector that no word says.
+
+        Without ``axes``: a yaw first where there are 3 joints or more.
+        """
         if self.axes is not None:
-            return self.axes
-        first: Axis = "yaw" if len(self.joints) >= 3 else "pitch"
-        pitch: Axis = "pitch"
+            return tuple(axis if isinstance(axis, str) else _axis(axis) for axis in self.axes)
+        first: AxisWord = "yaw" if len(self.joints) >= 3 else "pitch"
+        pitch: AxisWord = "pitch"
         return (first, *(pitch for _ in self.joints[1:]))
+
+    @cached_property
+    def chain(self) -> Chain | None:
+        """The leg's geometry; None where neither lengths nor origins are given."""
+        if self.origins_m is not None:
+            return Chain(self.joint_axes, self.origins_m)
+        return None if self.lengths_m is None else straight(self.lengths_m, self.joint_axes)
+
+
+def _axis(direction: Vector) -> Axis:
+    """A unit vector along a direction, or its word."""
+    length = math.hypot(*direction)
+    x, y, z = (part / length + 0.0 for part in direction)
+    return _WORDS.get((x, y, z), (x, y, z))
 
 
 class Port(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

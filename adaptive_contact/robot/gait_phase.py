@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.robot.description import Leg
-from adaptive_contact.robot.kinematics import foot
 from adaptive_contact.wire import Phase
 
 __all__ = ["Direction", "PhaseTracker", "directions", "infer_phase"]
@@ -75,11 +74,11 @@ class PhaseTracker:
 
 
 def infer_phase(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.bool_] | None:
-    """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without lengths."""
-    if leg.lengths_m is None:
+    """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without geometry."""
+    if leg.chain is None:
         return None
     tracker = PhaseTracker()
-    heights = foot(desired, leg.lengths_m, leg.joint_axes)[:, 2].tolist()
+    heights = leg.chain.foot(desired)[:, 2].tolist()
     return np.array([tracker.update(height) == "swing" for height in heights], dtype=bool)
 
 
@@ -88,14 +87,14 @@ def directions(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.int64]:
 
     Args:
         desired: (n, J) rad, one row per tick without gaps.
-        leg: its geometry; without lengths everything counts as descent, the cautious choice
+        leg: its geometry; without one everything counts as descent, the cautious choice
             (a descent may hold a contact, a lift may not).
 
     Returns:
         (n,) values of :class:`Direction`.
     """
-    if leg.lengths_m is None:
+    if leg.chain is None:
         return np.full(len(desired), int(Direction.DESCENT))
-    height = foot(desired, leg.lengths_m, leg.joint_axes)[:, 2]
+    height = leg.chain.foot(desired)[:, 2]
     rise = np.diff(height, prepend=height[:1])
     return np.where(rise > 0, int(Direction.LIFT), int(Direction.DESCENT))

@@ -1,32 +1,261 @@
-r"""Geometry of a serial leg: a chain of yaw and pitch joints.
+r"""Geometry of a leg: a chain of joints, each with an axis and the way to the next.
 
-Angles :math:`q` (J,) rad; the leg's frame has x along its zero direction, z up.  A pitch
-raises the links beyond it, angles of pitch joints add along the chain (:math:`\phi_i`, the absolute
-link angle over the horizon), a yaw turns what lies beyond it about z:
+Angles :math:`q` (J,) rad; the leg's frame has x along its zero direction, z up.  With all angles 0,
+joint i turns about the unit vector :math:`a_i`, and :math:`o_i` leads from it to the next joint,
+the last one to the foot, both in the leg's frame.  With :math:`R_i = \exp(a_i^\times q_i)` the foot
+is at
 
-.. math:: r = \sum_i l_i \cos\phi_i, \quad z = \sum_i l_i \sin\phi_i
+.. math:: p = R_1 (o_1 + R_2 (o_2 + \dots + R_J o_J))
 
-For the three-joint leg (yaw, pitch, pitch) this is the usual coxa-femur-tibia chain, and
-:func:`inverse` solves it in closed form.
+and a joint raises it by
+
+.. math:: \partial z/\partial q_i = e_z \cdot R_1 \cdots R_i (a_i \times s_i)
+
+where :math:`s_i = o_i + R_{i+1} (\dots)` leads from joint i to the foot.
+
+A straight leg is the usual case: yaws, then pitches, with links of lengths :math:`l_i` along x.
+Its pitches add to the absolute link angles :math:`\phi_i`, and the foot is at
+:math:`r = \sum_i l_i \cos\phi_i`, :math:`z = \sum_i l_i \sin\phi_i`.  For the three-joint leg (yaw,
+pitch, pitch), the coxa-femur-tibia chain, :func:`inverse` has a closed form.
+
+Reference:
+    K. Lynch, F. Park, *Modern Robotics*, 4.1 (product of exponentials).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["foot", "foot_point", "height_gradient", "height_gradients", "inverse", "link_angles"]
+__all__ = [
+    "AXES",
+    "Chain",
+    "Vector",
+    "axis_text",
+    "foot",
+    "foot_point",
+    "height_gradient",
+    "height_gradients",
+    "inverse",
+    "link_angles",
+    "straight",
+    "yaws_then_pitches",
+]
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+# What the words mean.  A pitch raises a link that points along x: a turn about -y.
+AXES: Final[dict[str, Vector]] = {
+    "roll": (1.0, 0.0, 0.0),
+    "pitch": (0.0, -1.0, 0.0),
+    "yaw": (0.0, 0.0, 1.0),
+}
+# A joint that raises the foot by less than this share of the leg's reach per rad does not.
+_LEAST_RISE: Final = 1e-9
+# Postures that are looked at to find out; no joint is at a singularity in all of them.
+_POSTURES: Final = 16
 
 
-def link_angles(q: ArrayLike, axes: Sequence[str]) -> Array:
-    """Absolute pitch of every link over the horizon of the leg's frame.
+def axis_text(axis: str | Vector) -> str:
+    """An axis for a person: its word, or ``(0, 0.5, 0.87)``."""
+    return axis if isinstance(axis, str) else f"({', '.join(f'{x:.3g}' for x in axis)})"
+
+
+def yaws_then_pitches(axes: Sequence[str | Vector]) -> bool:
+    """Whether all yaws come before all pitches, and there is nothing else."""
+    kinds = [axis if isinstance(axis, str) else "" for axis in axes]
+    yaws = kinds.count("yaw")
+    return all(kind == "yaw" for kind in kinds[:yaws]) and all(
+        kind == "pitch" for kind in kinds[yaws:]
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Chain:
+    """The geometry of one leg.
+
+    Attributes:
+        axes: (J,) a word of :data:`AXES`, or a unit vector of the leg's frame, with all angles 0.
+        origins_m: (J,) m from each joint to the next, the last to the foot's tip, likewise.
+    """
+
+    axes: tuple[str | Vector, ...]
+    origins_m: tuple[Vector, ...]
+
+    @cached_property
+    def is_straight(self) -> bool:
+        """Whether it is of yaws, then pitches, with all links along x."""
+        return yaws_then_pitches(self.axes) and not any(y or z for _, y, z in self.origins_m)
+
+    @cached_property
+    def vectors(self) -> Array:
+        """(J, 3) the axes, all as vectors."""
+        return np.array([AXES[axis] if isinstance(axis, str) else axis for axis in self.axes])
+
+    @cached_property
+    def reach_m(self) -> float:
+        """No foot is further from its first joint, m."""
+        return sum(math.hypot(*origin) for origin in self.origins_m)
+
+    @cached_property
+    def lifts(self) -> NDArray[np.bool_]:
+        """(J,) whether a joint can raise the foot in any posture; a yaw on top never does."""
+        if self.is_straight:
+            return self._pitched
+        joints = len(self.axes)
+        # Multiples of irrational steps: spread over all postures, the same each time.
+        at = np.arange(1, _POSTURES + 1)[:, None] * np.sqrt(np.arange(2, 2 + joints))
+        return np.asarray(
+            np.abs(self.height_gradients(at)).max(axis=0) > _LEAST_RISE * self.reach_m
+        )
+
+    @cached_property
+    def _pitched(self) -> NDArray[np.bool_]:
+        return np.array([axis == "pitch" for axis in self.axes])
+
+    @cached_property
+    def _lengths(self) -> tuple[float, ...]:
+        return tuple(origin[0] for origin in self.origins_m)
+
+    def foot(self, q: ArrayLike) -> Array:
+        """Foot position in the leg's frame, (..., J) rad to (..., 3) m."""
+        angles = np.asarray(q, dtype=np.float64)
+        if not self.is_straight:
+            place = np.zeros((*angles.shape[:-1], 3))
+            for i in range(len(self.axes) - 1, -1, -1):
+                place = _turned(place + self.origins_m[i], self.vectors[i], angles[..., i])
+            return place
+        lengths = np.asarray(self._lengths, dtype=np.float64)
+        yaw_mask = np.array([1.0 if axis == "yaw" else 0.0 for axis in self.axes])
+        phi = link_angles(angles, self.axes)
+        heading = np.cumsum(angles * yaw_mask, axis=-1)
+        reach = lengths * np.cos(phi)
+        return np.stack(
+            [
+                np.sum(reach * np.cos(heading), axis=-1),
+                np.sum(reach * np.sin(heading), axis=-1),
+                np.sum(lengths * np.sin(phi), axis=-1),
+            ],
+            axis=-1,
+        )
+
+    def point(self, q: Sequence[float]) -> Vector:
+        """Place of the foot in one posture, m, equal to ``foot(q)``: what a control tick asks.
+
+        Plain floats; for so few of them numpy's call overhead is twenty times the arithmetic.
+        """
+        if not self.is_straight:
+            x = y = z = 0.0
+            for i in range(len(self.axes) - 1, -1, -1):
+                origin, (a, b, c) = self.origins_m[i], self._axes[i]
+                x, y, z = x + origin[0], y + origin[1], z + origin[2]
+                cos, sin = math.cos(q[i]), math.sin(q[i])
+                along = (a * x + b * y + c * z) * (1.0 - cos)
+                x, y, z = (
+                    x * cos + (b * z - c * y) * sin + a * along,
+                    y * cos + (c * x - a * z) * sin + b * along,
+                    z * cos + (a * y - b * x) * sin + c * along,
+                )
+            return x, y, z
+        lengths = self._lengths
+        pitch = yaw = x = y = z = 0.0
+        if self.axes[0] == "yaw" and "yaw" not in self.axes[1:]:  # nearly all: in one plane
+            reach = lengths[0]
+            for i in range(1, len(self.axes)):
+                pitch += q[i]
+                reach += lengths[i] * math.cos(pitch)
+                z += lengths[i] * math.sin(pitch)
+            return reach * math.cos(q[0]), reach * math.sin(q[0]), z
+        for angle, length, axis in zip(q, lengths, self.axes, strict=True):
+            if axis == "pitch":
+                pitch += angle
+            else:
+                yaw += angle
+            reach = length * math.cos(pitch)
+            x += reach * math.cos(yaw)
+            y += reach * math.sin(yaw)
+            z += length * math.sin(pitch)
+        return x, y, z
+
+    @cached_property
+    def _axes(self) -> tuple[Vector, ...]:
+        return tuple((a, b, c) for a, b, c in self.vectors.tolist())
+
+    def height_gradient(self, q: Sequence[float]) -> Array:
+        """How the foot rises with each joint, (J,) rad to (J,) m per rad.
+
+        The third row of the leg's Jacobian; 0 for a joint whose axis is upright.
+        """
+        if not self.is_straight:
+            return self.height_gradients(q)
+        pitch, reach = 0.0, []
+        for angle, length, axis in zip(q, self._lengths, self.axes, strict=True):
+            pitch += angle if axis == "pitch" else 0.0
+            reach.append(length * math.cos(pitch))
+        beyond, rises = 0.0, [0.0] * len(reach)
+        for i in range(len(reach) - 1, -1, -1):
+            beyond += reach[i]
+            if self.axes[i] == "pitch":
+                rises[i] = beyond
+        return np.array(rises)
+
+    def height_gradients(self, q: ArrayLike) -> Array:
+        """:meth:`height_gradient` of many postures, (..., J) rad to (..., J) m per rad."""
+        angles = np.asarray(q, dtype=np.float64)
+        if not self.is_straight:
+            points, axes = self.frames(angles)
+            arm = points[..., -1:, :] - points[..., :-1, :]
+            return np.asarray(axes[..., 0] * arm[..., 1] - axes[..., 1] * arm[..., 0])
+        reach = np.asarray(self._lengths, dtype=np.float64) * np.cos(link_angles(q, self.axes))
+        beyond = np.cumsum(reach[..., ::-1], axis=-1)[..., ::-1]
+        return np.asarray(np.where(self._pitched, beyond, 0.0))
+
+    def frames(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Where the joints are, and how they turn, in the leg's frame.
+
+        Args:
+            q: (..., J) rad.
+
+        Returns:
+            (..., J + 1, 3) m, the joints and the foot; (..., J, 3), the axes as they stand.
+        """
+        angles = np.asarray(q, dtype=np.float64)
+        joints = len(self.axes)
+        points = [np.zeros((*angles.shape[:-1], 3))]
+        axes = []
+        for i in range(joints):
+            axis = np.broadcast_to(self.vectors[i], points[0].shape)
+            link = np.broadcast_to(np.array(self.origins_m[i]), points[0].shape)
+            link = _turned(link, self.vectors[i], angles[..., i])
+            for k in range(i - 1, -1, -1):
+                axis = _turned(axis, self.vectors[k], angles[..., k])
+                link = _turned(link, self.vectors[k], angles[..., k])
+            axes.append(axis)
+            points.append(points[-1] + link)
+        return np.stack(points, axis=-2), np.stack(axes, axis=-2)
+
+
+def straight(lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Chain:
+    """The chain of links that lie along x with all angles 0.
+
+    Args:
+        lengths_m: (J,) m from the body outwards.
+        axes: (J,) of each joint.
+    """
+    return Chain(tuple(axes), tuple((float(length), 0.0, 0.0) for length in lengths_m))
+
+
+def link_angles(q: ArrayLike, axes: Sequence[str | Vector]) -> Array:
+    """Absolute pitch of every link over the horizon of the leg's frame, of yaws, then pitches.
 
     Args:
         q: (..., J) rad joint angles.
@@ -40,97 +269,37 @@ def link_angles(q: ArrayLike, axes: Sequence[str]) -> Array:
     return np.cumsum(angles * pitch, axis=-1)
 
 
-def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str]) -> Array:
-    """Foot position in the leg's frame.
-
-    Args:
-        q: (..., J) rad joint angles.
-        lengths_m: (J,) m link lengths from the body outwards.
-        axes: (J,) ``yaw`` or ``pitch`` per joint.
-
-    Returns:
-        (..., 3) m.
-    """
-    angles = np.asarray(q, dtype=np.float64)
-    lengths = np.asarray(lengths_m, dtype=np.float64)
-    yaw_mask = np.array([1.0 if axis == "yaw" else 0.0 for axis in axes])
-    phi = link_angles(angles, axes)
-    heading = np.cumsum(angles * yaw_mask, axis=-1)
-    reach = lengths * np.cos(phi)
-    return np.stack(
-        [
-            np.sum(reach * np.cos(heading), axis=-1),
-            np.sum(reach * np.sin(heading), axis=-1),
-            np.sum(lengths * np.sin(phi), axis=-1),
-        ],
-        axis=-1,
-    )
+def foot(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector]) -> Array:
+    """:meth:`Chain.foot` of a :func:`straight` chain, (..., J) rad to (..., 3) m."""
+    return straight(lengths_m, axes).foot(q)
 
 
 def foot_point(
-    q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str]
-) -> tuple[float, float, float]:
-    """Place of the foot in one posture: what every control tick asks.
-
-    Plain floats; for so few of them numpy's call overhead is twenty times the arithmetic.
-
-    Args:
-        q: (J,) rad joint angles.
-        lengths_m: (J,) m.
-        axes: (J,) ``yaw`` or ``pitch`` per joint.
-
-    Returns:
-        x, y, z in m, equal to ``foot(q, ...)``.
-    """
-    if axes[0] == "yaw" and "yaw" not in axes[1:]:  # as nearly all legs are: in one plane
-        pitch = z = 0.0
-        reach = lengths_m[0]
-        for i in range(1, len(axes)):
-            pitch += q[i]
-            reach += lengths_m[i] * math.cos(pitch)
-            z += lengths_m[i] * math.sin(pitch)
-        return reach * math.cos(q[0]), reach * math.sin(q[0]), z
-    pitch = yaw = x = y = z = 0.0
-    for angle, length, axis in zip(q, lengths_m, axes, strict=True):
-        if axis == "pitch":
-            pitch += angle
-        else:
-            yaw += angle
-        reach = length * math.cos(pitch)
-        x += reach * math.cos(yaw)
-        y += reach * math.sin(yaw)
-        z += length * math.sin(pitch)
-    return x, y, z
+    q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str | Vector]
+) -> Vector:
+    """:meth:`Chain.point` of a :func:`straight` chain, (J,) rad to x, y, z in m."""
+    return straight(lengths_m, axes).point(q)
 
 
-def height_gradient(q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str]) -> Array:
-    """How the foot rises with each joint: the third row of the leg's Jacobian.
-
-    Args:
-        q: (J,) rad joint angles.
-        lengths_m: (J,) m.
-        axes: (J,) ``yaw`` or ``pitch`` per joint.
-
-    Returns:
-        (J,) m per rad; 0 for a yaw joint, whose axis is upright.
-    """
-    pitch, reach = 0.0, []
-    for angle, length, axis in zip(q, lengths_m, axes, strict=True):
-        pitch += angle if axis == "pitch" else 0.0
-        reach.append(length * math.cos(pitch))
-    beyond, rises = 0.0, [0.0] * len(reach)
-    for i in range(len(reach) - 1, -1, -1):
-        beyond += reach[i]
-        if axes[i] == "pitch":
-            rises[i] = beyond
-    return np.array(rises)
+def height_gradient(
+    q: Sequence[float], lengths_m: Sequence[float], axes: Sequence[str | Vector]
+) -> Array:
+    """:meth:`Chain.height_gradient` of a :func:`straight` chain, (J,) rad to (J,) m per rad."""
+    return straight(lengths_m, axes).height_gradient(q)
 
 
-def height_gradients(q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str]) -> Array:
-    """:func:`height_gradient` of many postures, (..., J) rad to (..., J) m per rad."""
-    reach = np.asarray(lengths_m, dtype=np.float64) * np.cos(link_angles(q, axes))
-    beyond = np.cumsum(reach[..., ::-1], axis=-1)[..., ::-1]
-    return np.asarray(np.where([axis == "pitch" for axis in axes], beyond, 0.0))
+def height_gradients(
+    q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector]
+) -> Array:
+    """:meth:`Chain.height_gradients` of a :func:`straight` chain, (..., J) m per rad."""
+    return straight(lengths_m, axes).height_gradients(q)
+
+
+def _turned(vectors: Array, axis: Array, angles: Array) -> Array:
+    """(..., 3) vectors, turned about an axis by (...) rad (Rodrigues)."""
+    cos, sin = np.cos(angles)[..., None], np.sin(angles)[..., None]
+    along = (vectors @ axis)[..., None] * (1.0 - cos)
+    return np.asarray(vectors * cos + np.cross(axis, vectors) * sin + axis * along)
 
 
 def inverse(point_m: ArrayLike, lengths_m: Sequence[float]) -> Array:

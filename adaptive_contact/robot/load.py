@@ -20,7 +20,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot.checks import check
 from adaptive_contact.robot.description import (
     Angles,
-    Axis,
+    AxisWord,
     DetectorSettings,
     Leg,
     LegRos2,
@@ -159,7 +159,7 @@ def _explain(text: str) -> str:
         name = text.split("`")[1]
         return f"{text}; {_EXAMPLES.get(name, 'docs/robot.md has an example')}"
     if "Invalid enum value" in text and ".axes" in text:
-        return f"{text}; expected {', '.join(get_args(Axis))}"
+        return f"{text}; expected {', '.join(get_args(AxisWord))}, or a direction such as [0, 1, 0]"
     wrong_type = re.fullmatch(r"Expected `(\S+)`, got `(\S+)` - at `(.+)`", text)
     if wrong_type:
         expected, got, where = wrong_type.groups()

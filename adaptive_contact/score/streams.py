@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError, RecordingError
-from adaptive_contact.robot import Leg, Robot, foot
+from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.score.contacts import truth_changes
 from adaptive_contact.score.outcome import Events, LegStream
@@ -187,8 +187,8 @@ class Gatherer:
                 )
             swing = np.where(phase == _UNTOLD, inferred, swing)
         lift = None
-        if described is not None and described.lengths_m is not None:
-            height = foot(desired, described.lengths_m, described.joint_axes)[:, 2]
+        if described is not None and described.chain is not None:
+            height = described.chain.foot(desired)[:, 2]
             lift = lift_by_height(find_swings(t_ns, swing), height)
         truth = truth_changes(self._truth.get(leg, []))
         return LegStream(leg=leg, t_ns=t_ns, swing=swing, truth=truth, lift=lift)

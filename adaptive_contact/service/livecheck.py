@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from adaptive_contact.conventions.judge import judge_motion
 from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import on_body
-from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, foot
+from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, axis_text
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
@@ -51,7 +51,7 @@ class JointView(msgspec.Struct, frozen=True, kw_only=True):
     """One joint, in the description's angles.
 
     Attributes:
-        axis: ``yaw`` or ``pitch``.
+        axis: ``yaw``, ``pitch``, ``roll``, or a direction such as ``(0, 1, 0)``.
         angle_rad, goal_rad: of the newest sample.
         low_rad, high_rad: least and largest reading.
         limits_rad: of robot.toml.
@@ -121,6 +121,7 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
         moves: joints that were moved and came to rest, one line each.
         confirmed: legs whose signs, order and zeros the motion confirms.
         open: legs of which the motion tells nothing.
+        by_hand: those of them that no motion confirms, as their chain is not straight.
         flatness: of the feet, where all legs rest.
         findings: what is wrong, the worst first.
     """
@@ -130,6 +131,7 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
     moves: list[str]
     confirmed: list[str]
     open: list[str]
+    by_hand: list[str]
     flatness: Flatness | None
     findings: list[Finding]
 
@@ -215,6 +217,7 @@ class LiveCheck:
             moves=self.moves,
             confirmed=[name for name in self._robot.leg_ids if name in verdict.fits],
             open=[name for name in self._robot.leg_ids if name in motions and name not in told],
+            by_hand=[name for name in motions if not self._legs[name].confirmable],
             flatness=_flatness({leg.leg: leg.last for leg in self._legs.values() if leg.rests}),
             findings=entries(faults),
         )
@@ -258,6 +261,11 @@ class _LegCheck:
         return _moved(self.leg, before, now)
 
     @property
+    def confirmable(self) -> bool:
+        """Whether a motion can confirm signs and zeros: not of a chain that is not straight."""
+        return self.leg.chain is None or self.leg.chain.is_straight
+
+    @property
     def last(self) -> Array:
         """(J,) rad, the newest reading."""
         return self._recent[-1]
@@ -276,7 +284,7 @@ class _LegCheck:
         joints = [
             JointView(
                 joint=name,
-                axis=leg.joint_axes[j],
+                axis=axis_text(leg.joint_axes[j]),
                 angle_rad=newest.measured[j],
                 goal_rad=newest.desired[j],
                 low_rad=float(measured[:, j].min()),
@@ -289,12 +297,12 @@ class _LegCheck:
             for j, name in enumerate(leg.joints)
         ]
         view = LegView(leg=leg.id, samples=self._count, rate_hz=self._rate_hz(), joints=joints)
-        if leg.lengths_m is None:
+        if leg.chain is None:
             return view
-        place = foot(newest.measured, leg.lengths_m, leg.joint_axes)
+        place = leg.chain.foot(newest.measured)
         body = on_body(leg, place)
         known = leg.mount != Mount()
-        commanded = foot(newest.desired, leg.lengths_m, leg.joint_axes)[2]
+        commanded = leg.chain.foot(newest.desired)[2]
         return msgspec.structs.replace(
             view,
             above_m=float(place[2] - commanded) if self.rests else None,
@@ -308,7 +316,7 @@ class _LegCheck:
         """What is wrong with rate, units, order and range."""
         facts = LegFacts(
             joints=list(self.leg.joints),
-            lengths=self.leg.lengths_m is not None,
+            lengths=self.leg.chain is not None,
             quantum_rad=self._quantum_rad,
         )
         yield from check_leg(
@@ -354,9 +362,11 @@ def _moved(leg: Leg, before: Array, now: Array) -> str:
         for j, name in enumerate(leg.joints)
         if abs(by[j]) >= _GAVE_WAY * most
     )
-    if leg.lengths_m is None:
+    if leg.chain is None:
         return f"{leg.id}: {joints}"
-    was, came = (foot(q, leg.lengths_m, leg.joint_axes) for q in (before, now))
+    was, came = (leg.chain.foot(q) for q in (before, now))
+    if not leg.chain.is_straight:
+        return f"{leg.id}: {joints}: the foot went {_way(leg, came - was)}"
     rise, turn = came[2] - was[2], np.arctan2(came[1], came[0]) - np.arctan2(was[1], was[0])
     turn = (turn + np.pi) % (2 * np.pi) - np.pi
     aside = turn * np.hypot(came[0], came[1])
@@ -369,12 +379,25 @@ def _moved(leg: Leg, before: Array, now: Array) -> str:
     return f"{leg.id}: {joints}: the foot went {' and '.join(parts)}"
 
 
+def _way(leg: Leg, by: Array) -> str:
+    """A way of the foot in the leg's frame, in words of the body's."""
+    ahead, left, up = on_body(leg, by) - on_body(leg, np.zeros(3))
+    ways = ((up, "up", "down"), (ahead, "forward", "back"), (left, "left", "right"))
+    most = max(abs(way) for way, *_ in ways)
+    told = [
+        f"{plus if way > 0 else minus} by {abs(way) * 1e3:.0f} mm"
+        for way, plus, minus in ways
+        if abs(way) >= _GAVE_WAY * most
+    ]
+    return " and ".join(told)
+
+
 def _flatness(resting: Mapping[Leg, Array]) -> Flatness | None:
     """How far the feet are from a plane; None where too few legs with mounts rest."""
     placed = {
-        leg.id: on_body(leg, foot(q, leg.lengths_m, leg.joint_axes))
+        leg.id: on_body(leg, leg.chain.foot(q))
         for leg, q in resting.items()
-        if leg.lengths_m is not None and leg.mount != Mount()
+        if leg.chain is not None and leg.mount != Mount()
     }
     names, points = list(placed), np.array(list(placed.values()))
     if len(names) < _LEAST_FEET:

@@ -135,7 +135,7 @@ class OneRobot:
                 described = robot.leg(leg)
                 facts = LegFacts(
                     joints=list(described.joints),
-                    lengths=described.lengths_m is not None,
+                    lengths=described.chain is not None,
                     quantum_rad=robot.quantum(leg),
                 )
             faults = check_leg(

@@ -41,7 +41,7 @@ class LegFacts(msgspec.Struct, frozen=True, kw_only=True):
         described = robot.leg(leg)
         return cls(
             joints=list(described.joints),
-            lengths=described.lengths_m is not None,
+            lengths=described.chain is not None,
             quantum_rad=robot.quantum(leg),
         )
 

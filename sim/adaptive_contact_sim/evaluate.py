@@ -11,7 +11,7 @@ import numpy as np
 from adaptive_contact.leg_group import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
-from adaptive_contact.robot import Robot, foot
+from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
     Events,
     LegOutcome,
@@ -106,8 +106,8 @@ def play(
 def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
     """A leg's run as the scoring takes it."""
     arrays, described = run.legs[leg], robot.leg(leg)
-    assert described.lengths_m is not None
-    height = foot(arrays.desired, described.lengths_m, described.joint_axes)[:, 2]
+    assert described.chain is not None
+    height = described.chain.foot(arrays.desired)[:, 2]
     swings = find_swings(run.t_ns, arrays.swing)
     return LegStream(
         leg=leg,

@@ -71,6 +71,35 @@ def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> 
         invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
 
 
+@real_time
+def test_init_takes_servos_for_the_joints_of_a_urdf(rig: Callable, tmp_path: Path) -> None:
+    rig(**AX)
+    parts = ['<link name="body"/>']
+    for leg, y in (("l", 0.1), ("r", -0.1)):
+        for k, (axis, xyz) in enumerate(
+            (("1 0 0", f"0 {y} 0"), ("0 1 0", "0 0 -0.02"), ("0 1 0", "0 0 -0.1"))
+        ):
+            parent = "body" if k == 0 else f"{leg}{k - 1}"
+            parts.append(
+                f'<link name="{leg}{k}"/><joint name="{leg}_j{k}" type="revolute">'
+                f'<parent link="{parent}"/><child link="{leg}{k}"/><origin xyz="{xyz}"/>'
+                f'<axis xyz="{axis}"/><limit lower="-1" upper="1"/></joint>'
+            )
+    urdf, out = tmp_path / "r.urdf", tmp_path / "robot.toml"
+    urdf.write_text(f'<robot name="r">{"".join(parts)}</robot>')
+    invoke(
+        "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out),
+        "--urdf", str(urdf), "--legs", "l=l2,r=r2", "--tip", "0,0,-0.1",
+    )  # fmt: skip
+    robot = parse_robot(out.read_text(), source="written")
+    right = robot.leg("r")
+    assert right.joints == ("r_j0", "r_j1", "r_j2")
+    assert right.servos.ids == (4, 5, 6)
+    assert right.joint_axes[0] == "roll"
+    assert right.origins_m == ((0.0, 0.0, -0.02), (0.0, 0.0, -0.1), (0.0, 0.0, -0.1))
+    assert robot.quantum_rad == pytest.approx(0.00511, abs=1e-5)
+
+
 def test_servos_that_do_not_make_legs(rig: Callable, tmp_path: Path) -> None:
     r = rig(**AX)
     r.ports[0].servos = r.ports[0].servos[:5]

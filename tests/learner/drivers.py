@@ -53,7 +53,7 @@ class Swings:
         b.measured[0], b.desired[0] = angles
         ended: bool = follow_command(
             self.place.leg, _PHASES[sample.phase], b.measured[0], b.desired[0], sample.seq,
-            b.lengths[0], b.pitched[0], b.low[0], b.lengths_ticks[0], b.last_desired[0],
+            b.links[0], b.turns[0], b.low[0], b.lengths_ticks[0], b.last_desired[0],
             b.last_measured[0], b.last_read[0], b.path[0], b.asked[0], b.commanded[0], b.foot[0],
             b.start[0], b.now, awaited,
         )  # fmt: skip
@@ -63,7 +63,7 @@ class Swings:
         """Where the leg is."""
         b = self.place.batch
         follow_foot(
-            self.place.leg, np.array(measured), b.lengths[0], b.pitched[0], b.lengths_ticks[0],
+            self.place.leg, np.array(measured), b.links[0], b.turns[0], b.lengths_ticks[0],
             b.last_measured[0], b.heights[0], b.asked[0], b.commanded[0], b.foot[0], b.start[0],
             b.now,
         )  # fmt: skip
@@ -167,7 +167,7 @@ class Labels:
         enter_row(
             leg, b.rows[0], b.row_thetas[0], b.row_targets[0], b.row_asides[0], b.theta[0],
             b.history[0], row.nis * joints, row.value, row.calm, descending, b.whiten[0],
-            b.unit[0], b.last_measured[0], b.lengths[0], b.pitched[0], b.floats[0], b.floats[1],
+            b.unit[0], b.last_measured[0], b.links[0], b.turns[0], b.floats[0], b.floats[1],
         )  # fmt: skip
         if int(leg["row_n"]) > before:
             self._seen = [*self._seen[:before], row]
@@ -225,7 +225,7 @@ class Phases:
         b, leg, height = self.place.batch, self.place.leg, 0.0
         desired = np.array(sample.desired)
         if leg["has_lengths"]:
-            place_foot(desired, b.lengths[0], b.pitched[0], b.now)
+            place_foot(desired, b.links[0], b.turns[0], b.now)
             height = float(b.now[2])
         phase = _PHASES[sample.phase]
         take_phase(leg, phase, desired, height, b.phase_before[0], b.parts[0])

@@ -56,7 +56,11 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
         ("period_s = 0.02", "period_s = 20", "period_s is 20"),
         ("period_s = 0.02", 'period_s = "fast"', "period_s"),
         ("period_s = 0.02", "", "missing key `period_s` - at `robot`; such as period_s = 0.02"),
-        ('["coxa", "femur", "tibia"]', '["a", "b"]\naxes = ["yaw", "up"]', "expected yaw, pitch"),
+        (
+            '["coxa", "femur", "tibia"]',
+            '["a", "b"]\naxes = ["yaw", "up"]',
+            "expected roll, pitch, yaw, or a direction such as [0, 1, 0]",
+        ),
         ("[[leg]]", "[detector]\nleg = 3\n[[leg]]", "or as a table of its own"),
         ("period_s = 0.02", "period_s = 0.02\nperiods = 1", "did you mean `period_s`?"),
         ("quantum_rad = 0.00511", "quantum_rad = 0", "quantum_rad is 0"),
@@ -69,6 +73,38 @@ def test_the_shipped_hexapod_has_six_legs() -> None:
             "lengths_m = [0.052, 0.066, 0.138]",
             'lengths_m = [0.1, 0.1, 0.1]\naxes = ["yaw", "yaw", "yaw"]',
             "no joint pitches, so that its foot never rises; leave lengths_m out",
+        ),
+        ("lengths_m = [0.052, 0.066, 0.138]", 'axes = [[0, 1], "yaw", "yaw"]', "length 3"),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            'axes = ["roll", [0, 0, 0], "pitch"]',
+            "axes has [0.0, 0.0, 0.0]; expected a direction such as [0, 1, 0]",
+        ),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            'axes = ["roll", [0, nan, 1], "pitch"]',
+            "expected a direction such as [0, 1, 0]",
+        ),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            "lengths_m = [0.1, 0.1, 0.1]\norigins_m = [[0.1, 0, 0], [0.1, 0, 0], [0.1, 0, 0]]",
+            "has lengths_m and origins_m; give one",
+        ),
+        ("lengths_m = [0.052, 0.066, 0.138]", "origins_m = [[0, 0, 0.1]]", "1 values for 3 joints"),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            "origins_m = [[0.1, 0, 0], [0.1, nan, 0], [0.1, 0, 0]]",
+            "expected metres, up to 5",
+        ),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            "origins_m = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]",
+            "origins_m are all 0",
+        ),
+        (
+            "lengths_m = [0.052, 0.066, 0.138]",
+            'axes = ["yaw", [0, 0, -1], "yaw"]\norigins_m = [[0.1, 0, 0], [0.1, 0, 0], [0, 0, 1]]',
+            "no joint raises the foot; look at axes, or leave origins_m out",
         ),
         ("[[leg]]", "[[leg", "not valid TOML"),
         ("[[leg]]", "[detector]\nfalse_alarms_per_hour = 0\n[[leg]]", "false_alarms_per_hour is 0"),
@@ -103,3 +139,30 @@ def test_a_missing_file_and_a_missing_leg(tmp_path: Path) -> None:
     names = "no robot 'octopus' ships with adaptive-contact; there are hexapod, quadruped, others"
     with pytest.raises(ConfigurationError, match=names):
         shipped_robot("octopus")
+
+
+def test_an_axis_is_a_word_or_a_direction() -> None:
+    text = GOOD.replace(
+        "lengths_m = [0.052, 0.066, 0.138]",
+        'axes = ["roll", [0, -2, 0], [0, 3, 4]]\n'
+        "origins_m = [[0, 0.05, 0], [0, 0, -0.1], [0, 0.01, -0.1]]",
+    )
+    leg = parse_robot(text, source="x").leg("rf")
+    assert leg.joint_axes == ("roll", "pitch", (0.0, 0.6, 0.8))
+    assert leg.chain is not None
+    assert leg.chain.origins_m[2] == (0.0, 0.01, -0.1)
+    assert leg.lengths_m is None
+
+
+@pytest.mark.parametrize("joints", range(1, 8))
+def test_a_chain_has_one_to_seven_joints(joints: int) -> None:
+    axes = ["yaw", "roll", "pitch", "pitch", "roll", [0, 1, 1], "yaw"][:joints]
+    axes[0] = "roll"
+    text = (
+        GOOD.replace('["coxa", "femur", "tibia"]', str([f"j{i}" for i in range(joints)]))
+        .replace("lengths_m = [0.052, 0.066, 0.138]", f"axes = {axes}")
+        .replace("axes", f"origins_m = {[[0, 0.02, -0.1]] * joints}\naxes", 1)
+    )
+    leg = parse_robot(text, source="x").leg("rf")
+    assert leg.chain is not None
+    assert leg.chain.foot([0.0] * joints) == pytest.approx([0, 0.02 * joints, -0.1 * joints])

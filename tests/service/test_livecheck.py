@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_live import _told
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot import Angles, Robot, foot, shipped_robot
+from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
 from adaptive_contact.service.link import Link, NoRouterError
 from adaptive_contact.service.livecheck import LiveCheck, LiveReport
 from adaptive_contact.service.traffic import Received
@@ -147,6 +148,44 @@ def test_a_move_is_told_in_the_frame_of_the_description() -> None:
     robot = msgspec.structs.replace(robot, legs=legs)
     (line,) = moved((0.0, -0.6, 1.8), (0.0, -1.1, 1.8), robot=robot)
     assert "femur +28.6°: the foot went up" in line
+
+
+def hanging(yaw_rad: float = 0.0) -> Robot:
+    """A leg that hangs straight down at 0, and rolls at its hip."""
+    leg = Leg(
+        id="lf",
+        joints=("roll", "hip", "knee"),
+        axes=("roll", (0, 1, 0), (0, 1, 0)),
+        origins_m=((0.0, 0.05, 0.0), (0.0, 0.0, -0.2), (0.0, 0.0, -0.2)),
+        mount=Mount(xyz_m=(0.2, 0.1, 0.0), yaw_rad=yaw_rad),
+    )
+    return Robot(name="r", period_s=0.02, quantum_rad=0.005, legs=(leg,))
+
+
+def test_the_way_of_a_foot_is_told_along_the_body_s_axes() -> None:
+    zero = (0.0, 0.0, 0.0)
+    [back] = moved(zero, (0.0, 0.25, 0.0), robot=hanging())
+    assert back == f"lf: hip +14.3°: the foot went back by {400 * np.sin(0.25):.0f} mm"
+    [left] = moved(zero, (0.25, 0.0, 0.0), robot=hanging())
+    assert "roll +14.3°: the foot went left by " in left
+    [both] = moved(zero, (0.0, 0.6, -1.2), robot=hanging())
+    assert "the foot went up by 70 mm" in both
+    # A leg that is mounted a quarter turn to the left goes there.
+    [right] = moved(zero, (0.0, 0.25, 0.0), robot=hanging(np.pi / 2))
+    assert "the foot went right by 99 mm" in right
+
+
+def test_a_chain_that_no_motion_confirms_is_said_to_be_checked_by_hand() -> None:
+    poses = [(0.1 * math.sin(k / 9), 0.6 + 0.2 * math.sin(k / 7), -1.2) for k in range(300)]
+    found = report([("lf", sample(k, pose)) for k, pose in enumerate(poses)], hanging())
+    assert found.open == found.by_hand == ["lf"]
+    assert found.confirmed == []
+    assert [joint.axis for joint in found.legs[0].joints] == ["roll", "(0, 1, 0)", "(0, 1, 0)"]
+    [line] = [line for line in _told(found) if "by hand" in line]
+    assert line.startswith("signs, order and zeros of leg lf: no motion confirms them")
+    place = hanging().leg("lf").chain.foot(poses[-1])  # type: ignore[union-attr]
+    assert found.legs[0].forward_m == pytest.approx(0.2 + place[0])
+    assert found.legs[0].left_m == pytest.approx(0.1 + place[1])
 
 
 def still(poses: dict[str, Sequence[float]], ticks: int = 60) -> list[tuple[str, ServoSample]]:

@@ -63,6 +63,8 @@ def settings_digest(
     if leg in robot.leg_ids:
         known = robot.leg(leg)
         shape = (known.joints, known.joint_axes, known.lengths_m, robot.quantum(leg))
+        if known.origins_m is not None:
+            shape += (known.origins_m,)
     facts: tuple[object, ...] = (robot.period_s, robot.servo, leg, shape, baseline)
     if formats != _UNNAMED:
         facts += (formats,)

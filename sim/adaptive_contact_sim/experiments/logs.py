@@ -23,6 +23,7 @@ from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window
 from adaptive_contact.model.window import Rows, stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
+from adaptive_contact.robot.description import Axis
 from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
 from adaptive_contact_sim.experiments.comparison_rules import (
     Motion,
@@ -96,7 +97,9 @@ def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> 
 def _library(name: LibraryName, joints: int, slope: float) -> Library:
     # Axes only matter for gravity terms: a first joint that turns about the vertical, as in arms
     # and legs, then pitches; a single joint pitches.
-    axes = ("pitch",) if joints == 1 else ("yaw", *(("pitch",) * (joints - 1)))
+    pitch: Axis = "pitch"
+    pitches = (pitch,) * max(joints - 1, 1)
+    axes: tuple[Axis, ...] = pitches if joints == 1 else ("yaw", *pitches)
     return Library(
         name=name,
         joints=tuple(f"joint{i + 1}" for i in range(joints)),

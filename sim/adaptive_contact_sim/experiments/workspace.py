@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
-from adaptive_contact.robot import Robot, foot, shipped_robot
+from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.experiments.data import Stream, join, load
 from adaptive_contact_sim.experiments.identification import PAPER_WINDOW, told_condition
 from adaptive_contact_sim.experiments.plan import LegRun, Piece, Plan, Role
@@ -190,9 +190,9 @@ def _compare(
     leg = robot.leg(train[0].leg)
     library = leg_library(robot, leg, name, window)
     fitted, held = _joined(train, library), _joined(test, library)
-    assert leg.lengths_m is not None
-    where = foot(fitted.measured[:, 0], leg.lengths_m, leg.joint_axes)
-    tried = foot(held.measured[:, 0], leg.lengths_m, leg.joint_axes)
+    assert leg.chain is not None
+    where = leg.chain.foot(fitted.measured[:, 0])
+    tried = leg.chain.foot(held.measured[:, 0])
     edges = np.median(cylinder(where), axis=0)
     region, held_region = _region(where, edges), _region(tried, edges)
     factors = [

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact_sim
-from adaptive_contact.robot import Robot, foot
+from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
     LegStream,
     TruthChanges,
@@ -118,8 +118,8 @@ class Recording:
     def stream(self, leg: str, robot: Robot) -> LegStream:
         """A leg's stream as the scoring takes it."""
         record, described = self.legs[leg], robot.leg(leg)
-        assert described.lengths_m is not None
-        height = foot(record.desired, described.lengths_m, described.joint_axes)[:, 2]
+        assert described.chain is not None
+        height = described.chain.foot(record.desired)[:, 2]
         swings = find_swings(self.t_ns, record.swing)
         lift = lift_by_height(swings, height)
         return LegStream(leg, self.t_ns, record.swing, record.truth, lift)

@@ -1,0 +1,361 @@
+"""Behind ``robot init``: a description from a bus, from a URDF, from answers, or from them all."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+import typer
+
+from adaptive_contact.cli._options import check_output
+from adaptive_contact.cli._output import say
+from adaptive_contact.cli.bridge import needs_sdk
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.files import holds_content, write_file
+from adaptive_contact.robot import Leg, Robot, parse_robot
+from adaptive_contact.robot.kinematics import Vector
+from adaptive_contact.robot.urdf import UrdfLegs, read_urdf
+from adaptive_contact.robot.write import write_robot
+from adaptive_contact.wire import is_leg_id
+
+if TYPE_CHECKING:
+    from adaptive_contact.bridge.survey import Wanted
+
+__all__ = ["Wishes", "write_description"]
+
+# Slopes within this of each other are as good as one.
+_ALIKE: Final = 1.2
+_JOINTS: Final = 3
+_MOST_JOINTS: Final = 16
+_ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
+
+
+@dataclasses.dataclass(frozen=True)
+class Wishes:
+    """The options of ``robot init``; None where one is not given."""
+
+    devices: Mapping[str, str]
+    out: Path
+    joints: str | None
+    ids: str | None
+    legs: str | None
+    lengths: str | None
+    urdf: Path | None
+    base: str | None
+    tip: str | None
+    name: str | None
+    resolution: float | None
+    rate: float | None
+    baud: int | None
+    configure: bool
+    force: bool
+
+
+def write_description(wishes: Wishes) -> None:
+    """Make a description, and write it.
+
+    Raises:
+        ConfigurationError: something is missing or does not fit, in one line.
+        BusError: the bus does not have such a robot.
+    """
+    # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
+    devices = {port: str(Path(path).absolute()) for port, path in wishes.devices.items()}
+    out = wishes.out
+    if not devices and wishes.urdf is None and wishes.joints is None:
+        raise ConfigurationError(
+            "which port? give --device /dev/ttyUSB0 (or left=/dev/ttyUSB0 ...); for servos on no "
+            "such bus --urdf FILE, or --legs ID,... and --joints NUMBER"
+        )
+    if holds_content(out) and not wishes.force:
+        raise ConfigurationError(f"{out} is there already; give another --out, or --force")
+    check_output(out, "--out")
+    if wishes.lengths is not None and wishes.urdf is not None:
+        raise ConfigurationError("--lengths and --urdf both give the geometry; leave one out")
+    if wishes.urdf is None and (wishes.base or wishes.tip):
+        raise ConfigurationError("--base and --tip go with --urdf FILE; give it, or leave them out")
+    # All that makes a bad description is ruled out before the bus is asked, which takes its time.
+    feet = _feet(wishes)
+    names = _joint_names(wishes.joints)
+    if wishes.name is not None and not (wishes.name.isprintable() and wishes.name.strip()):
+        raise ConfigurationError(f"--name {wishes.name!r} is no name; give one such as my-robot")
+    _check_ports(devices)
+    read = None if wishes.urdf is None else _read_urdf(wishes, wishes.urdf, feet)
+    if devices:
+        robot = _of_bus(wishes, devices, tuple(feet), names, read)
+    else:
+        robot = _of_answers(wishes, tuple(feet), names, read)
+    if wishes.lengths is not None and not devices:
+        measured = _lengths(wishes.lengths, len(robot.legs[0].joints))
+        alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
+        robot = msgspec.structs.replace(robot, legs=alike)
+    text = write_robot(robot)
+    parse_robot(text, source=f"{out} would not be read back, so it is not written")
+    write_file(out, text, advice="give another --out")
+    for note in () if read is None else read.notes:
+        say(f"adaptive-contact: {note}", err=True)
+    todo = "" if robot.legs[0].chain is not None else "fill in lengths_m, then "
+    sizes = " and ".join(map(str, sorted({len(leg.joints) for leg in robot.legs})))
+    live = "" if devices else "--live "
+    say(
+        f"wrote {out}: {len(robot.legs)} legs of {sizes} joints; {todo}run "
+        f"`adaptive-contact robot check {live}--config {out}`"
+    )
+
+
+# -- options -------------------------------------------------------------------------------------
+
+
+def _feet(wishes: Wishes) -> dict[str, str]:
+    """The legs of ``--legs`` with their feet's links, which are empty without a URDF."""
+    text = wishes.legs
+    if text is None:
+        if wishes.urdf is not None:
+            last = read_urdf(wishes.urdf).last_links()
+            raise ConfigurationError(
+                f"which links are the feet? give --legs lf=LINK,...; last links of {wishes.urdf}: "
+                f"{last}"
+            )
+        return {}
+    feet: dict[str, str] = {}
+    for part in text.split(","):
+        leg, equals, link = (piece.strip() for piece in part.partition("="))
+        if not is_leg_id(leg):
+            raise ConfigurationError(
+                f"--legs {text}: '{leg}' cannot name a leg; expected {_ID}, such as lf,lm,lr"
+            )
+        if leg in feet:
+            raise ConfigurationError(f"--legs {text}: '{leg}' is there twice; names must differ")
+        if wishes.urdf is not None and not link:
+            raise ConfigurationError(
+                f"--legs {text}: '{leg}' has no link; with --urdf give lf=LINK,..., with each "
+                "foot's link"
+            )
+        if equals and wishes.urdf is None:
+            raise ConfigurationError(
+                f"--legs {text}: links go with --urdf FILE; give it, or leave out ={link}"
+            )
+        if link and link in feet.values():
+            raise ConfigurationError(f"--legs {text}: link '{link}' is there twice; feet differ")
+        feet[leg] = link
+    return feet
+
+
+def _check_ports(devices: Mapping[str, str]) -> None:
+    owners: dict[str, str] = {}
+    for port, path in devices.items():
+        if not is_leg_id(port):
+            raise ConfigurationError(
+                f"--device {port}={path}: '{port}' cannot name a port; expected {_ID}"
+            )
+        before = owners.setdefault(os.path.realpath(path), port)
+        if before != port:
+            raise ConfigurationError(
+                f"--device gives {path} to port '{before}' and to port '{port}'; give each its own"
+            )
+
+
+def _joint_names(text: str | None) -> int | tuple[str, ...]:
+    """What ``--joints`` says: a number, or names."""
+    if text is None:
+        return _JOINTS
+    if text.strip().isdigit() and 1 <= int(text) <= _MOST_JOINTS:
+        return int(text)
+    names = tuple(part.strip() for part in text.split(","))
+    told = all(name and name.isprintable() for name in names) and len(set(names)) == len(names)
+    if text.strip().lstrip("+-").isdigit() or not told or len(names) > _MOST_JOINTS:
+        raise ConfigurationError(
+            f"--joints {text}: expected 1 to {_MOST_JOINTS}, or as many different names such as "
+            "hip,thigh,knee"
+        )
+    return names
+
+
+def _lengths(text: str, joints: int) -> tuple[float, ...]:
+    try:
+        lengths = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        lengths = ()
+    if len(lengths) != joints or not all(0.0 < length <= 5.0 for length in lengths):
+        raise ConfigurationError(
+            f"--lengths {text}: expected {joints} lengths in m, such as "
+            f"{','.join(['0.1'] * joints)}"
+        )
+    return lengths
+
+
+def _point(text: str | None) -> Vector:
+    if text is None:
+        return (0.0, 0.0, 0.0)
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = float("nan")
+    if not all(abs(part) <= 5.0 for part in (x, y, z)):
+        raise ConfigurationError(f"--tip {text}: expected X,Y,Z in m, such as 0,0,-0.1")
+    return x, y, z
+
+
+def _read_urdf(wishes: Wishes, path: Path, feet: Mapping[str, str]) -> UrdfLegs:
+    if wishes.joints is not None:
+        raise ConfigurationError("--joints and --urdf both give the joints; leave --joints out")
+    return read_urdf(path).legs(feet, base=wishes.base, tip_m=_point(wishes.tip))
+
+
+# -- robots --------------------------------------------------------------------------------------
+
+
+def _of_bus(
+    wishes: Wishes,
+    devices: Mapping[str, str],
+    ids: Sequence[str],
+    names: int | tuple[str, ...],
+    read: UrdfLegs | None,
+) -> Robot:
+    """The robot whose servos answer, with a URDF's geometry where there is one."""
+    with needs_sdk():
+        from adaptive_contact.bridge.survey import (
+            describe,
+            find_servos,
+            group,
+            steepness,
+            wanted_legs,
+        )
+        from adaptive_contact.bridge.tables import BAUDS
+
+    wanted = () if wishes.ids is None else wanted_legs(wishes.ids)
+    joints = names if isinstance(names, int) else len(names)
+    if read is not None:
+        joints = len(read.legs[0].joints)
+        counts = sorted({len(leg.joints) for leg in read.legs})
+        if len(counts) > 1 and not wanted:
+            raise ConfigurationError(
+                f"the URDF's legs have {' and '.join(map(str, counts))} joints; give --ids, the "
+                "servos of each leg"
+            )
+    _check_wanted(wishes, wanted, joints, devices, read)
+    baud = wishes.baud
+    if baud is not None and baud not in BAUDS:
+        raise ConfigurationError(
+            f"baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
+        )
+    measured = None
+    if wishes.lengths is not None:
+        numbers = {len(leg.ids) for leg in wanted} or {joints}
+        if len(numbers) > 1:
+            raise ConfigurationError(
+                "--lengths is for legs that are alike, and --ids has legs of "
+                f"{' and '.join(map(str, sorted(numbers)))} servos; fill lengths_m in by hand"
+            )
+        measured = _lengths(wishes.lengths, numbers.pop())
+    found = [
+        find_servos(
+            port,
+            path,
+            *(() if baud is None else ((baud,),)),
+            ids=[s for leg in wanted if leg.port in (port, None) for s in leg.ids]
+            if len(devices) == 1 or all(leg.port for leg in wanted)
+            else (),
+            configure=wishes.configure,
+        )
+        for port, path in devices.items()
+    ]
+    for line in describe(found):
+        say(line)
+    own_names = () if isinstance(names, int) else names
+    robot = group(found, joints, ids, own_names, wanted=wanted)
+    robot = msgspec.structs.replace(robot, name=wishes.name or "my-robot")
+    for port, settings in robot.ports.items():
+        if settings.ignore:
+            say(f"port {port}: servo {', '.join(map(str, settings.ignore))} is no leg's: ignored")
+    if wishes.rate is not None:
+        robot = msgspec.structs.replace(robot, period_s=1.0 / wishes.rate)
+    if wishes.resolution is not None:
+        robot = msgspec.structs.replace(robot, quantum_rad=wishes.resolution)
+    if measured is not None:
+        alike = tuple(msgspec.structs.replace(leg, lengths_m=measured) for leg in robot.legs)
+        robot = msgspec.structs.replace(robot, legs=alike)
+    slopes = steepness(found, robot)
+    if slopes and max(slopes.values()) > _ALIKE * min(slopes.values()):
+        told = ", ".join(f"{model} {slope:g}" for model, slope in slopes.items())
+        say(f"slopes differ ({told} rad): slope_rad is between them, which is near enough")
+    if read is None:
+        return robot
+    legs = tuple(
+        msgspec.structs.replace(leg, servos=own.servos, quantum_rad=own.quantum_rad)
+        for leg, own in zip(read.legs, robot.legs, strict=True)
+    )
+    return msgspec.structs.replace(robot, legs=legs)
+
+
+def _check_wanted(
+    wishes: Wishes,
+    wanted: Sequence[Wanted],
+    joints: int,
+    devices: Mapping[str, str],
+    read: UrdfLegs | None,
+) -> None:
+    """Refuse servos of ``--ids`` that do not fit the joints or the ports."""
+    for leg in wanted:
+        if leg.port is not None and leg.port not in devices:
+            raise ConfigurationError(
+                f"--ids names port '{leg.port}'; --device gives {', '.join(devices)}"
+            )
+        if read is None and wishes.joints is not None and len(leg.ids) != joints:
+            raise ConfigurationError(
+                f"--ids has a leg of {len(leg.ids)} servos ({','.join(map(str, leg.ids))}), "
+                f"--joints says {joints}; leave --joints out, or correct --ids"
+            )
+    if read is None or not wanted:
+        return
+    told, counts = [len(leg.ids) for leg in wanted], [len(leg.joints) for leg in read.legs]
+    if told != counts:
+        raise ConfigurationError(
+            f"--ids has legs of {', '.join(map(str, told))} servos, the URDF's legs have "
+            f"{', '.join(map(str, counts))} joints; give the servos of each leg of --legs"
+        )
+
+
+def _of_answers(
+    wishes: Wishes, ids: Sequence[str], names: int | tuple[str, ...], read: UrdfLegs | None
+) -> Robot:
+    """A robot on no bus that is known here, from options and answers."""
+    if read is None and not ids:
+        raise ConfigurationError("which legs? give --legs lf,rf,..., their names")
+    rate = _asked(wishes.rate, "control ticks per second, Hz", "--rate 50", 1.0, 10_000.0)
+    step = _asked(
+        wishes.resolution,
+        "one step of a reading, rad (12 bits over a turn: 0.00153)",
+        "--resolution 0.00153",
+        1e-6,
+        0.2,
+    )
+    if read is not None:
+        legs = read.legs
+    else:
+        own = tuple(f"joint{k + 1}" for k in range(names)) if isinstance(names, int) else names
+        made = [Leg(id=leg, joints=own) for leg in ids]
+        legs = tuple(msgspec.structs.replace(leg, axes=leg.joint_axes) for leg in made)
+    return Robot(name=wishes.name or "my-robot", period_s=1.0 / rate, quantum_rad=step, legs=legs)
+
+
+def _asked(given: float | None, what: str, option: str, least: float, most: float) -> float:
+    """An option's value, or a person's answer where one can be asked."""
+    if given is not None:
+        return given
+    if not _is_asked():
+        raise ConfigurationError(f"{what}: not given; give {option}")
+    while True:
+        value: float = typer.prompt(what, type=float, err=True)
+        if least <= value <= most:
+            return value
+        say(f"{value:g}: expected {least:g} to {most:g}", err=True)
+
+
+def _is_asked() -> bool:
+    """Whether somebody is there to answer."""
+    return sys.stdin.isatty()

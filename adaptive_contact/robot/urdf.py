@@ -1,0 +1,498 @@
+r"""Legs from a URDF: joints, axes, origins and limits, by the links that are the feet.
+
+Only the standard library's XML parser is used, and of the file only its links and joints: no mesh
+is opened, no package is resolved, nothing is loaded from anywhere.  Documents with a DOCTYPE, and
+so with entities, are refused, as are large and deeply nested ones.
+
+With all joints at 0 the transforms down the tree turn each joint's axis into the body's frame, so
+that :math:`a_i` and :math:`o_i` of a chain (:mod:`adaptive_contact.robot.kinematics`) are read off.
+The legs' frames are parallel to the body link's, whose z is up (ROS REP 103).
+
+Reference:
+    The URDF specification, wiki.ros.org/urdf/XML/joint.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import printable
+from adaptive_contact.robot.description import Leg, Limits, Mount
+from adaptive_contact.robot.kinematics import Vector
+
+__all__ = ["Urdf", "UrdfLegs", "read_urdf"]
+
+Array = NDArray[np.float64]
+
+MOST_BYTES: Final = 8_000_000
+MOST_DEPTH: Final = 64
+# Joints that turn, that do not move, and that carry a body about.
+_TURNING: Final = ("revolute", "continuous")
+_CARRYING: Final = ("floating", "planar")
+_KINDS: Final = (*_TURNING, *_CARRYING, "fixed", "prismatic")
+# Digits of what is written, m and parts of an axis: files have pi with as few.
+_DIGITS: Final = 6
+_SNAP: Final = 2e-5
+_LISTED: Final = 12
+# Links of these names are listed first where feet are asked for.
+_FOOT: Final = re.compile("foot|feet|toe|sole|tip|ankle", re.IGNORECASE)
+# A foot this share of the leg's reach above its first joint is not how a robot stands.
+_ABOVE_SHARE: Final = 0.1
+
+
+@dataclasses.dataclass
+class _Joint:
+    """A joint as the file has it."""
+
+    name: str
+    kind: str
+    line: int
+    parent: str = ""
+    child: str = ""
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+    axis: Vector = (1.0, 0.0, 0.0)
+    lower: float | None = None
+    upper: float | None = None
+    mimics: str | None = None
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """Its range, rad; None where there is none."""
+        if self.lower is None or self.upper is None or not self.lower < self.upper:
+            return None
+        return self.lower, self.upper
+
+
+@dataclasses.dataclass(frozen=True)
+class UrdfLegs:
+    """What a file says of a robot's legs.
+
+    Attributes:
+        base: the link that is the body.
+        legs: in the order asked for.
+        notes: for a person, one line each.
+    """
+
+    base: str
+    legs: tuple[Leg, ...]
+    notes: tuple[str, ...]
+
+
+class Urdf:
+    """The links and joints of a URDF.
+
+    Args:
+        data: the file's bytes.
+        source: names it in errors.
+
+    Raises:
+        ConfigurationError: in one line, what is wrong in it and what to do.
+    """
+
+    def __init__(self, data: bytes, source: str) -> None:
+        self.source = source
+        if len(data) > MOST_BYTES:
+            raise self._error(
+                f"has {len(data) / 1e6:.0f} MB; expected a URDF of {MOST_BYTES / 1e6:.0f} MB at "
+                "most: meshes are files of their own"
+            )
+        self.name = ""
+        self.links: list[str] = []
+        self._joints: list[_Joint] = []
+        self._open: list[str] = []
+        parser = expat.ParserCreate()
+        self._line: Callable[[], int] = lambda: parser.CurrentLineNumber
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = lambda _: self._open.pop()
+        parser.StartDoctypeDeclHandler = self._refuse_doctype
+        try:
+            parser.Parse(data, True)
+        except expat.ExpatError as error:
+            reason = expat.errors.messages.get(error.code, "unknown")
+            raise self._error(
+                f"line {error.lineno}: not well-formed XML ({reason}); expected a URDF"
+            ) from error
+        self._parents = self._tree()
+
+    @property
+    def tips(self) -> list[str]:
+        """The links that carry no other, and that joints move."""
+        carrying = {joint.parent for joint in self._joints}
+        return [
+            link
+            for link in self.links
+            if link not in carrying and any(j.kind in _TURNING for j in self._above(link))
+        ]
+
+    def legs(
+        self, feet: Mapping[str, str], *, base: str | None = None, tip_m: Vector = (0.0, 0.0, 0.0)
+    ) -> UrdfLegs:
+        """Read off legs.
+
+        Args:
+            feet: the foot's link by leg id.
+            base: the link that is the body; without it, the last one that all legs hang on.
+            tip_m: of the foot's tip in the frame of its link.
+
+        Raises:
+            ConfigurationError: the file has no such legs, or no chain describes one.
+        """
+        paths = {leg: self._path(leg, link) for leg, link in feet.items()}
+        roots = {path[0].parent if path else feet[leg] for leg, path in paths.items()}
+        if len(roots) > 1:
+            raise self._error(
+                f"legs hang on several roots ({', '.join(sorted(roots))}); expected one tree of "
+                "links: join them by a fixed joint"
+            )
+        body = self._body(paths, roots.pop(), base)
+        notes: list[str] = []
+        above = [j.name for j in self._above(body) if j.kind in _TURNING]
+        if above:
+            notes.append(
+                f"the body is link '{body}': joints above it ({', '.join(above)}) are no leg's"
+            )
+        owners: dict[str, str] = {}
+        legs, free, raised = [], [], []
+        for leg, path in paths.items():
+            chain = path[_below(path, body) :]
+            for joint in chain:
+                if joint.kind in _TURNING and owners.setdefault(joint.name, leg) != leg:
+                    raise self._error(
+                        f"joint '{joint.name}' moves leg '{owners[joint.name]}' and leg '{leg}'; "
+                        "a joint belongs to one leg: describe these legs as robots of their own, "
+                        "or give --base the link below it"
+                    )
+            legs.append(self._leg(leg, chain, feet[leg], body, tip_m))
+            free += [j.name for j in chain if j.kind in _TURNING and j.limits is None]
+            raised += [leg] if _is_raised(legs[-1]) else []
+        if free:
+            notes.append(
+                f"no limits for joint {', '.join(free)}; fill in limits before the bridge drives it"
+            )
+        if raised:
+            notes.append(
+                f"leg {', '.join(raised)}: the foot is above its first joint, at 0 and in "
+                f"mid-range; is z of link '{body}' up? if not, give --base a link whose z is"
+            )
+        return UrdfLegs(body, tuple(legs), tuple(notes))
+
+    # -- the file ----------------------------------------------------------------------------------
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        depth = len(self._open)
+        line = self._line()
+        if depth >= MOST_DEPTH:
+            raise self._error(f"line {line}: nested more than {MOST_DEPTH} deep; expected a URDF")
+        if tag.startswith("xacro:"):
+            raise self._error(
+                f"line {line}: <{printable(tag)}> is xacro, not expanded; run `xacro FILE > "
+                "robot.urdf` where ROS is installed, and give that file"
+            )
+        if depth == 0:
+            if tag != "robot":
+                raise self._error(f"begins with <{printable(tag)}>; expected a URDF's <robot>")
+            self.name = printable(attributes.get("name", ""))
+        self._open.append(tag)
+        if depth == 1 and tag == "link":
+            self.links.append(self._named(tag, attributes, line))
+        elif depth == 1 and tag == "joint":
+            self._add_joint(attributes, line)
+        elif depth == 2 and self._open[1] == "joint":
+            self._fill(self._joints[-1], tag, attributes, line)
+
+    def _refuse_doctype(self, *_: object) -> None:
+        raise self._error(
+            f"line {self._line()}: has a DOCTYPE; a URDF needs none, and no entities: remove it"
+        )
+
+    def _named(self, tag: str, attributes: Mapping[str, str], line: int) -> str:
+        name = attributes.get("name", "").strip()
+        if not name:
+            raise self._error(f"line {line}: a <{tag}> has no name; give it one")
+        if not name.isprintable():
+            raise self._error(f"line {line}: <{tag}> has a name that cannot be printed; rename it")
+        if "${" in name:
+            raise self._error(
+                f"line {line}: name {name!r} is xacro, not expanded; run `xacro FILE > robot.urdf`"
+            )
+        return name
+
+    def _add_joint(self, attributes: Mapping[str, str], line: int) -> None:
+        name, kind = self._named("joint", attributes, line), attributes.get("type", "")
+        if kind not in _KINDS:
+            raise self._error(
+                f"line {line}: joint '{name}' has type '{printable(kind)}'; expected one of "
+                f"{', '.join(_KINDS)}"
+            )
+        self._joints.append(_Joint(name, kind, line))
+
+    def _fill(self, joint: _Joint, tag: str, attributes: Mapping[str, str], line: int) -> None:
+        if tag in ("parent", "child"):
+            setattr(joint, tag, attributes.get("link", "").strip())
+        elif tag == "origin":
+            joint.xyz = self._vector(joint, attributes, "xyz", line)
+            joint.rpy = self._vector(joint, attributes, "rpy", line)
+        elif tag == "axis":
+            joint.axis = self._vector(joint, attributes, "xyz", line)
+        elif tag == "limit" and joint.kind == "revolute":
+            joint.lower, joint.upper = (
+                self._number(joint, attributes.get(end, "0"), end, line)
+                for end in ("lower", "upper")
+            )
+        elif tag == "mimic":
+            joint.mimics = attributes.get("joint", "")
+
+    def _vector(self, joint: _Joint, attributes: Mapping[str, str], name: str, line: int) -> Vector:
+        parts = attributes.get(name, "0 0 0").split()
+        values = [self._number(joint, part, name, line) for part in parts]
+        if len(values) != 3:
+            raise self._error(
+                f"line {line}: joint '{joint.name}': {name} has {len(values)} numbers; expected 3"
+            )
+        return values[0], values[1], values[2]
+
+    def _number(self, joint: _Joint, text: str, name: str, line: int) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            why = "a number"
+            if "${" in text:
+                why = "a number: xacro is not expanded, run `xacro FILE > robot.urdf`"
+            raise self._error(
+                f"line {line}: joint '{joint.name}': {name} has {printable(text)!r}; expected {why}"
+            )
+        return value
+
+    # -- the tree ----------------------------------------------------------------------------------
+
+    def _tree(self) -> dict[str, _Joint]:
+        """The joint that carries each link but the roots."""
+        for names, what in ((self.links, "link"), ([j.name for j in self._joints], "joint")):
+            seen: set[str] = set()
+            for name in names:
+                if name in seen:
+                    raise self._error(f"{what} '{name}' is there twice; names must differ")
+                seen.add(name)
+        if not self.links:
+            raise self._error("has no <link>; expected a URDF with links and joints")
+        parents: dict[str, _Joint] = {}
+        known = set(self.links)
+        for joint in self._joints:
+            for end, link in (("parent", joint.parent), ("child", joint.child)):
+                if link not in known:
+                    raise self._error(
+                        f"line {joint.line}: joint '{joint.name}' has the {end} link "
+                        f"'{printable(link)}'; there is no such <link>"
+                    )
+            if joint.child in parents:
+                raise self._error(
+                    f"line {joint.line}: link '{joint.child}' hangs on joint "
+                    f"'{parents[joint.child].name}' and on joint '{joint.name}'; expected a tree: "
+                    "a loop (a parallel linkage) is no chain, see docs/robot.md"
+                )
+            parents[joint.child] = joint
+        return parents
+
+    def _path(self, leg: str, link: str) -> list[_Joint]:
+        """Joints from the root to a foot."""
+        if link not in self.links:
+            near = difflib.get_close_matches(link, self.links, n=1, cutoff=0.5)
+            hint = f"did you mean '{near[0]}'?" if near else f"its last links: {self.last_links()}"
+            raise self._error(f"leg '{leg}': there is no link '{link}'; {hint}")
+        path: list[_Joint] = []
+        while link in self._parents:
+            if len(path) > len(self._parents):
+                raise self._error(f"leg '{leg}': its links hang on each other in a circle")
+            path.append(self._parents[link])
+            link = self._parents[link].parent
+        return path[::-1]
+
+    def last_links(self) -> str:
+        """The links that carry no other, for a person."""
+        tips = sorted(self.tips, key=lambda link: not _FOOT.search(link))
+        more = f" and {len(tips) - _LISTED} more" if len(tips) > _LISTED else ""
+        return ", ".join(tips[:_LISTED]) + more
+
+    def _above(self, link: str) -> list[_Joint]:
+        above = []
+        while link in self._parents:
+            above.append(self._parents[link])
+            link = self._parents[link].parent
+        return above
+
+    def _body(self, paths: Mapping[str, Sequence[_Joint]], root: str, base: str | None) -> str:
+        """The link that the legs' mounts are told from."""
+        links = [[root, *(joint.child for joint in path)] for path in paths.values()]
+        if base is not None:
+            for leg, own in zip(paths, links, strict=True):
+                if base not in own:
+                    raise self._error(
+                        f"--base '{base}' carries no leg '{leg}'; links that do: {', '.join(own)}"
+                    )
+            return base
+        shared = 0
+        while all(len(own) > shared + 1 for own in links) and (
+            len({own[shared + 1] for own in links}) == 1
+        ):
+            shared += 1
+            [first] = links[0][shared : shared + 1]
+            if len(links) == 1 and self._parents[first].kind in _TURNING:
+                shared -= 1
+                break
+        return links[0][shared]
+
+    # -- a leg -------------------------------------------------------------------------------------
+
+    def _leg(
+        self,
+        leg: str,
+        path: Sequence[_Joint],
+        foot: str,
+        body: str,
+        tip_m: Vector,
+    ) -> Leg:
+        turn, place = np.eye(3), np.zeros(3)
+        joints: list[_Joint] = []
+        axes: list[Array] = []
+        points: list[Array] = []
+        for joint in path:
+            self._check_kind(leg, joint)
+            place = place + turn @ np.array(joint.xyz)
+            turn = turn @ _rotation(joint.rpy)
+            if joint.kind != "fixed":
+                length = math.hypot(*joint.axis)
+                if length < 1e-6:
+                    raise self._error(
+                        f"line {joint.line}: joint '{joint.name}' has the axis 0 0 0; expected a "
+                        "direction"
+                    )
+                joints.append(joint)
+                axes.append(turn @ np.array(joint.axis) / length)
+                points.append(place)
+        if not joints:
+            raise self._error(
+                f"leg '{leg}': no joint turns between link '{body}' and link '{foot}'; give the "
+                "link of its foot, and --base the link of the body"
+            )
+        points.append(place + turn @ np.array(tip_m))
+        origins = np.diff(points, axis=0)
+        if not np.abs(origins[-1]).max() > _SNAP:
+            raise self._error(
+                f"leg '{leg}': link '{foot}' begins in joint '{joints[-1].name}', which is not "
+                "where the foot touches; give a link at the tip, or --tip X,Y,Z of the tip in that "
+                "link's frame, m"
+            )
+        made = Leg(
+            id=leg,
+            joints=tuple(joint.name for joint in joints),
+            axes=tuple(_written(axis) for axis in axes),
+            origins_m=tuple(_written(origin) for origin in origins),
+            mount=Mount(xyz_m=_written(points[0])),
+            limits=_limits(joints),
+        )
+        assert made.chain is not None
+        if not made.chain.lifts.any():
+            raise self._error(
+                f"leg '{leg}': no joint raises its foot; is z of link '{body}' up? give --base a "
+                "link whose z is"
+            )
+        return made
+
+    def _check_kind(self, leg: str, joint: _Joint) -> None:
+        where = f"line {joint.line}: leg '{leg}': joint '{joint.name}'"
+        if joint.kind in _CARRYING:
+            raise self._error(
+                f"{where} is {joint.kind}, which is no servo; give --base a link below it"
+            )
+        if joint.kind == "prismatic":
+            raise self._error(
+                f"{where} is prismatic; expected joints that turn: the chain of a leg has no other"
+            )
+        if joint.mimics is not None and joint.kind in _TURNING:
+            raise self._error(
+                f"{where} follows joint '{printable(joint.mimics)}' (mimic), so that no servo of "
+                "its own turns it; no chain says that: see docs/robot.md, What no chain says"
+            )
+
+    def _error(self, what: str) -> ConfigurationError:
+        return ConfigurationError(f"{self.source}: {what}")
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Read a file.
+
+    Raises:
+        ConfigurationError: it cannot be read, or is no URDF.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read ({error.strerror}); give the path of a URDF"
+        ) from error
+    return Urdf(data, str(path))
+
+
+def _below(path: Sequence[_Joint], body: str) -> int:
+    """Where in a path the joints below the body begin."""
+    return next((k for k, joint in enumerate(path) if joint.parent == body), len(path))
+
+
+def _rotation(rpy: Vector) -> Array:
+    """(3, 3) of fixed-axis roll, pitch and yaw."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _written(vector: Array) -> Vector:
+    """A vector as a description has it, without what few digits of pi have made."""
+    nearest = np.rint(vector)
+    snapped = np.where(np.abs(vector - nearest) < _SNAP, nearest, vector)
+    x, y, z = (_rounded(float(part)) for part in snapped)
+    return x, y, z
+
+
+def _is_raised(leg: Leg) -> bool:
+    """Whether the foot is above its first joint where a leg hardly has it."""
+    chain, postures = leg.chain, [[0.0] * len(leg.joints)]
+    assert chain is not None
+    if leg.limits is not None:
+        ends = zip(leg.limits.lower_rad, leg.limits.upper_rad, strict=True)
+        postures.append([(low + high) / 2 for low, high in ends])
+    return all(chain.foot(q)[2] > _ABOVE_SHARE * chain.reach_m for q in postures)
+
+
+def _limits(joints: Sequence[_Joint]) -> Limits | None:
+    """Limits of all joints: one turn for those without, if others have them."""
+    if all(joint.limits is None for joint in joints):
+        return None
+    ends = [joint.limits or (-math.pi, math.pi) for joint in joints]
+    return Limits(
+        lower_rad=tuple(_rounded(max(low, -2 * math.pi)) for low, _ in ends),
+        upper_rad=tuple(_rounded(min(high, 2 * math.pi)) for _, high in ends),
+    )
+
+
+def _rounded(value: float) -> float:
+    return round(value, _DIGITS) + 0.0

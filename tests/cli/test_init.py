@@ -1,0 +1,162 @@
+"""``robot init`` without a bus: from a URDF, from options, from answers; and its picture."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adaptive_contact.cli import main as cli
+from adaptive_contact.cli._robot_picture import chain, draw
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+from adaptive_contact.robot import Leg, Mount, Robot, load_robot
+
+SIDES = (("fl", 0.2, 0.05), ("fr", 0.2, -0.05), ("hl", -0.2, 0.05), ("hr", -0.2, -0.05))
+
+
+def quadruped() -> str:
+    """Twelve joints: hips roll, knees bend backwards with plus, as in most URDFs."""
+    parts, limit = ['<link name="base"/>'], '<limit lower="-2" upper="1" effort="9" velocity="9"/>'
+    for leg, x, y in SIDES:
+        aside = 0.08 if y > 0 else -0.08
+        for name, kind, parent, child, xyz, axis in (
+            ("roll", "revolute", "base", f"{leg}_hip", f"{x} {y} 0", "1 0 0"),
+            ("hip", "revolute", f"{leg}_hip", f"{leg}_thigh", f"0 {aside} 0", "0 1 0"),
+            ("knee", "revolute", f"{leg}_thigh", f"{leg}_shank", "0 0 -0.16", "0 1 0"),
+            ("tip", "fixed", f"{leg}_shank", f"{leg}_foot", "0 0 -0.16", "0 0 1"),
+        ):
+            parts.append(
+                f'<link name="{child}"/><joint name="{leg}_{name}" type="{kind}">'
+                f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
+                f'<axis xyz="{axis}"/>{limit}</joint>'
+            )
+    return f'<robot name="walker">{"".join(parts)}</robot>'
+
+
+FEET = ",".join(f"{leg}={leg}_foot" for leg, *_ in SIDES)
+STEPS = ("--resolution", "0.00153", "--rate", "100")
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("walker.urdf").write_text(quadruped())
+    if not cli.app.registered_commands:
+        cli._register()
+
+
+def invoke(*words: str, answers: str | None = None) -> str:
+    result = CliRunner().invoke(cli.app, list(words), input=answers)
+    if isinstance(result.exception, AdaptiveContactError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_a_urdf_becomes_a_robot() -> None:
+    said = invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
+    assert "wrote robot.toml: 4 legs of 3 joints; run `adaptive-contact robot check --live" in said
+    robot = load_robot("robot.toml")
+    assert robot.leg_ids == ("fl", "fr", "hl", "hr")
+    assert (robot.period_s, robot.quantum_rad) == (0.01, 0.00153)
+    leg = robot.leg("hr")
+    assert leg.joints == ("hr_roll", "hr_hip", "hr_knee")
+    assert leg.mount.xyz_m == (-0.2, -0.05, 0.0)
+    assert leg.chain is not None
+    # Knees bent backwards: as far below the hip on the right as on the left.
+    pose = [0.2, 0.7, -1.4]
+    at = [one.chain.foot(pose) for one in robot.legs if one.chain is not None]
+    assert at[0][2] == pytest.approx(
+        np.sin(0.2) * 0.08 - np.cos(0.2) * 0.16 * (np.cos(0.7) + np.cos(-0.7))
+    )
+    assert at[1][2] - at[0][2] == pytest.approx(-2 * 0.08 * np.sin(0.2))
+
+
+def test_without_a_urdf_joints_are_named() -> None:
+    said = invoke("robot", "init", "--legs", "l,r", "--joints", "hip,knee,ankle,toe", *STEPS)
+    assert "2 legs of 4 joints; fill in lengths_m, then run" in said
+    robot = load_robot("robot.toml")
+    assert robot.leg("l").joints == ("hip", "knee", "ankle", "toe")
+    assert robot.leg("l").joint_axes == ("yaw", "pitch", "pitch", "pitch")
+
+
+def test_what_is_not_given_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a terminal; what does not fit is asked for once more."""
+    monkeypatch.setattr("adaptive_contact.cli._robot_init._is_asked", lambda: True)
+    said = invoke("robot", "init", "--legs", "l", "--joints", "2", answers="0\n50\n0.003\n")
+    assert "control ticks per second" in said
+    assert "0: expected 1 to 10000" in said
+    robot = load_robot("robot.toml")
+    assert (robot.period_s, robot.quantum_rad) == (0.02, 0.003)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "which port.*for servos on no such bus --urdf FILE, or --legs ID,... and --joints"),
+        (("--urdf", "walker.urdf"), r"which links are the feet\? give --legs lf=LINK,...; .*fl_f"),
+        (("--urdf", "walker.urdf", "--legs", "fl"), "'fl' has no link; with --urdf give lf=LINK"),
+        (("--urdf", "walker.urdf", "--legs", "a=fl_foot,b=fl_foot"), "'fl_foot' is there twice"),
+        (("--urdf", "walker.urdf", "--legs", FEET), "control ticks per second.*give --rate 50"),
+        (("--urdf", "none.urdf", "--legs", FEET), "none.urdf: cannot be read"),
+        (("--urdf", "walker.urdf", "--legs", FEET, "--joints", "3"), "both give the joints"),
+        (("--urdf", "walker.urdf", "--legs", FEET, "--lengths", "1"), "both give the geometry"),
+        (("--urdf", "walker.urdf", "--legs", FEET, "--tip", "0,1"), "--tip 0,1: expected X,Y,Z"),
+        (("--legs", "a=x", "--joints", "3"), "links go with --urdf FILE"),
+        (("--legs", "a", "--joints", "3", "--base", "x"), "--base and --tip go with --urdf"),
+        (("--joints", "3"), r"which legs\? give --legs lf,rf"),
+        (("--legs", "a", "--joints", "a,a"), "--joints a,a: expected 1 to 16, or as many differ"),
+        (("--legs", "a", "--joints", "0"), "--joints 0: expected 1 to 16"),
+        (("--legs", "a", "--joints", "3", "--rate", "50"), "one step of a reading.*--resolution"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(words: tuple[str, ...], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        invoke("robot", "init", *words)
+    assert "\n" not in str(caught.value)
+    assert not Path("robot.toml").exists()
+
+
+def walker() -> Robot:
+    invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
+    return load_robot("robot.toml")
+
+
+def test_the_picture_of_a_chain_has_its_joints_from_two_sides() -> None:
+    robot = walker()
+    pose = [0.3, 0.7, -1.4]
+    text = draw(robot, {leg.id: pose for leg in robot.legs})
+    assert text.count("from the side<") == text.count("from the front<") == 4
+    # On the whole robot and in both views each leg has three links.
+    assert text.count('class="link"') == 4 * 3 * 3
+    assert "fl_hip +40.1°, 160 mm" in text
+    points = chain(robot.leg("fl"), pose)
+    assert points[-1] == pytest.approx(robot.leg("fl").chain.foot(pose))  # type: ignore[union-attr]
+    # Beside each of the four legs two pitches turn, and in front the roll.
+    assert len(re.findall(r" A [-\d.]+ [-\d.]+ 0 0 [01] ", text)) == 4 * 3
+
+
+def turned(text: str) -> tuple[float, float, float, float]:
+    """Of the only arrow around a joint: where it begins, and where it ends."""
+    [found] = re.findall(r'd="M ([-\d.]+) ([-\d.]+) A .*? 0 0 [01] ([-\d.]+) ([-\d.]+)"', text)
+    x0, y0, x1, y1 = map(float, found)
+    return x0, y0, x1, y1
+
+
+@pytest.mark.parametrize(("axis", "ahead"), [((0, -1, 0), 1), ((0, 1, 0), -1)])
+def test_an_arrow_shows_the_way_in_which_the_foot_goes(axis: tuple, ahead: int) -> None:
+    """A leg that hangs straight down: plus swings its foot ahead about -y, back about y."""
+    mount = Mount(xyz_m=(0.1, 0.0, 0.0))
+    legs = tuple(
+        Leg(id=name, joints=("hip",), axes=(axis,), origins_m=((0, 0, -0.2),), mount=mount)
+        for name in ("a", "b")
+    )
+    robot = Robot(name="r", period_s=0.02, quantum_rad=0.001, legs=legs)
+    assert np.sign(legs[0].chain.foot([0.1])[0]) == ahead  # type: ignore[union-attr]
+    text = draw(robot, {"a": [0.0], "b": [0.0]})
+    side = text[text.index("from the side") : text.index("from the front")]
+    x0, _, x1, _ = turned(side)
+    assert np.sign(x1 - x0) == ahead

@@ -1,0 +1,91 @@
+"""The angles of gravity against what gravity does, by differences of a leg's energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from adaptive_contact.detect.regressors import regressors, term_table
+from adaptive_contact.model.gravity import MOST_PER_JOINT, gravity_angles
+from adaptive_contact.model.library import Library
+from adaptive_contact.robot.description import Axis
+from adaptive_contact.robot.kinematics import AXES
+
+ROLL_HIP: tuple[Axis, ...] = ("roll", "pitch", "pitch")
+HANGING: tuple[Axis, ...] = ("yaw", "roll", "pitch", "pitch", "pitch")
+TILTED: tuple[Axis, ...] = ((0.6, 0.0, 0.8), "pitch", "pitch")
+DOWNWARDS: tuple[Axis, ...] = ((0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
+
+
+def energies(q: np.ndarray, axes: tuple[Axis, ...], rng: np.random.Generator) -> np.ndarray:
+    """(n,) of a leg with random masses anywhere on its links."""
+    joints = len(axes)
+    origins, centres = rng.normal(size=(2, joints, 3))
+    masses = rng.uniform(0.5, 2.0, size=joints)
+    found = []
+    for row in q:
+        turn, place, energy = Rotation.identity(), np.zeros(3), 0.0
+        for j, axis in enumerate(axes):
+            vector = np.array(AXES[axis] if isinstance(axis, str) else axis)
+            turn = turn * Rotation.from_rotvec(row[j] * vector)
+            energy += masses[j] * (place + turn.apply(centres[j]))[2]
+            place = place + turn.apply(origins[j])
+        found.append(energy)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("axes", [ROLL_HIP, HANGING, TILTED, DOWNWARDS, ("pitch", "yaw", "pitch")])
+def test_every_torque_of_gravity_is_made_of_them(axes: tuple[Axis, ...]) -> None:
+    rng = np.random.default_rng(len(axes))
+    q = rng.uniform(-3.0, 3.0, size=(80, len(axes)))
+    angles = gravity_angles([f"j{k}" for k in range(len(axes))], axes)
+    phi = q @ np.array([angle.weights for angle in angles]).T
+    terms = np.concatenate([np.cos(phi), np.sin(phi)], axis=1)
+    step = 1e-5 * np.eye(len(axes))
+    for j in range(len(axes)):
+        rng, other = np.random.default_rng(7), np.random.default_rng(7)
+        torque = (energies(q + step[j], axes, rng) - energies(q - step[j], axes, other)) / 2e-5
+        left = torque - terms @ np.linalg.lstsq(terms, torque, rcond=None)[0]
+        assert np.abs(left).max() < 1e-7
+
+
+def test_none_of_them_is_spare() -> None:
+    """With an angle left out, some torque is not made of the rest."""
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-3.0, 3.0, size=(200, 3))
+    angles = gravity_angles(["a", "b", "c"], ROLL_HIP)
+    energy = energies(q, ROLL_HIP, rng)
+    for left_out in angles:
+        phi = q @ np.array([angle.weights for angle in angles if angle is not left_out]).T
+        terms = np.concatenate([np.ones((200, 1)), np.cos(phi), np.sin(phi)], axis=1)
+        left = energy - terms @ np.linalg.lstsq(terms, energy, rcond=None)[0]
+        assert np.abs(left).max() > 0.05
+
+
+def test_yaws_then_pitches_have_their_absolute_link_angles() -> None:
+    angles = gravity_angles(["coxa", "femur", "tibia"], ("yaw", "pitch", "pitch"))
+    assert [angle.name for angle in angles] == ["φ_femur", "φ_tibia"]
+    assert [angle.weights for angle in angles] == [(0, 1, 0), (0, 1, 1)]
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.lists(st.sampled_from(["roll", "pitch", "yaw"]), min_size=1, max_size=16))
+def test_their_number_is_bounded(axes: list[Axis]) -> None:
+    angles = gravity_angles([f"j{k}" for k in range(len(axes))], axes)
+    assert len(angles) <= MOST_PER_JOINT * len(axes)
+    assert len({angle.weights for angle in angles}) == len(angles)
+
+
+def test_the_compiled_terms_are_those_of_the_library() -> None:
+    library = Library("servo", ("haa", "hfe", "kfe"), ROLL_HIP)
+    table, window = term_table(library), library.window
+    flat = np.random.default_rng(0).uniform(-1, 1, size=3 * (
+        window.past_measured + 1 + window.past_desired + 1 + window.preview
+    ))  # fmt: skip
+    theta = np.zeros(library.size)
+    regressors(flat, *table, np.zeros((library.size, 3)), theta, np.zeros(6))
+    np.testing.assert_allclose(theta, library.evaluate_flat(flat), atol=1e-14)
+    assert "cos φ(haa-hfe-kfe)" in library.names

@@ -1,0 +1,290 @@
+"""A URDF gives the legs it has; transforms made another way agree, all else is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Leg, Robot, parse_robot
+from adaptive_contact.robot.urdf import MOST_BYTES, MOST_DEPTH, Urdf, read_urdf
+from adaptive_contact.robot.write import write_robot
+
+Numbers = tuple[float, float, float]
+
+
+def joint(
+    name: str,
+    parent: str,
+    child: str,
+    *,
+    kind: str = "revolute",
+    xyz: Numbers = (0, 0, 0),
+    rpy: Numbers = (0, 0, 0),
+    axis: Numbers = (0, 1, 0),
+    more: str = '<limit lower="-1" upper="1.5" effort="1" velocity="1"/>',
+) -> str:
+    def text(numbers: Numbers) -> str:
+        return " ".join(map(repr, numbers))
+
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>{more}</joint>'
+    )
+
+
+def robot_of(*joints: str, links: str = "body hip thigh shank foot") -> bytes:
+    named = "".join(f'<link name="{link}"/>' for link in links.split())
+    return f'<?xml version="1.0"?><robot name="r">{named}{"".join(joints)}</robot>'.encode()
+
+
+HIP = joint("haa", "body", "hip", xyz=(0.2, 0.05, 0), axis=(1, 0, 0))
+THIGH = joint("hfe", "hip", "thigh", xyz=(0, 0.08, 0))
+KNEE = joint("kfe", "thigh", "shank", xyz=(0, 0, -0.2), axis=(0, 1, 0))
+FOOT = joint("tip", "shank", "foot", kind="fixed", xyz=(0, 0, -0.25), more="")
+
+
+def leg_of(data: bytes, foot: str = "foot", **options: object) -> Leg:
+    [leg] = Urdf(data, "x.urdf").legs({"l": foot}, **options).legs  # type: ignore[arg-type]
+    return leg
+
+
+def test_a_leg_is_read_with_its_joints_axes_origins_limits_and_mount() -> None:
+    leg = leg_of(robot_of(HIP, THIGH, KNEE, FOOT))
+    assert leg.joints == ("haa", "hfe", "kfe")
+    assert leg.joint_axes == ("roll", (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
+    assert leg.origins_m == ((0.0, 0.08, 0.0), (0.0, 0.0, -0.2), (0.0, 0.0, -0.25))
+    assert leg.mount.xyz_m == (0.2, 0.05, 0.0)
+    assert leg.limits is not None
+    assert leg.limits.lower_rad == (-1.0, -1.0, -1.0)
+    assert leg.limits.upper_rad == (1.5, 1.5, 1.5)
+
+
+number = st.floats(-0.5, 0.5)
+turn = st.floats(-3.1, 3.1)
+
+
+@st.composite
+def trees(draw: st.DrawFn) -> tuple[bytes, list[dict[str, object]]]:
+    """A chain of one to seven joints, with fixed ones in between."""
+    kinds = draw(st.lists(st.sampled_from(["revolute", "fixed"]), min_size=0, max_size=8))
+    kinds = [*kinds[:6], "continuous", "fixed"]
+    rows: list[dict[str, object]] = []
+    for kind in kinds:
+        axis = draw(st.tuples(number, number, number).filter(lambda v: np.linalg.norm(v) > 0.1))
+        xyz, rpy = draw(st.tuples(number, number, number)), draw(st.tuples(turn, turn, turn))
+        rows.append({"kind": kind, "xyz": xyz, "rpy": rpy, "axis": axis})
+    # The last joint raises the foot in some posture: it is level, and the foot is aside.
+    rows[-2]["rpy"], rows[-2]["axis"], rows[-1]["xyz"] = (0, 0, 0), (0, 1, 0), (0.1, 0.0, -0.3)
+    joints = [
+        joint(f"j{k}", f"l{k}", f"l{k + 1}", **row)  # type: ignore[arg-type]
+        for k, row in enumerate(rows)
+    ]
+    links = " ".join(f"l{k}" for k in range(len(rows) + 1))
+    return robot_of(*joints, links=links), rows
+
+
+@settings(deadline=None)
+@given(trees(), st.lists(turn, min_size=9, max_size=9))
+def test_the_foot_is_where_transforms_down_the_tree_put_it(
+    tree: tuple[bytes, list[dict[str, object]]], q: list[float]
+) -> None:
+    data, rows = tree
+    leg = leg_of(data, f"l{len(rows)}", base="l0")
+    frame, angles = np.eye(4), iter(q)
+    for row in rows:
+        step, spin = np.eye(4), np.eye(4)
+        step[:3, :3] = Rotation.from_euler("xyz", row["rpy"]).as_matrix()
+        step[:3, 3] = row["xyz"]
+        if row["kind"] != "fixed":
+            axis = np.array(row["axis"]) / np.linalg.norm(row["axis"])
+            spin[:3, :3] = Rotation.from_rotvec(next(angles) * axis).as_matrix()
+        frame = frame @ step @ spin
+    assert leg.chain is not None
+    place = leg.chain.foot(q[: len(leg.joints)]) + np.array(leg.mount.xyz_m)
+    # A description has micrometres, and what truncated pi has made is taken out of it.
+    np.testing.assert_allclose(place, frame[:3, 3], atol=5e-4)
+
+
+def test_what_is_read_is_read_back_from_what_is_written() -> None:
+    legs = Urdf(robot_of(HIP, THIGH, KNEE, FOOT), "x").legs({"l": "foot"}).legs
+    robot = Robot(name="r", period_s=0.02, quantum_rad=0.00153, legs=legs)
+    again = parse_robot(write_robot(robot), source="written")
+    assert again.leg("l").joint_axes == legs[0].joint_axes
+    assert again.leg("l").origins_m == legs[0].origins_m
+    assert again.leg("l").limits == legs[0].limits
+    assert again.leg("l").mount == legs[0].mount
+
+
+def test_the_body_is_the_last_link_that_all_legs_hang_on() -> None:
+    """A floating body, a torso that turns, and legs of which one has a link of its own."""
+    free = joint("free", "world", "pelvis", kind="floating", more="")
+    waist = joint("waist", "pelvis", "torso", axis=(0, 0, 1), xyz=(0, 0, 0.3))
+    sides = [
+        part
+        for side, y in (("l", 0.1), ("r", -0.1))
+        for part in (
+            joint(f"{side}_hip", "torso", f"{side}_leg", xyz=(0, y, -0.1)),
+            joint(f"{side}_end", f"{side}_leg", f"{side}_foot", kind="fixed", xyz=(0, 0, -0.3)),
+        )
+    ]
+    links = "world pelvis torso l_leg l_foot r_leg r_foot"
+    found = Urdf(robot_of(free, waist, *sides, links=links), "x").legs(
+        {"l": "l_foot", "r": "r_foot"}
+    )
+    assert found.base == "torso"
+    assert [leg.mount.xyz_m for leg in found.legs] == [(0.0, 0.1, -0.1), (0.0, -0.1, -0.1)]
+    assert found.notes == ("the body is link 'torso': joints above it (waist) are no leg's",)
+    alone = Urdf(robot_of(free, waist, *sides, links=links), "x").legs({"l": "l_foot"})
+    assert alone.base == "pelvis"
+    assert alone.legs[0].joints == ("waist", "l_hip")
+
+
+def test_a_tip_is_told_where_no_link_is_there() -> None:
+    data = robot_of(HIP, THIGH, KNEE, links="body hip thigh shank")
+    with pytest.raises(ConfigurationError, match=r"begins in joint 'kfe'.*or --tip X,Y,Z"):
+        leg_of(data, "shank")
+    leg = leg_of(data, "shank", tip_m=(0.0, 0.0, -0.25))
+    assert leg.origins_m == leg_of(robot_of(HIP, THIGH, KNEE, FOOT)).origins_m
+
+
+def test_limits_that_are_missing_are_said() -> None:
+    wheel = joint("kfe", "thigh", "shank", kind="continuous", xyz=(0, 0, -0.2), more="")
+    found = Urdf(robot_of(HIP, THIGH, wheel, FOOT), "x").legs({"l": "foot"})
+    assert found.legs[0].limits is not None
+    assert found.legs[0].limits.upper_rad == (1.5, 1.5, pytest.approx(np.pi, abs=1e-5))
+    assert found.notes == ("no limits for joint kfe; fill in limits before the bridge drives it",)
+    none = [part.replace("<limit", "<no") for part in (HIP, THIGH, KNEE)]
+    assert leg_of(robot_of(*none, FOOT)).limits is None
+
+
+def test_a_body_that_is_upside_down_is_doubted() -> None:
+    over = [part.replace("-0.2", "0.2") for part in (KNEE, FOOT)]
+    found = Urdf(robot_of(HIP, THIGH, *over), "x").legs({"l": "foot"})
+    assert len(found.notes) == 1
+    assert "is z of link 'body' up?" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("data", "foot", "says"),
+    [
+        (b"", "foot", "not well-formed XML (no element found)"),
+        (b"<robot><link", "foot", "line 1: not well-formed XML"),
+        (b"<sdf/>", "foot", "begins with <sdf>; expected a URDF's <robot>"),
+        (b"<robot/>", "foot", "has no <link>"),
+        (
+            b'<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><robot>&b;</robot>',
+            "foot",
+            "has a DOCTYPE; a URDF needs none",
+        ),
+        (b'<!DOCTYPE r SYSTEM "http://example.org/x"><robot/>', "foot", "has a DOCTYPE"),
+        (b"<robot>&xxe;</robot>", "foot", "not well-formed XML (undefined entity)"),
+        (
+            b'<robot xmlns:xacro="x"><xacro:macro name="leg"/></robot>',
+            "foot",
+            "<xacro:macro> is xacro, not expanded; run `xacro FILE > robot.urdf`",
+        ),
+        (
+            robot_of(HIP.replace('xyz="0.2', 'xyz="${length}'), THIGH, KNEE, FOOT),
+            "foot",
+            "expected a number: xacro is not expanded",
+        ),
+        (robot_of(HIP.replace('xyz="0.2', 'xyz="nan')), "foot", "xyz has 'nan'; expected a number"),
+        (robot_of(HIP.replace('xyz="0.2', 'xyz="0')), "toot", "there is no link 'toot'; did you"),
+        (robot_of(HIP), "none", "there is no link 'none'; its last links: hip"),
+        (robot_of(HIP.replace("0.05 0", "0.05")), "foot", "xyz has 2 numbers; expected 3"),
+        (robot_of(HIP, links="body hip hip"), "hip", "link 'hip' is there twice"),
+        (robot_of(HIP, HIP), "hip", "joint 'haa' is there twice"),
+        (robot_of(HIP, links="body"), "body", "has the child link 'hip'; there is no such <link>"),
+        (
+            robot_of(HIP, THIGH, joint("rod", "body", "thigh")),
+            "thigh",
+            "hangs on joint 'hfe' and on joint 'rod'; expected a tree: a loop",
+        ),
+        (
+            robot_of(joint("a", "body", "hip"), joint("b", "hip", "body")),
+            "hip",
+            "its links hang on each other in a circle",
+        ),
+        (
+            robot_of(HIP, THIGH, KNEE.replace("<limit", '<mimic joint="hfe"/><limit'), FOOT),
+            "foot",
+            "joint 'kfe' follows joint 'hfe' (mimic)",
+        ),
+        (
+            robot_of(HIP, THIGH, KNEE.replace("revolute", "prismatic"), FOOT),
+            "foot",
+            "joint 'kfe' is prismatic; expected joints that turn",
+        ),
+        (
+            robot_of(HIP, THIGH, KNEE.replace("revolute", "floating"), FOOT),
+            "foot",
+            "joint 'kfe' is floating, which is no servo",
+        ),
+        (robot_of(HIP.replace("revolute", "screw")), "hip", "has type 'screw'; expected one of"),
+        (robot_of(HIP, THIGH, KNEE.replace("0 1 0", "0 0 0"), FOOT), "foot", "has the axis 0 0 0"),
+        (robot_of(FOOT), "foot", "no joint turns between link 'foot' and link 'foot'"),
+        (
+            robot_of(joint("a", "body", "hip", axis=(0, 0, 1)), joint("b", "hip", "foot",
+                     kind="fixed", xyz=(0.1, 0, 0), more="")),
+            "foot",
+            "no joint raises its foot; is z of link 'body' up?",
+        ),
+        (b'<robot><link/></robot>', "foot", "a <link> has no name"),
+        (b"<robot>" + b"<a>" * MOST_DEPTH + b"</robot>", "foot", "nested more than 64 deep"),
+    ],
+)  # fmt: skip
+def test_what_is_no_leg_is_refused_in_one_line(data: bytes, foot: str, says: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        leg_of(data, foot)
+    text = str(caught.value)
+    assert says in text
+    assert text.startswith("x.urdf: ")
+    assert "\n" not in text
+
+
+def test_several_roots_and_shared_joints_are_refused() -> None:
+    two = robot_of(joint("a", "body", "hip"), joint("b", "thigh", "shank"))
+    with pytest.raises(ConfigurationError, match=r"several roots \(body, thigh\)"):
+        Urdf(two, "x").legs({"l": "hip", "r": "shank"})
+    links = "rear front spare a b c"
+    spine = robot_of(
+        joint("spine", "rear", "front", axis=(0, 0, 1)),
+        joint("ja", "front", "a", xyz=(0, 0.1, 0)),
+        joint("jb", "front", "b", xyz=(0, -0.1, 0)),
+        joint("jc", "rear", "c"),
+        links=links,
+    )
+    with pytest.raises(ConfigurationError, match="joint 'spine' moves leg 'a' and leg 'b'"):
+        Urdf(spine, "x").legs({"a": "a", "b": "b", "c": "c"}, tip_m=(0.1, 0.0, -0.1))
+    with pytest.raises(ConfigurationError, match="--base 'spare' carries no leg 'a'"):
+        Urdf(spine, "x").legs({"a": "a"}, base="spare")
+
+
+def test_large_and_missing_files_are_refused(tmp_path: Path) -> None:
+    large = tmp_path / "large.urdf"
+    large.write_bytes(b"<robot>" + b" " * MOST_BYTES + b"</robot>")
+    with pytest.raises(ConfigurationError, match="has 8 MB; expected a URDF of 8 MB at most"):
+        read_urdf(large)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_urdf(tmp_path / "none.urdf")
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.data())
+def test_any_bytes_are_read_or_refused_in_one_line(data: st.DataObject) -> None:
+    whole = robot_of(HIP, THIGH, KNEE, FOOT)
+    first = data.draw(st.integers(0, len(whole)))
+    last = data.draw(st.integers(first, min(len(whole), first + 20)))
+    spoiled = whole[:first] + data.draw(st.binary(max_size=12)) + whole[last:]
+    said = "read"
+    try:
+        leg_of(spoiled)
+    except ConfigurationError as error:
+        said = str(error)
+    assert said.isprintable()
