@@ -217,6 +217,8 @@ def _to_events(
     if counts.samples == 0:
         usable = "usable " if counts.rejects else ""
         raise RecordingError(f"{recording.path}: no {usable}servo sample (robot/leg/*/servo) in it")
+    if not written and robots.spoilt(robot, by_rate=True):
+        raise RecordingError(f"{recording.path}: nothing can be judged by its samples (see above)")
     known = [bank.learner(leg) for leg in robot.leg_ids]
     if not any(learner is not None and learner.status.ticks for learner in known):
         if set(bank.legs) & set(robot.leg_ids) & robots.legs:

@@ -65,11 +65,15 @@ def score(
     try:
         result = score_messages(robots, robot, given, from_s=from_s, to_s=end_s)
     except RecordingError as error:
+        if robots.spoilt(robot):
+            raise _nothing_judged(recording) from error
         cut = f" ({source.damage})" if source.damage is not None else ""
         raise RecordingError(f"{recording}: {error}{cut}") from error
     finally:
         for line in (*robots.trouble(robot), *source.notes):
             say(f"adaptive-contact: {recording}: {line}", err=True)
+    if robots.spoilt(robot):
+        raise _nothing_judged(recording)
     if source.damage is not None:
         say(f"adaptive-contact: {recording}: {source.damage}", err=True)
     if json:
@@ -81,6 +85,10 @@ def score(
     from adaptive_contact.cli._console import table_console
 
     table_console().print(as_table(result))
+
+
+def _nothing_judged(recording: Path) -> RecordingError:
+    return RecordingError(f"{recording}: nothing can be judged by its samples (see above)")
 
 
 def _read_events(path: Path) -> list[ContactEvent]:

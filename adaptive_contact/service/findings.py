@@ -68,6 +68,7 @@ class Cause(enum.StrEnum):
     ECHO = "echo"
     TWINS = "twins"
     FROZEN = "frozen"
+    HELD = "held"
     ORDER = "order"
     BACKWARDS = "backwards"
     FAR = "far"
@@ -93,7 +94,7 @@ _VAGUE: Final = frozenset({Cause.LEARNING, Cause.AMBIGUOUS, Cause.LEG_NOTE, Caus
 _LEARNER: Final = _VAGUE | {Cause.SIGNS}
 _VALUES: Final = frozenset(
     {Cause.ECHO, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR, Cause.GLITCHES, Cause.TURN}
-    | {Cause.QUANTUM, Cause.LIMITS}
+    | {Cause.QUANTUM, Cause.LIMITS, Cause.HELD}
 )
 _TIMES: Final = frozenset(
     {Cause.TIME_BACKWARDS, Cause.TIME_UNIT, Cause.SEQ, Cause.LOSS, Cause.PERIOD, Cause.JITTER}
@@ -127,6 +128,7 @@ EXPLAINS: Final[Mapping[Cause, frozenset[Cause]]] = {
     Cause.ORDER: _LEARNER | {Cause.FAR, Cause.BACKWARDS},
     Cause.TURN: _LEARNER | {Cause.FAR, Cause.GLITCHES, Cause.LIMITS},
     Cause.FROZEN: _LEARNER | {Cause.FAR, Cause.QUANTUM},
+    Cause.HELD: _LEARNER | {Cause.GLITCHES},
     Cause.BACKWARDS: _LEARNER | {Cause.FAR},
     Cause.FAR: _LEARNER,
     Cause.QUANTUM: _LEARNER,
@@ -160,6 +162,7 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
     Cause.TURN: frozenset({Reject.IMPLAUSIBLE}),
     Cause.ECHO: frozenset({Reject.IMPLAUSIBLE}),
     Cause.ORDER: frozenset({Reject.IMPLAUSIBLE}),
+    Cause.HELD: frozenset({Reject.IMPLAUSIBLE}),
     Cause.BACKWARDS: frozenset({Reject.IMPLAUSIBLE}),
     Cause.FAR: frozenset({Reject.IMPLAUSIBLE}),
     Cause.SIGNS: frozenset({Reject.IMPLAUSIBLE}),
@@ -169,7 +172,7 @@ REFUSED_FOR: Final[Mapping[Cause, frozenset[Reject]]] = {
 # the leg.  Of all other causes it is known which ticks they spoil, and those are left out.
 SPOILS: Final = frozenset(
     {Cause.UNITS, Cause.ECHO, Cause.TWINS, Cause.FROZEN, Cause.ORDER, Cause.BACKWARDS, Cause.FAR}
-    | {Cause.QUANTUM}
+    | {Cause.QUANTUM, Cause.HELD}
 )
 
 

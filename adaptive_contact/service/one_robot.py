@@ -37,6 +37,8 @@ _OF_FORM: Final = frozenset(
     {Cause.UNREADABLE, Cause.TIME_TYPE, Cause.TIME_UNIT, Cause.TIME_BACKWARDS, Cause.JOINTS}
     | {Cause.NOT_FINITE, Cause.UNITS, Cause.PERIOD}
 )
+# Of these, the ones that leave no tick to judge an event by.
+_SPOILS: Final = frozenset({Cause.UNITS, Cause.TIME_UNIT, Cause.TIME_TYPE, Cause.TIME_BACKWARDS})
 
 
 class OneRobot:
@@ -127,6 +129,27 @@ class OneRobot:
             legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
             lines.append(f"{legs}{finding.what}; {finding.remedy}")
         return lines
+
+    def spoilt(self, robot: Robot, *, by_rate: bool = False) -> bool:
+        """Whether nothing can be judged by the samples of any leg, as :meth:`trouble` says.
+
+        Args:
+            robot: whose legs were recorded.
+            by_rate: nor at another rate than the robot's, as in a learner.
+        """
+        causes = _SPOILS | {Cause.PERIOD} if by_rate else _SPOILS
+        legs = [leg for leg in self._samples if leg in robot.leg_ids]
+        spoilt = {
+            leg
+            for leg, fault in self._faults(robot)
+            # What is counted in samples spoils a leg where it is in most of them.
+            if fault.cause in causes
+            and (
+                fault.cause not in {Cause.TIME_BACKWARDS, Cause.TIME_TYPE}
+                or 2 * fault.size > len(self._samples[leg or ""])
+            )
+        }
+        return bool(legs) and spoilt.issuperset(legs)
 
     def _faults(self, robot: Robot) -> Iterator[tuple[str | None, Fault]]:
         for leg, samples in self._samples.items():

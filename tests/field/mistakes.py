@@ -196,6 +196,37 @@ def echoed(delay: int = 0) -> Mistake:
     return made
 
 
+def noisy_goals(delay: int, rad: float = 1e-4) -> Mistake:
+    """The goal of so many ticks ago is published as the reading, with noise."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        for sent in echoed(delay)(messages, rng):
+            if sent.is_sample:
+                row = sent.body["measured"]
+                sent = sent.but(measured=[x + float(rng.normal(0.0, rad)) for x in row])
+            yield sent
+
+    return made
+
+
+def held(ticks: int, *, by_turns: bool = False) -> Mistake:
+    """Each reading is published for so many ticks; all legs are read at once, or by turns."""
+
+    def made(messages: Messages, rng: np.random.Generator) -> Iterator[Sent]:
+        turns: dict[str, int] = {}
+        read: dict[str, Angles] = {}
+        for sent in messages:
+            if not sent.is_sample:
+                yield sent
+                continue
+            turn = turns.setdefault(sent.leg, len(turns)) if by_turns else 0
+            if sent.leg not in read or sent.body["seq"] % ticks == turn % ticks:
+                read[sent.leg] = sent.body["measured"]
+            yield sent.but(measured=read[sent.leg])
+
+    return made
+
+
 def rounded(step: float) -> Mistake:
     """Readings of a servo with coarser steps."""
     return angles(lambda row: [round(x / step) * step for x in row], "measured")

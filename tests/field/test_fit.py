@@ -91,6 +91,13 @@ SPOILT: dict[str, tuple[m.Mistake, str]] = {
     "registers": (m.registers, "these look like register steps"),
     "goals as readings": (m.echoed(), "measured copies desired"),
     "goals of the last tick": (m.echoed(1), "measured copies desired"),
+    "late goals with noise": (m.noisy_goals(5), "measured copies desired"),
+    "late goals, rounded": (
+        m.compose(m.echoed(6), m.rounded(m.AX12_STEP)),
+        "measured copies desired",
+    ),
+    "readings held for four ticks": (m.held(4), "readings are held"),
+    "legs read by turns": (m.held(6, by_turns=True), "readings are held"),
     "another order": (m.swapped_readings, "another order than desired"),
     "another sign": (m.goals_mirrored, "a joint moves against its command"),
     "another zero": (m.zero_moved, "a joint is far from its command"),

@@ -153,6 +153,8 @@ def test_a_misspelt_key_is_named(
         ),
         (lambda f: f | {"t_ns": f["t_ns"] / 1e9}, "t_ns is no whole number"),
         (lambda f: f | {"t_ns": f["t_ns"] // 1000}, "it seems to be in microseconds"),
+        (lambda f: f | {"t_ns": f["t_ns"] // 1_000_000}, "it seems to be in milliseconds"),
+        (lambda f: f | {"t_ns": f["t_ns"] // 1_000_000_000}, "t_ns does not increase"),
         (
             lambda f: f | {n: f[n][:2] for n in ("measured", "desired")},
             "samples have 2 joints, robot.toml has 3 (coxa, femur, tibia)",
@@ -161,15 +163,51 @@ def test_a_misspelt_key_is_named(
         (lambda f: {n: v for n, v in f.items() if n != "seq"}, "missing required field `seq`"),
         (lambda f: f | {"desired": [math.nan] * 3}, "samples hold NaN or infinity"),
     ],
-    ids=["degrees", "seconds", "microseconds", "joints", "a text", "no seq", "NaN"],
+    ids=[
+        "degrees",
+        "seconds",
+        "microseconds",
+        "milliseconds",
+        "whole seconds",
+        "joints",
+        "a text",
+        "no seq",
+        "NaN",
+    ],
 )
 def test_the_reason_is_the_one_that_doctor_gives(
     command: str, change: Any, why: str, run: Any, tmp_path: Path
 ) -> None:
-    _, _, said = run(command, _write(tmp_path / "a.mcap", change))
+    code, out, said = run(command, _write(tmp_path / "a.mcap", change))
+    assert (code, out) == (2, "")
     named = [line for line in said.splitlines() if why in line]
     assert len(named) == 1, said
     assert "legs lf rf: " in named[0]
+
+
+@pytest.mark.parametrize("command", ["replay", "score"])
+def test_one_leg_in_degrees_does_not_spoil_the_other(
+    command: str, run: Any, tmp_path: Path
+) -> None:
+    legs = iter(LEGS * 400)
+
+    def change(fields: Fields) -> Fields:
+        turns = math.degrees(1.0) if next(legs) == "lf" else 1.0
+        return fields | {n: [q * turns for q in fields[n]] for n in ("measured", "desired")}
+
+    code, _, said = run(command, _write(tmp_path / "a.mcap", change))
+    assert code == 0
+    assert "leg lf: angles are not in radians" in said
+
+
+@pytest.mark.parametrize(("command", "code"), [("replay", 2), ("score", 0)])
+def test_at_another_rate_events_can_be_scored_but_not_made(
+    command: str, code: int, run: Any, tmp_path: Path
+) -> None:
+    path = _write(tmp_path / "a.mcap", lambda fields: fields | {"t_ns": 2 * fields["t_ns"]})
+    found, _, said = run(command, path)
+    assert found == code
+    assert "legs lf rf: robot.toml says that ticks are 20.0 ms apart (50.0 Hz)" in said
 
 
 @pytest.mark.parametrize("command", ["replay", "score"])
