@@ -45,7 +45,7 @@ $(STAMP): requirements.lock pyproject.toml
 	  echo "found $(PYTHON) without ensurepip; expected the Debian package python3-venv;" \
 	       "run: apt install python3-venv"; exit 1; }
 	@echo "making $(VENV): $$(grep -cE '^[a-z].*==' requirements.lock) packages," \
-	      "some 250 MB to download and 0.9 GB on disk; half a minute and more"
+	      "some 360 MB to download and 1.4 GB on disk; half a minute and more"
 	@"$(PYTHON)" -m venv --clear $(VENV)
 	@$(PIP) --require-hashes --requirement requirements.lock | $(PROGRESS)
 	@$(PIP) --no-deps --no-build-isolation --editable . | $(PROGRESS)
