@@ -256,7 +256,28 @@ def check(
             "--connect, --namespace, --zenoh-config and --json go with --live; without it, the bus "
             "is asked"
         )
+    robot = robot_of(config)
+    if not (robot.ports or device):
+        if picture is None:
+            raise ConfigurationError(
+                f"robot '{robot.name}' has no port; add [port.main] with its device, "
+                "give --device /dev/ttyUSB0, or give --live to look at the samples of its source"
+            )
+        _draw_described(robot, picture)
+        return
     _check_bus(config, device, picture, _BUS_S if seconds is None else seconds, stop)
+
+
+def _draw_described(robot: Robot, picture: Path) -> None:
+    """Draw a robot on no bus, of whose joints nobody tells where they are."""
+    from adaptive_contact.cli._robot_picture import write_picture
+
+    write_picture(robot, {leg.id: [0.0] * len(leg.joints) for leg in robot.legs}, picture)
+    say(
+        f"drawn with all joints at 0, as robot '{robot.name}' has no port; with --live it stands "
+        "as its samples say",
+        err=True,
+    )
 
 
 def _check_bus(

@@ -238,6 +238,7 @@ def test_lost_ticks_are_told_with_what_to_do() -> None:
         (("bridge", "dynamixel"), "has no port; add"),
         (("bridge", "dynamixel", "--config", "model.toml"), "^model.toml: .*unknown servo model"),
         (("bridge", "dynamixel", "--config", "baud.toml"), r"^baud.toml: .*baud 12 is not"),
+        (("robot", "check"), "or give --live to look at the samples of its source"),
         (("robot", "check", "--config", "model.toml"), "^model.toml: .*unknown servo model 'QQ'"),
         (("bridge", "dynamixel", "--device", "/nowhere"), "does not exist"),
         (("bridge", "dynamixel", "--device", "/x", "--baud", "12"), "is not supported"),

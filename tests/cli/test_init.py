@@ -160,3 +160,10 @@ def test_an_arrow_shows_the_way_in_which_the_foot_goes(axis: tuple, ahead: int) 
     side = text[text.index("from the side") : text.index("from the front")]
     x0, _, x1, _ = turned(side)
     assert np.sign(x1 - x0) == ahead
+
+
+def test_a_robot_on_no_bus_is_drawn_as_described() -> None:
+    invoke("robot", "init", "--urdf", "walker.urdf", "--legs", FEET, *STEPS)
+    said = invoke("robot", "check", "--config", "robot.toml", "--picture", "legs.svg")
+    assert "drawn with all joints at 0" in said
+    assert "hr_knee" in Path("legs.svg").read_text(encoding="utf-8")
