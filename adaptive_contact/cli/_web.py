@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from adaptive_contact.cli._output import say, say_waiting
+from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -101,8 +102,11 @@ def live_page(settings: WebSettings, *, browse: bool) -> Iterator[LivePage]:
 def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bool) -> None:
     """Serve the page until Ctrl-C."""
     from adaptive_contact.service.link import Link
+    from adaptive_contact.service.probe import NoRouterError
 
-    with contextlib.suppress(KeyboardInterrupt), ExitStack() as stack:
+    # No exception: one that strikes inside a library may be lost there.
+    stop = stoppable()
+    with ExitStack() as stack:
         page = stack.enter_context(live_page(settings, browse=browse))
 
         def waiting(finding: Finding) -> None:
@@ -113,11 +117,16 @@ def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bo
                 "by itself.",
             )
 
-        link = Link.open(link_settings, on_wait=waiting)
+        try:
+            link = Link.open(link_settings, on_wait=waiting, stop=stop)
+        except NoRouterError:
+            if stop.is_set():
+                return
+            raise
         stack.callback(link.close)
         page.follow(link)
         stack.callback(page.close)  # before the link that it asks
-        page.wait()
+        page.wait(stop)
 
 
 def _open(url: str) -> None:

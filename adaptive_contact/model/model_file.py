@@ -43,6 +43,8 @@ __all__ = [
 Array = NDArray[np.float64]
 
 FORMAT: Final = 1
+# Characters of a file's value that an error line shows.
+_BRIEF: Final = 40
 
 
 @dataclasses.dataclass(frozen=True)
@@ -244,8 +246,8 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         found = table.get("format") if isinstance(table, dict) else None
         if found != FORMAT:
             raise BaselineError(
-                f"{source}: a file of format {found!r}; expected a baseline of format {FORMAT}: "
-                "learn it anew with `adaptive-contact fit`"
+                f"{source}: a file of format {_brief(found)}; expected a baseline of format "
+                f"{FORMAT}: learn it anew with `adaptive-contact fit`"
             )
         file = msgspec.convert(table, _File)
         return _baseline(file)
@@ -392,3 +394,9 @@ def _array(values: object, shape: tuple[int, ...], what: str) -> Array:
     if array.shape != shape:
         raise IdentificationError(f"{what} has shape {array.shape}; expected {shape}")
     return array
+
+
+def _brief(found: object) -> str:
+    """A value of a file, in a word or two."""
+    shown = type(found).__name__ if isinstance(found, (list, dict)) else repr(found)
+    return shown if len(shown) <= _BRIEF else f"{shown[:_BRIEF]}…"

@@ -43,6 +43,8 @@ _UNANSWERED: Final = 30
 # A model changes once in minutes, and a hundred browsers may look at it.
 _MODEL_KEPT_S: Final = 1.0
 _END_S: Final = 2.0
+# How often a page that is served looks whether it is to end.
+_LOOK_S: Final = 0.2
 # A browser that looks takes its last words within milliseconds.
 _FAREWELL_S: Final = 0.5
 
@@ -100,9 +102,10 @@ class LivePage:
         """Show the service behind a link, which its owner closes after the page."""
         self._link = link
 
-    def wait(self) -> None:
-        """Wait until the page is closed, or one of its threads fails; that is raised here."""
-        self._stop.wait()
+    def wait(self, until: threading.Event) -> None:
+        """Wait for an event, or until one of the page's threads fails; that is raised here."""
+        while not self._stop.wait(_LOOK_S) and not until.is_set():
+            pass
         if self._fault is not None:
             raise self._fault
 
