@@ -102,9 +102,9 @@ class LivePage:
         """Show the service behind a link, which its owner closes after the page."""
         self._link = link
 
-    def wait(self, until: threading.Event) -> None:
-        """Wait for an event, or until one of the page's threads fails; that is raised here."""
-        while not self._stop.wait(_LOOK_S) and not until.is_set():
+    def wait(self, until: threading.Event | None = None) -> None:
+        """Wait for an event or :meth:`close`, or until one of the page's threads fails; that is raised here."""
+        while not self._stop.wait(_LOOK_S) and not (until and until.is_set()):
             pass
         if self._fault is not None:
             raise self._fault
