@@ -103,7 +103,7 @@ class LivePage:
         self._link = link
 
     def wait(self, until: threading.Event | None = None) -> None:
-        """Wait for an event or :meth:`close`, or until one of the page's threads fails; that is raised here."""
+        """Wait for an event or the end of the page; what failed in one of its threads is raised."""
         while not self._stop.wait(_LOOK_S) and not (until and until.is_set()):
             pass
         if self._fault is not None:
