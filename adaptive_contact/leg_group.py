@@ -9,11 +9,11 @@ Whatever a step of one leg raises resets that leg and no other: each step is in 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
-from adaptive_contact.detect.detector import DECIDED, RELEASE_PENDING
+from adaptive_contact.detect.flags import DECIDED, RELEASE_PENDING
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.learn.rls import RecursiveLeastSquares
 from adaptive_contact.model.library import Library, with_changes
@@ -24,6 +24,8 @@ __all__ = ["LegGroup", "Member", "OnFault", "check_sample", "compile_ahead"]
 
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
+# Flags of a tick that make an event; few ticks have one.
+_EVENTS: Final = DECIDED | RELEASE_PENDING
 
 
 class Member(Protocol):
@@ -43,8 +45,8 @@ class Member(Protocol):
     def event_of(self, flags: int) -> ContactEvent | None:
         """Make the event of a judged tick, if there is one."""
 
-    def finish(self, flags: int) -> None:
-        """Learn what the tick leaves to be learned."""
+    def finish(self, flags: int) -> bool:
+        """Learn what the tick leaves to be learned; True if another model is to take over."""
 
     def settle(self) -> None:
         """Take up a model that has become ready."""
@@ -121,26 +123,19 @@ class LegGroup:
             try:
                 if learner.take(sample):
                     here.append(i)
-            except Exception as fault:
+            except Exception as fault:  # of any kind: it is this leg's alone
                 self._fault(learner, fault)
         if not here:
             return events
-        for batch, _ in self._batches:
-            batch.judge()
         self._open.update(here)
-        for batch, members in self._batches:
-            flags_of = batch.flags
-            if not any(
-                flags & (DECIDED | RELEASE_PENDING) for flags in flags_of
-            ):  # as in nearly every tick
-                continue
-            for i, flags in zip(members, flags_of, strict=True):
+        for batch, members in [pair for pair in self._batches if pair[0].judge() & _EVENTS]:
+            for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]
-                if not flags & (DECIDED | RELEASE_PENDING) or not batch.accepted[learner.place.row]:
+                if not flags & _EVENTS or not batch.accepted[learner.place.row]:
                     continue
                 try:
                     events[i] = learner.event_of(flags)
-                except Exception as fault:
+                except Exception as fault:  # likewise
                     self._fault(learner, fault)
         return events
 
@@ -151,20 +146,23 @@ class LegGroup:
         for that.
         """
         if self._open:
+            taking_over: list[Member] = []
             for batch, members in self._batches:
                 for i, flags in zip(members, batch.flags, strict=True):
                     if i not in self._open:
                         continue
+                    learner = self.learners[i]
                     try:
-                        self.learners[i].finish(flags)
-                    except Exception as fault:
-                        self._fault(self.learners[i], fault)
+                        if learner.finish(flags):
+                            taking_over.append(learner)
+                    except Exception as fault:  # of any kind: it is this leg's alone
+                        self._fault(learner, fault)
                 batch.finish()
-            for i in self._open:
+            for learner in taking_over:
                 try:
-                    self.learners[i].settle()
-                except Exception as fault:
-                    self._fault(self.learners[i], fault)
+                    learner.settle()
+                except Exception as fault:  # likewise
+                    self._fault(learner, fault)
             self._open.clear()
         self._settle()
 

@@ -9,15 +9,13 @@ little more than one.  Recursive updates and refits come after the event.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.counters import Counters
-from adaptive_contact.detect.detector import (
+from adaptive_contact.detect.flags import (
     BEGAN,
     BROKE_OFF,
     DECIDED,
@@ -32,18 +30,17 @@ from adaptive_contact.detect.detector import (
 )
 from adaptive_contact.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.detect.source_watch import SourceWatch
-from adaptive_contact.detect.stream import RateWatch, StreamGuard
+from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import ConventionWatch, MotionTrack
-from adaptive_contact.diagnose.leg_ids import IdWatch
+from adaptive_contact.diagnose.leg_ids import IdTrack, IdWatch
 from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.adapter import Adapter
-from adaptive_contact.learn.drift import UNFIT_LEVEL
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.leg_group import LegGroup, check_sample
+from adaptive_contact.leg_report import LegReport
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.labelled_swing import LabelledSwing
 from adaptive_contact.model.leg_model import LegModel
@@ -52,16 +49,11 @@ from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.report import report_of
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
-    BufferCounts,
     ContactEvent,
-    Doubt,
-    DriftLevel,
     LearnerStatus,
     ModelReport,
-    RefitCounts,
     Reject,
     ServoSample,
-    Status,
 )
 
 __all__ = ["ContactLearner"]
@@ -132,19 +124,23 @@ class ContactLearner:
         self._lifecycle = Lifecycle(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
-        self._rate = RateWatch.of(self.place)
-        self._counters = Counters()
         self._alone: LegGroup | None = None
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg)
         self._ids = None if ids is None else ids.track(self.leg)
-        self._when_ambiguous = WhenAmbiguous(when_ambiguous)
-        self._source = SourceWatch(self.leg, self.place)
         self._misread = False  # the leg's angles are not counted as described
-        self._watching = self._track is not None or self._ids is not None
+        self._faulty = False  # samples say nothing of the leg
+        # Who keeps samples still.
+        self._watching: tuple[MotionTrack | IdTrack, ...] = tuple(
+            track for track in (self._track, self._ids) if track is not None
+        )
         self._sample: ServoSample | None = None  # of the tick in hand
         self._swing = SwingJudge(self.leg, self.place)
         self._labels = SwingLabels(self.place, self._swing)
+        self._report = LegReport(
+            self.leg, self.place, self._lifecycle, self._guard, self._swing, self._labels,
+            self._track, self._ids, WhenAmbiguous(when_ambiguous),
+        )  # fmt: skip
         self._assessed = False  # what this tick found, for its event
         self._begun = 0  # what the arrays hold of what is known
         self._begin()
@@ -172,7 +168,7 @@ class ContactLearner:
 
     def reset_after_fault(self, fault: Exception) -> None:
         """Restore what was last saved of the leg after a fault in its learning, and report it."""
-        self._counters.fault(fault)
+        self._report.counters.fault(fault)
         self.place.drop_tick()
         self._assessed = False
         self._lifecycle.restore_last_good()
@@ -184,7 +180,7 @@ class ContactLearner:
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
-        self._counters.rejects[reason] += times
+        self._report.counters.rejects[reason] += times
 
     def request_release(self) -> None:
         """Request a release: another process may have reported that the leg touches."""
@@ -225,32 +221,7 @@ class ContactLearner:
     @property
     def status(self) -> LearnerStatus:
         """Status of the learner, as it is published."""
-        adapter = self._adapter
-        self._collect_counts()
-        untouched_ns = int(self.place.leg["untouched_ns"])
-        return LearnerStatus(
-            leg=self.leg.id,
-            t_ns=int(self.place.leg["t_ns"]),
-            status=self._status,
-            model_version=self._version,
-            residual_rms=self.place.free_rms,
-            noise_floor=self._lifecycle.noise_floor,
-            buffer=BufferCounts() if adapter is None else adapter.buffer.counts,
-            drift=DriftLevel() if adapter is None else adapter.monitor.drift,
-            refits=RefitCounts() if adapter is None else adapter.refits,
-            ticks=self._counters.counts["ticks"],
-            rejects={str(reason): n for reason, n in sorted(self._counters.rejects.items())},
-            missed=self._guard.missed,
-            restarts=self._guard.restarts,
-            contact=self.contact,
-            contacts=self._counters.counts["contacts"],
-            withheld=self._counters.counts["withheld"],
-            doubt=self._doubt,
-            jitter_ms=self._rate.jitter_ms,
-            untouched=int(self.place.leg["untouched"]),
-            untouched_ns=None if untouched_ns < 0 else untouched_ns,
-            note=self._ailment(),
-        )
+        return self._report.status
 
     @property
     def model_report(self) -> ModelReport | None:
@@ -263,9 +234,9 @@ class ContactLearner:
 
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned and counted, as a tree that msgpack can write."""
-        self._collect_counts()
+        self._report.collect_counts()
         stream = {"missed": self._guard.missed, "stream": self._guard.snapshot()}
-        return {**self._lifecycle.snapshot(), **self._counters.snapshot(), **stream}
+        return {**self._lifecycle.snapshot(), **self._report.counters.snapshot(), **stream}
 
     def restore(self, saved: dict[str, Any]) -> str | None:
         """Take over a snapshot, whole or not at all.
@@ -277,7 +248,7 @@ class ContactLearner:
         if refused is not None:
             return refused
         self._begin()
-        self._counters.restore(saved)
+        self._report.counters.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
         self._guard.restore(saved.get("stream"))
@@ -302,24 +273,33 @@ class ContactLearner:
 
     def event_of(self, flags: int) -> ContactEvent | None:
         """Make the event of a judged tick, if there is one."""
-        leg, event = self.place.leg, None
+        leg, sample, event = self.place.leg, self._sample, None
+        assert sample is not None
         if flags & RELEASE_PENDING:
             leg["release_pending"] = False
             if flags & BEGAN:
                 self._assess(flags)
-            event = self._event(False, int(leg["at_ns"]), 0.0, [0.0] * len(self.leg.joints))
+            event = self._report.event(
+                sample, contact=False, onset_ns=int(leg["at_ns"]), score=0.0,
+                residual=[0.0] * len(self.leg.joints),
+            )  # fmt: skip
         if flags & DECIDED:
             # A lift whose top is past changes the status that the event carries.
             self._assess(flags)
             contact = bool(leg["contact"])
             if contact or leg["reported"]:  # else the end of one that was withheld
-                residual = self.place.residuals[0].tolist()
-                score, onset_ns = float(leg["score"]), int(leg["onset_ns"])
-                event = self._event(contact, onset_ns, score, residual)
+                event = self._report.event(
+                    sample, contact=contact, onset_ns=int(leg["onset_ns"]),
+                    score=float(leg["score"]), residual=self.place.residuals[0].tolist(),
+                )  # fmt: skip
         return event
 
-    def finish(self, flags: int) -> None:
-        """Pass the tick's labelled swings to the learning, and publish the new free motion."""
+    def finish(self, flags: int) -> bool:
+        """Pass the tick's labelled swings to the learning, and publish the new free motion.
+
+        Returns:
+            Whether another model is to take over (:meth:`settle`).
+        """
         lifecycle = self._lifecycle
         adapter = lifecycle.adapter
         if self._watching:
@@ -332,30 +312,34 @@ class ContactLearner:
         if assessed:
             self._hand_over(flags)
             self._assessed = False
-        if self._void:
-            return
+            if flags & SOURCE:
+                self._faulty = self._report.source.cause is not None
+        if self._misread or self._faulty:
+            return self._begun != lifecycle.begun
         if lifecycle.cold is not None:
             self._collect(flags)
             lifecycle.try_cold()
             adapter = lifecycle.adapter
-        if adapter is None or not adapter.learning or self._begun != lifecycle.begun:
-            return
+        if self._begun != lifecycle.begun:
+            return True
+        if adapter is None or not adapter.learning:
+            return False
         moved = adapter.tick(ROWS_PER_TICK)
         if assessed:
             if adapter.monitor.unfit and self.place.leg["ticks"]:
                 lifecycle.forget()
                 self._let_go()
                 self._begin()
-                return
-            self._report_by()
+                return False
+            self._report.publish_withholding()
         elif not (moved and self.place.leg["ticks"]):  # no tick of a stance judges by it
-            return
+            return False
         self._publish()
+        return False
 
     def settle(self) -> None:
         """Put a new model in force from the next tick on."""
-        if self._begun != self._lifecycle.begun:
-            self._begin()
+        self._begin()
 
     # -- private -------------------------------------------------------------------------------
 
@@ -369,7 +353,7 @@ class ContactLearner:
 
     def _begin(self) -> None:
         """Begin with the present model: forget the past under the one before."""
-        self._collect_counts()
+        self._report.collect_counts()
         lifecycle, place = self._lifecycle, self.place
         if lifecycle.library != place.batch.library:
             place.move(self._batch(), 0)
@@ -383,7 +367,7 @@ class ContactLearner:
         library = adapter.model.library
         assert isinstance(library, ChangeLibrary)
         place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
-        self._report_by()
+        self._report.publish_withholding()
         self._publish(wanted=True)
 
     def _publish(self, *, wanted: bool = False) -> None:
@@ -394,30 +378,16 @@ class ContactLearner:
         self.place.judge_by(free)
         self.place.leg["sure"] = adapter.status == "valid" and not free.changed
 
-    def _report_by(self) -> None:
-        """Say whether contacts are reported."""
-        leg = self.place.leg
-        leg["withholds"], leg["withholds_begun"] = self._withholds, self._withholds_at(math.inf)
-
     def _watch(self, flags: int) -> None:
         """Keep the sample for those who watch how angles are counted, and whose they are."""
-        track, ids, sample = self._track, self._ids, self._sample
+        sample, (batch, row) = self._sample, self.place.at
         assert sample is not None
-        counted = track is not None and not track.settled
-        if counted:
-            assert track is not None
+        measured, desired = batch.measured[row].tolist(), batch.desired[row].tolist()
+        for track in self._watching:
             if flags & RESTARTED:
                 track.restart()
-            batch, row = self.place.at
-            measured, desired = batch.measured[row], batch.desired[row]
             track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
-        named = ids is not None and ids.wants
-        if named:
-            assert ids is not None
-            if flags & RESTARTED:
-                ids.restart()
-            ids.take(self.place.sample(sample))
-        self._watching = counted or ids is not None
+        self._watching = tuple(track for track in self._watching if track.wants)
 
     def _hand_over(self, flags: int) -> None:
         """Let the adapter have what this tick has found."""
@@ -433,8 +403,8 @@ class ContactLearner:
         if flags & TOUCHED:
             self._learn(self._labels.alarm())
         if flags & RATE_OFF and adapter is not None:
-            adapter.distrust(self._rate.since_ns)
-        if flags & SOURCE and self._source.cause is not None:
+            adapter.distrust(self._report.rate.since_ns)
+        if flags & SOURCE and self._report.source.cause is not None:
             self._retract()
 
     def _assess(self, flags: int) -> None:
@@ -451,7 +421,7 @@ class ContactLearner:
         """A sample for a first model."""
         leg, sample = self.place.leg, self._sample
         assert sample is not None
-        rate = self._rate
+        rate = self._report.rate
         self._lifecycle.collect(
             self.place.sample(sample),
             swing=bool(leg["ticks"]),
@@ -472,39 +442,6 @@ class ContactLearner:
         leg["release_pending"] |= leg["reported"]
         leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
 
-    def _collect_counts(self) -> None:
-        leg = self.place.leg
-        self._counters.counts["ticks"] += int(leg["accepted_n"])
-        refused = int(leg["refused"])
-        if refused:
-            self._counters.rejects[Reject.IMPLAUSIBLE] += refused
-        leg["accepted_n"] = leg["refused"] = 0
-
-    def _event(
-        self, contact: bool, onset_ns: int, score: float, residual: list[float]
-    ) -> ContactEvent:
-        sample, leg = self._sample, self.place.leg
-        assert sample is not None
-        doubt, withheld = self._doubt, self._withholds
-        reported = contact and not withheld
-        leg["reported"] = reported
-        if contact:
-            self._counters.counts["withheld" if withheld else "contacts"] += 1
-        return ContactEvent(
-            leg=self.leg.id,
-            t_ns=sample.t_ns,
-            seq=sample.seq,
-            # In the stamps' own time, of which the schedule is a smoothed one.
-            onset_ns=sample.t_ns - max(int(leg["at_ns"]) - onset_ns, 0),
-            contact=reported,
-            status=self._status,
-            score=score,
-            residual=residual,
-            model_version=self._version,
-            withheld=withheld,
-            doubt=doubt,
-        )
-
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""
         leg, lifecycle = self.place.leg, self._lifecycle
@@ -515,75 +452,5 @@ class ContactLearner:
             lifecycle.cold.drop_newest(int(leg["total_n"]) - int(leg["began_n"]))
 
     @property
-    def _withholds(self) -> bool:
-        """Whether contacts are not reported, as the leg is ambiguous."""
-        return self._withholds_at(self._labels.lift_nis)
-
-    def _withholds_at(self, lift_nis: float) -> bool:
-        """The same, of a swing with such a lift."""
-        if self._void:
-            return True
-        if self._when_ambiguous is WhenAmbiguous.PUBLISH:
-            return False
-        doubt = self._doubt
-        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
-            return doubt is not None
-        # A foot that comes short of its command in lifts that fit the model is slow, not held.
-        fits = doubt == "held" and lift_nis <= UNFIT_LEVEL
-        return not fits and doubt != "unsettled"
-
-    @property
-    def _void(self) -> bool:
-        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
-        return self._misread or bool(self.place.leg["cause"])
-
-    @property
-    def _doubt(self) -> Doubt | None:
-        """Why the leg is ambiguous; None where it is not."""
-        if self._source.cause is not None:
-            return self._source.cause
-        if self._misread:
-            return "angles"
-        return None if self._adapter is None else self._adapter.doubt
-
-    @property
     def _adapter(self) -> Adapter | None:
         return self._lifecycle.adapter
-
-    @property
-    def _status(self) -> Status:
-        if self._void:
-            return "ambiguous"
-        return "learning" if self._adapter is None else self._adapter.status
-
-    @property
-    def _version(self) -> int:
-        return 0 if self._adapter is None else self._adapter.model.version
-
-    @property
-    def _convention_note(self) -> str | None:
-        """One line for a person when the leg's angles are not counted as described."""
-        found = None if self._track is None else self._track.finding
-        if found is None:
-            return None
-        until = "; no contacts are reported until then" if self._misread else ""
-        return found.line(self.leg) + until
-
-    def _ailment(self) -> str | None:
-        """What stops this leg from being judged, for a person; the gravest."""
-        adapter = self._adapter
-        notes = (
-            self._counters.fault_note,
-            self._guard.note,
-            self._rate.note,
-            self._source.note,
-            None if self._ids is None else self._ids.note,
-            self._convention_note,
-            self._swing.phase_unknown_note,
-            self._lifecycle.note_now,
-            None if adapter is None else adapter.note,
-            self._labels.unobservable_note,
-            self._labels.landings.note,
-            _NO_PREVIEW if self.place.leg["lacking"] else None,
-        )
-        return next((note for note in notes if note is not None), None)

@@ -8,12 +8,12 @@ Between the two, Python takes what the first half has flagged.
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.clock import PAUSE, follow_clock, restart_clock, vote_late
+from adaptive_contact.detect.contact_state import let_go, swing_tick
 from adaptive_contact.detect.echo import (
     ECHO,
     ECHO_WIDTH,
@@ -24,6 +24,16 @@ from adaptive_contact.detect.echo import (
     take_command,
     take_phase,
     take_readings,
+)
+from adaptive_contact.detect.flags import (
+    BEGAN,
+    RATE_OFF,
+    RELEASE_PENDING,
+    RESOLVED,
+    RESTARTED,
+    SOURCE,
+    TOPPED,
+    TOUCHING,
 )
 from adaptive_contact.detect.history import (
     UNSURE_TICKS,
@@ -36,6 +46,7 @@ from adaptive_contact.detect.history import (
 )
 from adaptive_contact.detect.layout import DEPTH
 from adaptive_contact.detect.regressors import predict, regressors
+from adaptive_contact.detect.statistic import context_of, leverage, model_doubt, onset, statistic
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
@@ -47,275 +58,7 @@ from adaptive_contact.detect.swing import (
     height_gradient,
     place_foot,
 )
-from adaptive_contact.model.noise import SPEED_EDGES_QUANTA
-
-# Flags of a tick, for the second half.
-RESTARTED: Final = 1  # the source began again
-BROKE_OFF: Final = 2  # what comes does not connect to what was
-RESOLVED: Final = 4  # the swing before is over
-BEGAN: Final = 8  # a swing begins
-ENTERED: Final = 16  # a row was entered
-TOPPED: Final = 32  # the top of the lift has just been passed
-DECIDED: Final = 64  # a contact began or ended: an event
-TOUCHED: Final = 128  # and it began
-TOUCHING: Final = 256  # one of the first ticks of a contact
-RATE_OFF: Final = 512  # ticks are not as far apart as described
-SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
-RELEASE_PENDING: Final = 1024  # a contact ended that no tick will decide
-
-# A tick is calm when its distance from the free model is below this share of the threshold: one
-# free tick in a thousand is not, while a foot let go of is at several times the threshold.
-CALM_SCORE: Final = 0.5
-# Calm ticks in a row that show a foot to be off the ground.  A foot about to leave it may look
-# calm for one tick, while the push along and the pull back cancel.
-CALM_TICKS: Final = 3
-# And within a swing, after a contact, one more.
-REARM_TICKS: Final = 4
-# Without calm, the first tick of a lift taken for free: a foot pressed in the stance before has let
-# go by the 7th tick of the command (measured in pose, 62 of 62 cases).
-FREE_LIFT_TICKS: Final = 8
-# A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
-MAX_ROWS: Final = 400
-SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
-
-
-@compiled
-def begin_labels(leg):
-    """Begin the rows of a swing: none is held back."""
-    leg.hole_ns = -1
-    leg.lift_n = leg.row_n = leg.commanded_n = 0
-    leg.topped = leg.closed = leg.broken = leg.top_seen = False
-
-
-@compiled
-def note_hole(leg, rows):
-    """Note lost or bad readings: what went on meanwhile shows in no residual."""
-    if leg.row_n > leg.lift_n:
-        leg.hole_ns = rows[leg.row_n - 1].t_ns
-
-
-@compiled
-def break_off(leg):
-    """Break off the swing: what comes does not connect, and it is not learned."""
-    leg.found |= BROKE_OFF
-    leg.whole = leg.stood = leg.touching = False
-    begin_labels(leg)
-    leg.broken = True
-
-
-@compiled
-def context_of(leg, command, before):
-    """Compute the context of a tick, from its command and the one before."""
-    speed = 0.0
-    for j in range(len(command)):
-        speed = max(speed, abs(command[j] - before[j]))
-    speed /= leg.quantum
-    at = SPEEDS if leg.descent else 0
-    for edge in SPEED_EDGES_QUANTA:
-        if speed >= edge:
-            at += 1
-    return at
-
-
-@compiled
-def model_doubt(theta, index, per_scale, root, size, joint):
-    """Compute a prediction's variance that comes from its coefficients, over the noise's."""
-    total = 0.0
-    for c in range(size):
-        v = 0.0
-        for k in range(size):
-            v += theta[index[joint, k]] * per_scale[joint, k] * root[joint, k, c]
-        total += v * v
-    return total
-
-
-@compiled
-def leverage(theta, reach):
-    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
-    total = 0.0
-    for r in range(reach.shape[0]):
-        z = 0.0
-        for c in range(reach.shape[1]):
-            z += reach[r, c] * theta[c]
-        total += z * z
-    return total
-
-
-@compiled
-def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, against):
-    """Fill the (windows,) test ratios, NaN where a window reaches too far back.
-
-    A foot about to stand has arrived, and what it is predicted to do says nothing of where the
-    ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
-    the foot's height.
-
-    Returns:
-        The squared distance of the last residual from zero, whitened.
-    """
-    joints = history.shape[2]
-    distance = 0.0
-    for j in range(joints):
-        sums[0, j] = sums[1, j] = 0.0
-    for width in range(DEPTH):
-        for j in range(joints):
-            sums[0, j] += history[0, width, j]
-            sums[1, j] += history[1, width, j]
-        square = product = 0.0
-        for r in range(joints):
-            of_residual = of_increment = 0.0
-            for c in range(joints):
-                w = whiten[leg.context, width, r, c] * shrink[c]
-                of_residual += w * sums[0, c]
-                of_increment += w * (-gradient[c] if against else sums[1, c])
-            square += of_residual * of_residual
-            product += of_residual * of_increment
-        if width == 0:
-            distance = square
-        if width + 1 > leg.usable:
-            scores[width] = np.nan
-        else:
-            scores[width] = square / limits[width] if product < 0.0 else 0.0
-    return distance
-
-
-@compiled
-def onset(leg, history, width):
-    """Estimate when a contact began, from the window that shows it; ns."""
-    first = width - 1
-    power = along = 0.0
-    for j in range(history.shape[2]):
-        power += history[1, first, j] ** 2
-        along += history[0, first, j] * history[1, first, j]
-    share = min(max(-along / power, 0.0), 1.0) if power > 0.0 else 1.0
-    return leg.at_ns - first * leg.period_ns - np.int64(np.rint(share * leg.period_ns))
-
-
-@compiled
-def release(leg, t_ns, score):
-    """End a contact, if there is one."""
-    if not leg.contact:
-        return
-    leg.contact = False
-    leg.found |= DECIDED
-    leg.onset_ns = leg.calm_since if leg.calm else t_ns
-    leg.score = score
-
-
-@compiled
-def swing_tick(leg, score, distance, onset_ns, past_lift):
-    """Update loaded, free or contact by a tick's test ratio; NaN changes nothing."""
-    if score != score:
-        return
-    leg.calm = leg.calm + 1 if distance < CALM_SCORE else 0
-    if leg.calm == 1:
-        leg.calm_since = leg.at_ns
-    if leg.loaded:
-        if leg.calm < CALM_TICKS and not past_lift:
-            return
-        leg.loaded = False
-        release(leg, leg.at_ns, score)
-        return
-    if leg.contact:
-        if leg.calm >= REARM_TICKS:
-            release(leg, leg.at_ns, score)
-        return
-    if score <= 1.0:
-        return
-    leg.contact, leg.calm = True, 0
-    leg.found |= DECIDED | TOUCHED
-    leg.onset_ns, leg.score = onset_ns, score
-
-
-@compiled
-def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, z):
-    """Split a residual into a push from the ground and the rest."""
-    joints = len(residual)
-    length = along = 0.0
-    for r in range(joints):
-        g = w = 0.0
-        for c in range(joints):
-            at = whiten[leg.context, 0, r, c] / math.sqrt(unit[c])
-            g += at * gradient[c]
-            w += at * residual[c]
-        length += g * g
-        along += g * w
-    length = math.sqrt(length)
-    row.push = True
-    if length == 0.0:
-        row.sigma = np.inf
-        for j in range(joints):
-            aside[j] = target[j]
-        return
-    row.sigma = along / length
-    for j in range(joints):
-        aside[j] = target[j] - gradient[j] * (row.sigma / length)
-
-
-@compiled
-def enter_row(
-    leg, rows, thetas, targets, asides, theta, history, distance, value, free, past_top,
-    whiten, unit, last_measured, links, turns, gradient, target,
-):  # fmt: skip
-    """Hold a judged tick back until its swing is resolved."""
-    joints = history.shape[2]
-    leg.found |= ENTERED
-    if not leg.gated:
-        pass
-    elif leg.broken or not (leg.topped or leg.rising or past_top):
-        return
-    elif leg.rising and not leg.topped:
-        if not (free or leg.ticks >= FREE_LIFT_TICKS):
-            return
-    elif leg.closed:
-        leg.topped = True
-        return
-    at = leg.row_n if leg.gated else 0  # ungated, each is learned at once
-    first, most = (
-        (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
-    )
-    if most >= MAX_ROWS:  # the oldest goes
-        for k in range(first, at - 1):
-            rows[k], thetas[k], targets[k], asides[k] = (
-                rows[k + 1], thetas[k + 1], targets[k + 1], asides[k + 1],
-            )  # fmt: skip
-        at -= 1
-        if first == 0:
-            leg.lift_n -= 1
-            leg.commanded_n = max(leg.commanded_n - 1, 0)
-    row = rows[at]
-    row.nis = distance * leg.variance_scale / joints
-    row.value = value
-    row.context = leg.context
-    row.t_ns = leg.at_ns
-    row.calm, row.cleared, row.push = free, leg.cleared, False
-    for j in range(joints):
-        target[j] = history[0, 0, j] + history[1, 0, j]
-        targets[at, j] = target[j]
-    thetas[at] = theta
-    if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
-        height_gradient(last_measured, links, turns, gradient)
-        push_from_ground(
-            leg, row, asides[at], history[0, 0], target, whiten, unit, gradient, target
-        )
-    if not leg.gated:
-        row.lift = leg.rising
-        return
-    leg.row_n = at + 1
-    if leg.rising and not leg.topped:
-        row.lift = True
-        leg.lift_n = at + 1
-        if not past_top:
-            leg.commanded_n = leg.lift_n
-        return
-    leg.topped = True
-    row.lift = False
-
-
-@compiled
-def let_go(leg):
-    """Forget whether the leg touches: it cannot be known."""
-    leg.release_pending |= leg.reported
-    leg.contact, leg.loaded, leg.calm = False, True, 0
+from adaptive_contact.detect.swing_rows import begin_labels, break_off, enter_row, note_hole
 
 
 @compiled
@@ -591,6 +334,11 @@ def judge_tick(
                 if leg.topped and not leg.broken and not leg.top_seen:
                     leg.top_seen = True
                     leg.found |= TOPPED
+    found = 0
+    for i in range(len(legs)):
+        if accepted[i]:
+            found |= legs[i].found
+    return found
 
 
 @compiled

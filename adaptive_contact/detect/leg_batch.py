@@ -151,10 +151,10 @@ class LegBatch:
         found: list[int] = self.legs["found"].tolist()
         return found
 
-    def judge(self) -> None:
-        """Run the first half of a tick."""
+    def judge(self) -> int:
+        """Run the first half of a tick; returns the flags of all legs, in one."""
         self.open |= self.accepted
-        judge_tick(
+        found: int = judge_tick(
             records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
             self.phase, self.measured, self.desired, self.valid, self.has_valid, self.preview_in,
             self.ring, self.seam, self.echo_commands, self.echo_runs, self.echo_off,
@@ -169,6 +169,7 @@ class LegBatch:
             self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
             self.free_ring, self.scores, self.bools, self.floats, self.room, self.now, self.sums,
         )  # fmt: skip
+        return found
 
     def finish(self) -> None:
         """Run the second half of a tick."""

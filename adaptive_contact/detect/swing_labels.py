@@ -16,14 +16,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from adaptive_contact.detect.detector import (
-    BEGAN,
-    BROKE_OFF,
-    ENTERED,
-    RESTARTED,
-    TOPPED,
-    TOUCHING,
-)
+from adaptive_contact.detect.flags import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
 from adaptive_contact.model.labelled_swing import (
@@ -220,8 +213,9 @@ class SwingLabels:
             self._rows(0, lift), commanded, self._rows(lift, count), onset_ns, period_ns,
             None if hole_ns < 0 else hole_ns,
         )  # fmt: skip
-        for of in (batch.rows, batch.row_thetas, batch.row_targets, batch.row_asides):
-            of[row, : len(kept)] = of[row, kept]
+        if len(kept) < lift:
+            for of in (batch.rows, batch.row_thetas, batch.row_targets, batch.row_asides):
+                of[row, : len(kept)] = of[row, kept]
         leg["lift_n"] = leg["row_n"] = len(kept)
         leg["closed"] = True
         return rows

@@ -21,6 +21,7 @@ from adaptive_contact.conventions.judge import (
     Verdict,
     judge_motion,
 )
+from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import Phase
@@ -73,13 +74,13 @@ class MotionTrack:
         self.settled = False
         self.suspected: ConventionFinding | None = None  # by the last judgement alone
         self._leg = leg
-        self._count = self._untold = 0
-        joints = self._joints = len(leg.joints)
-        self._angles = np.zeros((0, 2 * joints))
-        self._times = np.zeros(0, dtype=np.int64)
-        self._seq = np.zeros(0, dtype=np.int64)
+        self._kept = KeptSamples(len(leg.joints))
         self._first_seq = 0
-        self._swing = np.zeros(0, dtype=np.bool_)
+
+    @property
+    def wants(self) -> bool:
+        """Whether samples are kept still."""
+        return not self.settled
 
     @property
     def spoils(self) -> bool:
@@ -87,59 +88,33 @@ class MotionTrack:
         return self.finding is not None and self.finding.grave
 
     def take(
-        self, measured: Array, desired: Array, t_ns: int, seq: int, phase: Phase | None
+        self, measured: list[float], desired: list[float], t_ns: int, seq: int, phase: Phase | None
     ) -> None:
         """Take in an accepted sample, (J,) rad in the frame of the description."""
         if self.settled:
             return
-        if self._count == len(self._times):
-            self._make_room()
-        angles = self._angles[self._count]
-        angles[: self._joints], angles[self._joints :] = measured, desired
-        self._times[self._count] = t_ns
-        if self._count == 0:
+        kept = self._kept
+        if len(kept) == KEPT:
+            kept.drop(KEPT // 2)
+        if not kept:
             self._first_seq = seq
-        self._seq[self._count] = seq - self._first_seq
-        self._swing[self._count] = phase == "swing"
-        self._untold += phase is None
-        self._count += 1
+        kept.add(measured, desired, t_ns, seq - self._first_seq, phase)
         self.total += 1
 
     def restart(self) -> None:
         """End the stretch of samples: what comes does not connect to what was."""
-        self._count = self._untold = 0
+        self._kept.clear()
 
     def settle(self) -> None:
         """Keep no more of it."""
         self.settled = True
-        self._count = 0
-        self._angles, self._times = self._angles[:0].copy(), self._times[:0].copy()
-        self._seq, self._swing = self._seq[:0].copy(), self._swing[:0].copy()
+        self._kept.clear()
 
     @property
     def motion(self) -> LegMotion:
         """Samples kept, as copies."""
-        n, joints = self._count, self._joints
-        return LegMotion(
-            self._times[:n].copy(),
-            self._angles[:n, :joints].copy(),
-            self._angles[:n, joints:].copy(),
-            None if self._untold else self._swing[:n].copy(),
-            self._seq[:n].copy(),
-        )
-
-    def _make_room(self) -> None:
-        if self._count < KEPT:
-            more = max(self._count, KEPT // 8)
-            self._angles = np.concatenate([self._angles, np.zeros((more, 2 * self._joints))])
-            self._times = np.concatenate([self._times, np.zeros(more, dtype=np.int64)])
-            self._seq = np.concatenate([self._seq, np.zeros(more, dtype=np.int64)])
-            self._swing = np.concatenate([self._swing, np.zeros(more, dtype=np.bool_)])
-            return
-        half = self._count // 2
-        for kept in (self._angles, self._times, self._seq, self._swing):
-            kept[: self._count - half] = kept[half : self._count].copy()
-        self._count -= half
+        kept = self._kept
+        return LegMotion(kept.t_ns, kept.measured, kept.desired, kept.swing, kept.seq)
 
 
 class ConventionWatch:

@@ -24,13 +24,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.fit.train import cautious
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire import Phase, ServoSample
 
 __all__ = [
     "SWAPPED",
@@ -397,55 +398,45 @@ class IdTrack:
     def __init__(self, joints: int, period_ns: int) -> None:
         self.owner: Owner | None = None
         self.suspected: Owner | None = None  # by the last judgement alone
-        self.count = 0
         self._open = True
-        self._seq = np.zeros(0, dtype=np.int64)
-        self._angles = np.zeros((0, 2 * joints))
-        self._joints, self._period_ns = joints, period_ns
+        self._kept = KeptSamples(joints)
+        self._period_ns = period_ns
         self._ahead = 0
-        self._phases = np.zeros(0, dtype=np.int8)  # 1 swing, 0 stance, -1 untold
 
-    def take(self, sample: ServoSample) -> None:
-        """Take in an accepted sample, in the frame of the description."""
-        if not self._open or self.count == KEPT:
+    def take(
+        self, measured: list[float], desired: list[float], t_ns: int, seq: int, phase: Phase | None
+    ) -> None:
+        """Take in an accepted sample, (J,) rad in the frame of the description."""
+        if not self.wants:
             return
-        if self.count == len(self._seq):
-            more = min(max(self.count, KEPT // 8), KEPT - self.count)
-            self._seq = np.concatenate([self._seq, np.zeros(more, dtype=np.int64)])
-            self._angles = np.concatenate([self._angles, np.zeros((more, 2 * self._joints))])
-            self._phases = np.concatenate([self._phases, np.zeros(more, dtype=np.int8)])
-        if self.count == 0:  # legs need not count alike
-            self._ahead = round(sample.t_ns / self._period_ns) - sample.seq
-        self._seq[self.count] = sample.seq + self._ahead
-        self._angles[self.count] = sample.measured + sample.desired
-        self._phases[self.count] = -1 if sample.phase is None else sample.phase == "swing"
-        self.count += 1
+        if not self._kept:  # legs need not count alike
+            self._ahead = round(t_ns / self._period_ns) - seq
+        self._kept.add(measured, desired, t_ns, seq + self._ahead, phase)
+
+    @property
+    def count(self) -> int:
+        """Samples kept."""
+        return len(self._kept)
 
     @property
     def wants(self) -> bool:
         """Whether a sample more is kept."""
-        return self._open and self.count < KEPT
+        return self._open and len(self._kept) < KEPT
 
     def restart(self) -> None:
         """End the stretch of samples: what comes does not connect to what was."""
-        self.count = 0
+        self._kept.clear()
 
     def close(self) -> None:
         """Drop the samples and keep no more."""
-        self._open, self.count = False, 0
-        self._seq, self._phases = self._seq[:0].copy(), self._phases[:0].copy()
-        self._angles = self._angles[:0].copy()
+        self._open = False
+        self._kept.clear()
 
     @property
     def rows(self) -> LegRows:
         """Samples kept, as copies."""
-        angles, phases = self._angles[: self.count].copy(), self._phases[: self.count]
-        return LegRows(
-            self._seq[: self.count].copy(),
-            angles[:, : self._joints],
-            angles[:, self._joints :],
-            None if (phases < 0).any() else phases == 1,
-        )
+        kept = self._kept
+        return LegRows(kept.seq, kept.measured, kept.desired, kept.swing)
 
     @property
     def note(self) -> str | None:
@@ -466,7 +457,7 @@ def judge_recorded_ids(
     for leg, of_leg in samples.items():
         track = tracks[leg] = IdTrack(len(robot.leg(leg).joints), round(robot.period_s * 1e9))
         for sample in of_leg[:KEPT]:
-            track.take(sample)
+            track.take(sample.measured, sample.desired, sample.t_ns, sample.seq, sample.phase)
     rows = {leg: track.rows for leg, track in tracks.items() if track.count}
     for leg, owner in judge_ids(robot, None, rows).items():
         tracks[leg].owner = owner

@@ -271,7 +271,7 @@ class Adapter:
         if not self.gated:
             return
         known = self.monitor.status == "valid"
-        if known and early is not None and self._early.hear(early):
+        if known and early is not None and self._early.take(early):
             # They were not contacts.  None are stored meanwhile, so that no refit is promoted.
             self._candidate.contacts.clear()
         self._swings += 1
@@ -300,7 +300,7 @@ class Adapter:
         moved |= self._candidate.tick()
         if self._noise_tracker.domain is not self._candidate.domain:
             self._noise_tracker.domain, moved = self._candidate.domain, True
-        if self._noise_tracker.go_on():
+        if self._noise_tracker.refreshing and self._noise_tracker.go_on():
             moved = True
         if self._refresh_in is not None:
             self._refresh_in -= 1

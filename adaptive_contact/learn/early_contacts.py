@@ -31,13 +31,13 @@ class EarlyContacts:
         self.told = False
         self._lately: deque[bool] = deque(maxlen=SWINGS)
 
-    def hear(self, belied: bool) -> bool:
+    def take(self, early: bool) -> bool:
         """Count a swing; True if it is the one with which the count becomes too high.
 
         Args:
-            belied: it reported an early contact.
+            early: it reported an early contact.
         """
-        self._lately.append(belied)
+        self._lately.append(early)
         count, before = sum(self._lately), self.told
         self.told = count > END if before else count >= BEGIN
         return self.told and not before
@@ -59,12 +59,12 @@ class EarlyContacts:
 
     def snapshot(self) -> dict[str, Any]:
         """Return the counts, for :meth:`restore`."""
-        return {"lately": [int(belied) for belied in self._lately], "told": self.told}
+        return {"lately": [int(early) for early in self._lately], "told": self.told}
 
     def restore(self, saved: Any) -> None:
         """Take over saved counts; what is not usable is left."""
         if not isinstance(saved, dict) or not isinstance(saved.get("lately"), list):
             return
         self.forget()
-        self._lately.extend(bool(belied) for belied in saved["lately"])
+        self._lately.extend(bool(early) for early in saved["lately"])
         self.told = saved.get("told") is True and sum(self._lately) > END

@@ -131,6 +131,11 @@ class NoiseTracker:
         """Begin to recompute, some segments a tick with :meth:`go_on`; drops one under way."""
         self._under_way = _Shaping(self._noise.whiten, tuple(segments), coefficients)
 
+    @property
+    def refreshing(self) -> bool:
+        """Whether a refresh is under way, for :meth:`go_on`."""
+        return self._under_way is not None
+
     def drop_refresh(self) -> None:
         """Drop a recomputation under way: its ticks were dropped since."""
         self._under_way = None

@@ -41,7 +41,7 @@ class LegModel:
                 f"for the library '{self.library.name}'"
             )
         if not np.isfinite(self.coefficients).all():
-            raise IdentificationError("model: a coefficient is not finite; fit it anew")
+            raise IdentificationError("model: a coefficient is not finite; fit a new one")
 
     def moved(self, coefficients: Array, version: int) -> LegModel:
         """Return the same model with other coefficients."""

@@ -247,7 +247,7 @@ def parse_baseline(data: bytes, *, source: str) -> Baseline:
         if found != FORMAT:
             raise BaselineError(
                 f"{source}: a file of format {_brief(found)}; expected a baseline of format "
-                f"{FORMAT}: learn it anew with `adaptive-contact fit`"
+                f"{FORMAT}: fit a new one with `adaptive-contact fit`"
             )
         file = msgspec.convert(table, _File)
         return _baseline(file)
@@ -341,7 +341,7 @@ def _domain(rows: list[str] | None, scale: Array) -> Domain | None:
             triangle[i, i:] = np.array(row.split(), dtype=np.float64)
     except (ValueError, IndexError) as error:
         raise IdentificationError(
-            f"its domain is no triangle of {p} rows; learn it anew"
+            f"its domain is no triangle of {p} rows; fit a new one"
         ) from error
     return Domain(triangle, scale)
 
@@ -349,14 +349,14 @@ def _domain(rows: list[str] | None, scale: Array) -> Domain | None:
 def _baseline(file: _File) -> Baseline:
     legs = {leg: _leg(leg, entry, file.library) for leg, entry in file.legs.items()}
     if not legs:
-        raise IdentificationError("it has no legs; learn it anew")
+        raise IdentificationError("it has no legs; fit a new one")
     if len(file.tails) != len(WINDOWS):
         raise IdentificationError(f"it has {len(file.tails)} tails; expected {len(WINDOWS)}")
     for tail in file.tails:
         sound = all(math.isfinite(x) for x in (tail.level, tail.scale, tail.shape))
         usual = SHAPE_RANGE[0] <= tail.shape <= SHAPE_RANGE[1] and tail.ticks >= 0
         if not (sound and usual and tail.scale > 0 and 0 < tail.rate < 1):
-            raise IdentificationError("a tail is implausible; learn it anew")
+            raise IdentificationError("a tail is implausible; fit a new one")
     tails = tuple(Tail(t.level, t.rate, t.scale, t.shape, t.ticks) for t in file.tails)
     return Baseline(file.robot, file.origin, file.quantum_rad, legs, tails)
 
@@ -370,7 +370,7 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
             if term not in row:
                 raise IdentificationError(
                     f"leg '{leg}' has a term '{term}' that the library "
-                    f"'{library.name}' has not; learn it anew"
+                    f"'{library.name}' has not; fit a new one"
                 )
             coefficients[row[term], j] = value
     joints = len(library.joints)
@@ -378,7 +378,7 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     covariance = _array(entry.covariance, shape, f"leg '{leg}': covariance")
     ticks = _array(entry.ticks, (CONTEXTS,), f"leg '{leg}': ticks")
     if not (np.isfinite(ticks).all() and (ticks >= 0).all() and ticks.sum() > 0):
-        raise IdentificationError(f"leg '{leg}': ticks are not counts, or none; learn it anew")
+        raise IdentificationError(f"leg '{leg}': ticks are not counts, or none; fit a new one")
     scale = np.array([entry.scale.get(name, np.nan) for name in library.names])
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
@@ -390,7 +390,7 @@ def _array(values: object, shape: tuple[int, ...], what: str) -> Array:
     try:
         array = np.asarray(values, dtype=np.float64)
     except ValueError as error:
-        raise IdentificationError(f"{what} is ragged; learn it anew") from error
+        raise IdentificationError(f"{what} is ragged; fit a new one") from error
     if array.shape != shape:
         raise IdentificationError(f"{what} has shape {array.shape}; expected {shape}")
     return array

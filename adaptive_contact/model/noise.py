@@ -91,12 +91,12 @@ class NoiseModel:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.covariance).all():
-            raise IdentificationError("noise: a covariance is not finite; fit it anew")
+            raise IdentificationError("noise: a covariance is not finite; fit a new one")
         try:
             factor = np.linalg.cholesky(self.covariance)
         except np.linalg.LinAlgError as error:
             raise IdentificationError(
-                "noise: a covariance is not positive definite; fit it anew"
+                "noise: a covariance is not positive definite; fit a new one"
             ) from error
         object.__setattr__(self, "whiten", np.linalg.inv(factor))
 

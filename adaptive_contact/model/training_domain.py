@@ -58,7 +58,7 @@ class Domain:
         if self.triangle.shape != (p, p) or not np.isfinite(self.triangle).all():
             raise IdentificationError(
                 f"domain: expected a finite triangle of shape {(p, p)}, found "
-                f"{self.triangle.shape}; learn it anew"
+                f"{self.triangle.shape}; fit a new one"
             )
         stacked = np.concatenate([self.triangle, np.eye(p) / PRIOR_DEVIATIONS])
         whole = scipy.linalg.qr(stacked, mode="r", check_finite=False)[0][:p]

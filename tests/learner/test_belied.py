@@ -141,7 +141,7 @@ def test_the_doubt_begins_with_three_quarters_of_the_swings_and_ends_with_half(
 ) -> None:
     touches, told = EarlyContacts(), False
     for k, swing in enumerate(swings):
-        began = touches.hear(swing)
+        began = touches.take(swing)
         count = sum(swings[max(k + 1 - SWINGS, 0) : k + 1])
         now = count >= BEGIN or (told and count > END)
         assert (touches.told, began) == (now, now and not told)

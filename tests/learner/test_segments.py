@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact.detect.detector import FREE_LIFT_TICKS, MAX_ROWS
 from adaptive_contact.detect.swing_labels import (
     GUARD_TICKS,
     HOLE_TICKS,
@@ -15,6 +14,7 @@ from adaptive_contact.detect.swing_labels import (
     TOUCHING_TICKS,
     _Regions,
 )
+from adaptive_contact.detect.swing_rows import FREE_LIFT_TICKS, MAX_ROWS
 from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
 from adaptive_contact.model.labelled_swing import SEGMENTS, Push, Row
 from adaptive_contact.robot import Robot

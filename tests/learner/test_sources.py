@@ -313,12 +313,12 @@ def ambiguous_from(
             adapter._early.told = True
         else:
             adapter.monitor.status = "ambiguous"
-        learner._report_by()  # what an assessed swing does
+        learner._report.publish_withholding()  # what an assessed swing does
         event = learner.update(sample)
         events += [] if event is None else [event]
     adapter._early.forget()
     adapter.monitor.status = "valid"
-    learner._report_by()
+    learner._report.publish_withholding()
     return events + play(learner, stream[end:])
 
 

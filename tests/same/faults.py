@@ -36,19 +36,19 @@ class Fault:
 
 FAULTS: Final = (
     Fault(
-        "threshold of a contact", "detect/detector.py",
+        "threshold of a contact", "detect/contact_state.py",
         "if score <= 1.0:", "if score <= 1.02:", "pose-obstacles",
     ),
     Fault(
-        "calm ticks to rearm", "detect/detector.py",
+        "calm ticks to rearm", "detect/contact_state.py",
         "REARM_TICKS: Final = 4", "REARM_TICKS: Final = 5", "pose-obstacles",
     ),
     Fault(
-        "sign of the onset's share", "detect/detector.py",
+        "sign of the onset's share", "detect/statistic.py",
         "min(max(-along / power, 0.0)", "min(max(along / power, 0.0)", "pose-obstacles",
     ),
     Fault(
-        "a window that is not there yet", "detect/detector.py",
+        "a window that is not there yet", "detect/statistic.py",
         "if width + 1 > leg.usable:", "if width > leg.usable:", "caught-foot",
     ),
     Fault(

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.detector import CALM_SCORE, CALM_TICKS, REARM_TICKS
+from adaptive_contact.detect.contact_state import CALM_SCORE, CALM_TICKS, REARM_TICKS
 
 __all__ = ["alarm_ticks"]
 

@@ -1,0 +1,271 @@
+"""What is reported of one leg: its events, its status, and the note on what stops it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Final
+
+from adaptive_contact.detect.leg_batch import LegPlace
+from adaptive_contact.detect.source_watch import SourceWatch
+from adaptive_contact.detect.stream import RateWatch, StreamGuard
+from adaptive_contact.detect.swing_judge import SwingJudge
+from adaptive_contact.detect.swing_labels import SwingLabels
+from adaptive_contact.diagnose.angle_watch import MotionTrack
+from adaptive_contact.diagnose.leg_ids import IdTrack
+from adaptive_contact.learn.adapter import Adapter
+from adaptive_contact.learn.drift import UNFIT_LEVEL
+from adaptive_contact.learn.lifecycle import Lifecycle
+from adaptive_contact.learn.mode import WhenAmbiguous
+from adaptive_contact.robot import Leg
+from adaptive_contact.wire import (
+    BufferCounts,
+    ContactEvent,
+    Doubt,
+    DriftLevel,
+    LearnerStatus,
+    RefitCounts,
+    Reject,
+    ServoSample,
+    Status,
+)
+
+__all__ = ["Counters", "LegReport"]
+
+FAULT_LINE: Final = 160  # characters
+_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
+
+
+class Counters:
+    """Counts for one leg.
+
+    Attributes:
+        counts: by name.
+        rejects: samples and payloads that were not used, by reason.
+        fault_note: one line for a person on faults in learning; None while there was none.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.rejects: Counter[Reject] = Counter()
+        self.fault_note: str | None = None
+        self._faults = 0
+
+    def fault(self, fault: Exception) -> None:
+        """Count a fault in learning, after which the leg was reset."""
+        self._faults += 1
+        last = " ".join(f"{type(fault).__name__}: {fault}".split())[:FAULT_LINE]
+        self.fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the counters as plain maps, for :meth:`restore`."""
+        rejects = {str(reason): n for reason, n in self.rejects.items()}
+        return {"counts": dict(self.counts), "rejects": rejects}
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Take over saved counters; what is not usable is left."""
+        counts = saved.get("counts")
+        if isinstance(counts, dict):
+            for name, count in counts.items():
+                if isinstance(name, str) and isinstance(count, int):
+                    self.counts[name] = count
+        rejects = saved.get("rejects")
+        if isinstance(rejects, dict):
+            known = {str(reason): reason for reason in Reject}
+            for name, count in rejects.items():
+                if name in known and isinstance(count, int):
+                    self.rejects[known[name]] = count
+
+
+class LegReport:
+    """Reports of one leg.
+
+    Args:
+        leg: its description.
+        place: its arrays.
+        lifecycle: of its model.
+        guard: of its stream.
+        swing, labels: of its swings.
+        track, ids: watch how its angles are counted, and whose samples they are; None for nobody.
+        when_ambiguous: whether contacts are reported while the leg is ambiguous.
+
+    Attributes:
+        counters: of what was counted for the status.
+        rate: reads the leg's clock.
+        source: reads whether its source sends what was read.
+    """
+
+    def __init__(
+        self, leg: Leg, place: LegPlace, lifecycle: Lifecycle, guard: StreamGuard,
+        swing: SwingJudge, labels: SwingLabels, track: MotionTrack | None, ids: IdTrack | None,
+        when_ambiguous: WhenAmbiguous,
+    ) -> None:  # fmt: skip
+        self._leg, self._place, self._lifecycle, self._guard = leg, place, lifecycle, guard
+        self._swing, self._labels, self._track, self._ids = swing, labels, track, ids
+        self._when_ambiguous = when_ambiguous
+        self.counters = Counters()
+        self.rate = RateWatch.of(place)
+        self.source = SourceWatch(leg, place)
+
+    def event(
+        self,
+        sample: ServoSample,
+        *,
+        contact: bool,
+        onset_ns: int,
+        score: float,
+        residual: list[float],
+    ) -> ContactEvent:
+        """Make an event, withheld where the leg is ambiguous, and count it.
+
+        Args:
+            sample: that decided it.
+            contact: it begins; else it ends.
+            onset_ns: when, by the schedule that follows the stamps.
+            score: test ratio.
+            residual: (J,) rad.
+        """
+        leg = self._place.leg
+        doubt, withheld = self.doubt, self.withholds
+        reported = contact and not withheld
+        leg["reported"] = reported
+        if contact:
+            self.counters.counts["withheld" if withheld else "contacts"] += 1
+        return ContactEvent(
+            leg=self._leg.id,
+            t_ns=sample.t_ns,
+            seq=sample.seq,
+            # In the stamps' own time, of which the schedule is a smoothed one.
+            onset_ns=sample.t_ns - max(int(leg["at_ns"]) - onset_ns, 0),
+            contact=reported,
+            status=self._status,
+            score=score,
+            residual=residual,
+            model_version=self._version,
+            withheld=withheld,
+            doubt=doubt,
+        )
+
+    @property
+    def status(self) -> LearnerStatus:
+        """Status of the learner, as it is published."""
+        adapter, leg, counts = self._adapter, self._place.leg, self.counters.counts
+        self.collect_counts()
+        untouched_ns = int(leg["untouched_ns"])
+        return LearnerStatus(
+            leg=self._leg.id,
+            t_ns=int(leg["t_ns"]),
+            status=self._status,
+            model_version=self._version,
+            residual_rms=self._place.free_rms,
+            noise_floor=self._lifecycle.noise_floor,
+            buffer=BufferCounts() if adapter is None else adapter.buffer.counts,
+            drift=DriftLevel() if adapter is None else adapter.monitor.drift,
+            refits=RefitCounts() if adapter is None else adapter.refits,
+            ticks=counts["ticks"],
+            rejects={str(reason): n for reason, n in sorted(self.counters.rejects.items())},
+            missed=self._guard.missed,
+            restarts=self._guard.restarts,
+            contact=bool(leg["reported"]),
+            contacts=counts["contacts"],
+            withheld=counts["withheld"],
+            doubt=self.doubt,
+            jitter_ms=self.rate.jitter_ms,
+            untouched=int(leg["untouched"]),
+            untouched_ns=None if untouched_ns < 0 else untouched_ns,
+            note=self._note(),
+        )
+
+    @property
+    def withholds(self) -> bool:
+        """Whether contacts are not reported, as the leg is ambiguous."""
+        return self._withholds_at(self._labels.lift_nis)
+
+    def publish_withholding(self) -> None:
+        """Tell the tick whether contacts are reported, and in a swing that begins with it."""
+        leg = self._place.leg
+        leg["withholds"], leg["withholds_begun"] = self.withholds, self._withholds_at(math.inf)
+
+    @property
+    def misread(self) -> bool:
+        """Whether the leg's angles are not counted as described."""
+        return bool(self._place.leg["misread"])
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the leg is ambiguous; None where it is not."""
+        if self.source.cause is not None:
+            return self.source.cause
+        if self.misread:
+            return "angles"
+        return None if self._adapter is None else self._adapter.doubt
+
+    def collect_counts(self) -> None:
+        """Take over what ticks have counted since the last call."""
+        leg = self._place.leg
+        self.counters.counts["ticks"] += int(leg["accepted_n"])
+        refused = int(leg["refused"])
+        if refused:
+            self.counters.rejects[Reject.IMPLAUSIBLE] += refused
+        leg["accepted_n"] = leg["refused"] = 0
+
+    # -- private -------------------------------------------------------------------------------
+
+    @property
+    def _adapter(self) -> Adapter | None:
+        return self._lifecycle.adapter
+
+    @property
+    def _void(self) -> bool:
+        """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
+        return self.misread or bool(self._place.leg["cause"])
+
+    def _withholds_at(self, lift_nis: float) -> bool:
+        if self._void:
+            return True
+        if self._when_ambiguous is WhenAmbiguous.PUBLISH:
+            return False
+        doubt = self.doubt
+        if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
+            return doubt is not None
+        # A foot that comes short of its command in lifts that fit the model is slow, not held.
+        fits = doubt == "held" and lift_nis <= UNFIT_LEVEL
+        return not fits and doubt != "unsettled"
+
+    @property
+    def _status(self) -> Status:
+        if self._void:
+            return "ambiguous"
+        return "learning" if self._adapter is None else self._adapter.status
+
+    @property
+    def _version(self) -> int:
+        return 0 if self._adapter is None else self._adapter.model.version
+
+    def _note(self) -> str | None:
+        """What stops this leg from being judged, for a person; the gravest."""
+        adapter = self._adapter
+        notes = (
+            self.counters.fault_note,
+            self._guard.note,
+            self.rate.note,
+            self.source.note,
+            None if self._ids is None else self._ids.note,
+            self._angles_note,
+            self._swing.phase_unknown_note,
+            self._lifecycle.note_now,
+            None if adapter is None else adapter.note,
+            self._labels.unobservable_note,
+            self._labels.landings.note,
+            _NO_PREVIEW if self._place.leg["lacking"] else None,
+        )
+        return next((note for note in notes if note is not None), None)
+
+    @property
+    def _angles_note(self) -> str | None:
+        """One line for a person when the leg's angles are not counted as described."""
+        found = None if self._track is None else self._track.finding
+        if found is None:
+            return None
+        until = "; no contacts are reported until then" if self.misread else ""
+        return found.line(self._leg) + until
