@@ -25,6 +25,7 @@ from adaptive_contact.detect.flags import (
     RESOLVED,
     RESTARTED,
     SOURCE,
+    TOPPED,
     TOUCHED,
     TOUCHING,
 )
@@ -275,17 +276,16 @@ class ContactLearner:
         """Make the event of a judged tick, if there is one."""
         leg, sample, event = self.place.leg, self._sample, None
         assert sample is not None
+        if flags & (BEGAN | TOPPED):
+            # A swing that begins, or a lift whose top is past, changes the status of the event.
+            self._assess(flags)
         if flags & RELEASE_PENDING:
             leg["release_pending"] = False
-            if flags & BEGAN:
-                self._assess(flags)
             event = self._report.event(
                 sample, contact=False, onset_ns=int(leg["at_ns"]), score=0.0,
                 residual=[0.0] * len(self.leg.joints),
             )  # fmt: skip
         if flags & DECIDED:
-            # A lift whose top is past changes the status that the event carries.
-            self._assess(flags)
             contact = bool(leg["contact"])
             if contact or leg["reported"]:  # else the end of one that was withheld
                 event = self._report.event(

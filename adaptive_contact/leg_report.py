@@ -240,7 +240,7 @@ class LegReport:
 
     @property
     def _version(self) -> int:
-        return 0 if self._adapter is None else self._adapter.model.version
+        return 0 if self._adapter is None else self._adapter.version
 
     def _note(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""

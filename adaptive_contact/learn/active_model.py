@@ -93,6 +93,12 @@ class ActiveModel:
         return self.as_made
 
     @property
+    def version(self) -> int:
+        """Of the model, without making it."""
+        moved = self._moved or self._coefficients is not self._model.coefficients
+        return max(1, self._model.version) if moved else self._model.version
+
+    @property
     def coefficients(self) -> Array:
         """(p, J) of the model in force; made on demand, as most rows are learned in stances."""
         if self._moved:
@@ -103,7 +109,7 @@ class ActiveModel:
     def as_made(self) -> LegModel:
         """Model as it was last asked for; rows learned since are not in it."""
         if self._coefficients is not self._model.coefficients:
-            self._model = self._model.moved(self._coefficients, max(1, self._model.version))
+            self._model = self._model.moved(self._coefficients, self.version)
             self._coefficients = self._model.coefficients
         return self._model
 

@@ -124,6 +124,11 @@ class Adapter:
         return self._active.model
 
     @property
+    def version(self) -> int:
+        """Of the model in force."""
+        return self._active.version
+
+    @property
     def inflated(self) -> bool:
         """Whether the recursion's covariance is inflated, so that predictions are uncertain."""
         return self._active.inflated
