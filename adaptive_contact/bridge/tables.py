@@ -50,6 +50,15 @@ class Register(NamedTuple):
     eeprom: bool = False
     signed: bool = False
 
+    @property
+    def block(self) -> Block:
+        """Where it is, to be read alone."""
+        return Block(self.address, self.size)
+
+    def value(self, data: bytes) -> int:
+        """Its value, out of the bytes of its own block."""
+        return int.from_bytes(data, "little", signed=self.signed)
+
 
 class Block(NamedTuple):
     """Neighbouring registers that are read in one go."""
@@ -70,7 +79,7 @@ class Block(NamedTuple):
     def part(self, data: bytes, register: Register) -> int:
         """A register's value out of the block's bytes."""
         at = register.address - self.address
-        return int.from_bytes(data[at : at + register.size], "little", signed=register.signed)
+        return register.value(data[at : at + register.size])
 
 
 # e-manual AX-12A (AX-18A, AX-12W, RX-28, RX-64 alike): "Control Table of EEPROM Area" and "of RAM
@@ -467,11 +476,8 @@ def number_name(number: int) -> str:
     model = model_of_number(number)
     if model is not None:
         return model.name
-    return (
-        f"{_OTHERS[number]}, model number {number}"
-        if number in _OTHERS
-        else (f"model number {number}")
-    )
+    told = f"model number {number}"
+    return f"{_OTHERS[number]}, {told}" if number in _OTHERS else told
 
 
 def feetech_name(data: bytes, servo: int) -> str | None:

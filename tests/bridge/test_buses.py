@@ -454,7 +454,7 @@ def test_check_tells_what_differs_and_what_shapes_the_motion(bus: Serve) -> None
 
 
 def write(path: Path, described: Robot) -> Path:
-    from adaptive_contact.bridge.survey import write_robot
+    from adaptive_contact.robot.write import write_robot
 
     path.write_text(write_robot(described), encoding="utf-8")
     return path

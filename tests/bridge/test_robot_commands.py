@@ -18,13 +18,14 @@ from adaptive_contact.bridge.freeswing import (
     REST_TICKS,
     free_swings,
 )
-from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
+from adaptive_contact.bridge.survey import describe, find_servos, group
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, Mount, Port, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
+from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.

@@ -14,12 +14,12 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.freeswing import free_swings
-from adaptive_contact.bridge.survey import write_robot
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import free_file
 from adaptive_contact.errors import AdaptiveContactError, TooLittleDataError
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import Robot
+from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.recording import RecordingWriter, read_recording
 from adaptive_contact.wire import ServoSample, decode, leg_of_key, servo_key
 from adaptive_contact_sim.virtual import KinematicBackend
