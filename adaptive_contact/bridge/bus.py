@@ -261,9 +261,11 @@ class Bus:
         Returns:
             The bytes, or None where no two answers in some tries agree.
         """
+        wider = block.wider
+        at = block.address - wider.address
         for _ in range(_TRIES):
-            once, twice = (self._ask(servo, asked).data for asked in (block, block.longer))
-            if once is not None and twice is not None and twice[: block.size] == once:
+            once, twice = (self._ask(servo, asked).data for asked in (block, wider))
+            if once is not None and twice is not None and twice[at : at + block.size] == once:
                 return once
             self.settle()
         return None

@@ -19,9 +19,9 @@ from adaptive_contact.bridge.modes import DriveMode
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.tables import ServoModel
 
-__all__ = ["Servo", "compare", "read_servos"]
+__all__ = ["COMPARED", "Servo", "compare", "read_servos"]
 
-_COMPARED: Final = (
+COMPARED: Final = (
     "moving_speed",
     "goal_acceleration",
     "profile_velocity",
@@ -91,7 +91,7 @@ def read_servos(plans: Sequence[PortPlan]) -> list[Servo]:
             for leg in plan.legs:
                 for joint in leg.joints:
                     values = {}
-                    for name in _COMPARED:
+                    for name in COMPARED:
                         register = joint.model.registers.get(name)
                         if register is None:
                             continue
@@ -113,7 +113,7 @@ def compare(servos: Sequence[Servo]) -> list[str]:
         by_model.setdefault(servo.model.name, []).append(servo)
     lines = []
     for name, group in by_model.items():
-        for register in _COMPARED:
+        for register in COMPARED:
             if register in _SHAPES:
                 continue
             lines += _differing(name, register, [s for s in group if register in s.values])

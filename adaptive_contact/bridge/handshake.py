@@ -35,6 +35,7 @@ from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 __all__ = [
+    "ALL_IDS",
     "ANSWERS_NOW",
     "BUSY",
     "USUAL_BAUDS",
@@ -49,6 +50,7 @@ __all__ = [
     "scan_again",
 ]
 
+ALL_IDS: Final = range(MAX_ID + 1)
 # A baud rate, and a protocol.
 Place = tuple[int, Literal[1, 2]]
 
@@ -129,14 +131,18 @@ def check_ports(
     return findings
 
 
-def scan(bus: Bus, ids: Iterable[int]) -> dict[int, Pong]:
+def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
     """Ping servos; who answers, by id.
+
+    Args:
+        bus: the port.
+        ids: whom; all that there may be without.
 
     Raises:
         PortLostError: the port is gone.
     """
     found = {}
-    for servo in ids:
+    for servo in ALL_IDS if ids is None else ids:
         pong = bus.ping(servo)
         if pong is not None:
             found[servo] = pong
@@ -292,7 +298,7 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
     try:
         expected = {joint.servo: joint for joint in plan.joints}
         ignored = set(plan.port.ignore)
-        asked = range(MAX_ID + 1) if full else expected
+        asked = ALL_IDS if full else expected
         found = scan(bus, [servo for servo in asked if servo not in ignored])
         if found:  # a bus where nobody answers is asked once
             found = scan_again(bus, found, expected)

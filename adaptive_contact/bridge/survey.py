@@ -148,7 +148,7 @@ def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | No
     bus = Bus(name, port)
     bus.open()
     try:
-        pongs = scan(bus, range(MAX_ID + 1))
+        pongs = scan(bus)
         if not pongs:
             return None
         row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)

@@ -71,6 +71,11 @@ class Block(NamedTuple):
         """The same and a byte more: its answer cannot be taken for a late one to the shorter."""
         return Block(self.address, self.size + 1)
 
+    @property
+    def wider(self) -> Block:
+        """The same and a byte more, before it: some tables end with a register that is read."""
+        return Block(self.address - 1, self.size + 1) if self.address else self.longer
+
     def holds(self, register: Register) -> bool:
         """Whether all of a register is in it."""
         ends = register.address + register.size, self.address + self.size

@@ -28,12 +28,6 @@ AX = {"model": "AX-12A", "protocol": 1}
 PERIOD_S = 0.02
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _commands() -> None:
-    if not cli.app.registered_groups:
-        cli._register()
-
-
 def learn(*words: str) -> Any:
     result = CliRunner().invoke(cli.app, ["robot", "learn", *words])
     if isinstance(result.exception, AdaptiveContactError):
