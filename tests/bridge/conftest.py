@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge import handshake
+from adaptive_contact.bridge import handshake, survey
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
@@ -48,8 +48,12 @@ def _commands() -> None:
 
 @pytest.fixture(autouse=True)
 def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look for servos 0 to 30 only: an id that nobody has costs the wait for its ping."""
+    """Look for servos 0 to 30 only: an id that nobody has costs the wait for its ping.
+
+    Commands that are processes of their own look for all.
+    """
     monkeypatch.setattr(handshake, "ALL_IDS", range(31))
+    monkeypatch.setattr(survey, "_BEYOND", 2)
 
 
 @dataclasses.dataclass

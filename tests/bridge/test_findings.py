@@ -71,7 +71,7 @@ def test_a_servo_that_confirms_no_writes_is_configured(bus: Serve) -> None:
 
 
 def test_several_things_that_are_wrong_are_a_line_each(bus: Serve) -> None:
-    device, _ = bus("1-2:AX-12A", "1:AX-12A:at=0.4", "20:AX-12A")
+    device, _ = bus("1-2:AX-12A", "1:AX-12A:at=0.4", "252:AX-12A")
     path = write(device.parent / "robot.toml", robot(device, ((1, 2, 3), "AX-12A"), timeout_ms=10))
     words = [sys.executable, "-m", "adaptive_contact", "robot", "check", "--config", str(path)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=100)

@@ -102,7 +102,7 @@ def test_clear_takes_whole_turns_away_and_moves_nothing(bus: Serve) -> None:
     place = servo._backend
     line = master(device)
     assert put(line, 1, 64, b"\x01") == 0
-    far = 2048 + 3 * 4096
+    far = 2048 + 4096
     assert put(line, 1, 116, far.to_bytes(4, "little")) == 0
     moving = servo.model.registers["moving"].address
     end = time.monotonic() + 60.0
