@@ -18,7 +18,14 @@ from adaptive_contact.cli._options import (
     stoppable,
 )
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.cli.bridge import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
+from adaptive_contact.cli.bridge import (
+    DeviceOption,
+    described_in,
+    needs_sdk,
+    plans_of,
+    robot_of,
+    shake_hands,
+)
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -105,8 +112,9 @@ def check(
     if not (robot.ports or device):
         if picture is None:
             raise ConfigurationError(
-                f"robot '{robot.name}' has no port; add [port.main] with its device, "
-                "give --device /dev/ttyUSB0, or give --live to look at the samples of its source"
+                f"{described_in(config)}: robot '{robot.name}' has no port; add [port.main] with "
+                "its device, give --device /dev/ttyUSB0, or give --live to look at the samples of "
+                "its source"
             )
         _draw_described(robot, picture)
         return

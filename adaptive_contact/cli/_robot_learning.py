@@ -160,6 +160,9 @@ def learn(
                 err=True,
             )
         scripts = swings_of(robot, plans, amplitude, seed, home) if drive else None
+        does = "swinging all legs" if drive else "looking on"
+        own = "" if drive else ": swing every leg in free air meanwhile"
+        say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
         samples = collect(
             plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=say_note
         )
@@ -172,6 +175,7 @@ def learn(
     # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
     check_streams(robot, samples, {}, refuse=False)
     check_conventions(robot, gathered, bridge=not live)
+    say_note("fitting the legs' models to what was read")
     try:
         training = fit_samples(robot, gathered, f"adaptive-contact robot learn ({out.name})")
     except TooLittleDataError as error:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DeviceOption",
     "app",
+    "described_in",
     "devices_of",
     "needs_sdk",
     "plans_of",
@@ -82,6 +83,11 @@ def robot_of(config: Path | None) -> Robot:
     return shipped_robot() if config is None else load_robot(config)
 
 
+def described_in(config: Path | None) -> str:
+    """Name the file of a description for a person."""
+    return "the shipped robot, as there is no --config" if config is None else str(config)
+
+
 def plans_of(
     robot: Robot, config: Path | None, device: list[str] | None, baud: int | None = None
 ) -> tuple[PortPlan, ...]:
@@ -101,7 +107,7 @@ def plans_of(
     try:
         return plan_ports(robot, devices, baud=baud)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{config or 'shipped robot'}: {error}") from error
+        raise ConfigurationError(f"{described_in(config)}: {error}") from error
 
 
 def devices_of(given: list[str] | None) -> dict[str, str]:
@@ -228,7 +234,7 @@ def ros2(
     with needs_rosbags():
         from adaptive_contact.ros2.intake import check_mapped
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
-    check_mapped(robot, str(config or "shipped robot"))
+    check_mapped(robot, described_in(config))
     settings = network.client(json=json)
     ros_settings = Network(ros_connect, None, ros_zenoh_config).client()
 
