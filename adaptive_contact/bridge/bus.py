@@ -232,7 +232,7 @@ class Bus:
         Servos that are alike answer to a ping bit for bit the same, at the same moment; what they
         measure differs, and on the wire their answers then garble each other, again and again.
         """
-        faults = [self._guarded(lambda: self._read_one(servo, block)).fault for _ in range(_LOOKS)]
+        faults = [self._ask(servo, block).fault for _ in range(_LOOKS)]
         return faults.count(Fault.CORRUPT) < _GARBLED
 
     def settle(self) -> None:
@@ -261,12 +261,11 @@ class Bus:
         Returns:
             The bytes, or None where no two answers in some tries agree.
         """
+        wider = block.wider
+        at = block.address - wider.address
         for _ in range(_TRIES):
-            once, twice = (
-                self._guarded(lambda b=b: self._read_one(servo, b)).data  # type: ignore[misc]
-                for b in (block, block.longer)
-            )
-            if once is not None and twice is not None and twice[: block.size] == once:
+            once, twice = (self._ask(servo, asked).data for asked in (block, wider))
+            if once is not None and twice is not None and twice[at : at + block.size] == once:
                 return once
             self.settle()
         return None
@@ -277,11 +276,10 @@ class Bus:
 
     def get(self, servo: int, register: Register) -> int | None:
         """One register's value, None if the servo does not tell it within some tries."""
-        block = Block(register.address, register.size)
         for _ in range(_TRIES):
-            data = self._guarded(lambda: self._read_one(servo, block)).data
+            data = self._ask(servo, register.block).data
             if data is not None:
-                return block.part(data, register)
+                return register.value(data)
         return None
 
     def put(self, servo: int, register: Register, value: int) -> bool:
@@ -290,7 +288,6 @@ class Bus:
         At a status return level of 0 or 1 a servo does not confirm; at 1 it can be asked.
         """
         data = list(value.to_bytes(register.size, "little", signed=register.signed))
-        block = Block(register.address, register.size)
         for _ in range(_TRIES):
             result, error = self._guarded(
                 lambda: self._packets.writeTxRx(
@@ -299,8 +296,8 @@ class Bus:
             )
             if result == COMM_SUCCESS:
                 return (int(error) & ~_ALERT) == 0
-            now = self._guarded(lambda: self._read_one(servo, block)).data
-            if now is not None and block.part(now, register) == value:
+            now = self._ask(servo, register.block).data
+            if now is not None and register.value(now) == value:
                 return True
         return False
 
@@ -349,6 +346,10 @@ class Bus:
         except (OSError, termios.error, ValueError, TypeError) as error:
             # pyserial raises TypeError where a port was closed under it.
             raise self._port.lost(error) from error
+
+    def _ask(self, servo: int, block: Block) -> Reading:
+        """Ask one servo for registers, in a transaction of its own."""
+        return self._guarded(lambda: self._read_one(servo, block))
 
     def _ping(self, servo: int) -> Pong | None:
         result, number = self._ping_alone(servo)

@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.modes import DriveMode
 from adaptive_contact.bridge.plan import PortPlan
-from adaptive_contact.bridge.tables import Block, ServoModel
+from adaptive_contact.bridge.tables import ServoModel
 
-__all__ = ["Servo", "compare", "read_servos"]
+__all__ = ["COMPARED", "Servo", "compare", "read_servos"]
 
-_COMPARED: Final = (
+COMPARED: Final = (
     "moving_speed",
     "goal_acceleration",
     "profile_velocity",
@@ -52,8 +52,9 @@ _NAMES: Final = {
     "upper_margin": "CCW compliance margin",
     "pwm_limit": "PWM limit",
 }
-_FULL_TORQUE: Final = 1023
-_FULL_PWM: Final = 885
+# All of it, as the servo's own unit has it: e-manual AX-12A "Torque Limit(34)", XM430-W350 "PWM
+# Limit(36)".
+_FULL: Final = {"torque_limit": 1023, "pwm_limit": 885}
 # 214.577 rev/min², in rad/s².
 _ACCELERATION_RAD_S2: Final = 214.577 * 2 * math.pi / 3600
 
@@ -90,14 +91,13 @@ def read_servos(plans: Sequence[PortPlan]) -> list[Servo]:
             for leg in plan.legs:
                 for joint in leg.joints:
                     values = {}
-                    for name in _COMPARED:
+                    for name in COMPARED:
                         register = joint.model.registers.get(name)
                         if register is None:
                             continue
-                        block = Block(register.address, register.size)
-                        data = bus.confirmed(joint.servo, block)
+                        data = bus.confirmed(joint.servo, register.block)
                         if data is not None:
-                            values[name] = block.part(data, register)
+                            values[name] = register.value(data)
                     port = plan.name if len(plans) > 1 else ""
                     where = f"{leg.id} {joint.name}"
                     servos.append(Servo(joint.servo, where, joint.model, values, port))
@@ -113,14 +113,14 @@ def compare(servos: Sequence[Servo]) -> list[str]:
         by_model.setdefault(servo.model.name, []).append(servo)
     lines = []
     for name, group in by_model.items():
-        for register in _COMPARED:
+        for register in COMPARED:
             if register in _SHAPES:
                 continue
             lines += _differing(name, register, [s for s in group if register in s.values])
     for register, shapes in _SHAPES.items():
         by_line: dict[str, list[Servo]] = {}
         for servo in servos:
-            line = shapes(servo) if register in servo.values else None
+            line = shapes(servo, register) if register in servo.values else None
             if line is not None:
                 by_line.setdefault(line, []).append(servo)
         lines += [
@@ -142,16 +142,9 @@ def _differing(model: str, register: str, group: Sequence[Servo]) -> list[str]:
         for value, _ in others
     )
     hint = ""
-    if register == "drive_mode" and not (_bits(counts) & ~DriveMode.REVERSE):
+    if register == "drive_mode" and not any(value & ~DriveMode.REVERSE for value in counts):
         hint = " (1 is reverse mode; directions in robot.toml are on top of it)"
     return [f"{_title(register)} differs among {model}: {usual} in {most} servos, {told}{hint}"]
-
-
-def _bits(values: Iterable[int]) -> int:
-    found = 0
-    for value in values:
-        found |= value
-    return found
 
 
 def _title(register: str) -> str:
@@ -188,8 +181,8 @@ def _acceleration(servo: Servo, register: str) -> str | None:
     return f"is {value}: goals are followed with a limited acceleration{most}; 0 sets no limit"
 
 
-def _weaker(servo: Servo, register: str, full: int) -> str | None:
-    value = servo.values[register]
+def _weaker(servo: Servo, register: str) -> str | None:
+    value, full = servo.values[register], _FULL[register]
     if value >= full or value == 0:  # 0: it has shut itself down, which the handshake says
         return None
     return f"is {value} of {full}: it drives with {100 * value / full:.0f} % of what it has"
@@ -200,11 +193,11 @@ def _time_based(servo: Servo) -> bool:
 
 
 # What a register says of a servo's motion; None where it is as it leaves a servo free.
-_SHAPES: Final[Mapping[str, Callable[[Servo], str | None]]] = {
-    "moving_speed": lambda servo: _speed(servo, "moving_speed"),
-    "goal_acceleration": lambda servo: _acceleration(servo, "goal_acceleration"),
-    "profile_velocity": lambda servo: _speed(servo, "profile_velocity"),
-    "profile_acceleration": lambda servo: _acceleration(servo, "profile_acceleration"),
-    "torque_limit": lambda servo: _weaker(servo, "torque_limit", _FULL_TORQUE),
-    "pwm_limit": lambda servo: _weaker(servo, "pwm_limit", _FULL_PWM),
+_SHAPES: Final[Mapping[str, Callable[[Servo, str], str | None]]] = {
+    "moving_speed": _speed,
+    "goal_acceleration": _acceleration,
+    "profile_velocity": _speed,
+    "profile_acceleration": _acceleration,
+    "torque_limit": _weaker,
+    "pwm_limit": _weaker,
 }

@@ -1,4 +1,4 @@
-"""Before a bridge starts: is everybody there, who they should be, and set as they should be?
+"""Check servos before a bridge starts: are they all there, the right ones, and set rightly?
 
 Everything that is wrong is told in one message, and nothing for one answer alone: settings are read
 in one block and twice alike, a servo that seems to be wrong is asked again when the line is quiet,
@@ -25,7 +25,6 @@ from adaptive_contact.bridge.port import latency_advice
 from adaptive_contact.bridge.tables import (
     FEETECH_MARK,
     MODELS,
-    Block,
     ServoModel,
     feetech_name,
     model_of_number,
@@ -36,6 +35,8 @@ from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 
 __all__ = [
+    "ALL_IDS",
+    "ANSWERS_NOW",
     "BUSY",
     "USUAL_BAUDS",
     "Findings",
@@ -49,6 +50,7 @@ __all__ = [
     "scan_again",
 ]
 
+ALL_IDS: Final = range(MAX_ID + 1)
 # A baud rate, and a protocol.
 Place = tuple[int, Literal[1, 2]]
 
@@ -57,6 +59,7 @@ USUAL_BAUDS: Final = (1_000_000, 57_600, 115_200, 2_000_000, 4_000_000)
 _OTHER_BAUDS: Final = (3_000_000, 500_000, 19_200, 9_600)
 # The usual status return level: a servo answers everything.
 _ANSWER_ALL: Final = 2
+ANSWERS_NOW: Final = f"status return level set to {_ANSWER_ALL}"
 
 BUSY: Final = (
     "this computer is too busy, or its adapter holds bytes back; end other programs, run with "
@@ -128,14 +131,18 @@ def check_ports(
     return findings
 
 
-def scan(bus: Bus, ids: Iterable[int] = range(MAX_ID + 1)) -> dict[int, Pong]:
-    """Who answers a ping, by id.
+def scan(bus: Bus, ids: Iterable[int] | None = None) -> dict[int, Pong]:
+    """Ping servos; who answers, by id.
+
+    Args:
+        bus: the port.
+        ids: whom; all that there may be without.
 
     Raises:
         PortLostError: the port is gone.
     """
     found = {}
-    for servo in ids:
+    for servo in ALL_IDS if ids is None else ids:
         pong = bus.ping(servo)
         if pong is not None:
             found[servo] = pong
@@ -183,7 +190,7 @@ def named(pong: Pong) -> str:
     """What a servo is, in words."""
     if pong.brand is not None:
         return pong.brand
-    return "answers pings only" if pong.model_number is None else (number_name(pong.model_number))
+    return "answers pings only" if pong.model_number is None else number_name(pong.model_number)
 
 
 def look_elsewhere(
@@ -221,24 +228,33 @@ def look_elsewhere(
     return found
 
 
-def let_answer(bus: Bus, servo: int, pong: Pong, model: ServoModel | None) -> str | None:
+def let_answer(
+    bus: Bus, found: dict[int, Pong], servo: int, model: ServoModel | None = None
+) -> str | None:
     """Let a servo answer everything that answers pings only: write its status return level.
 
     Args:
         bus: its port.
+        found: who answers; the servo's pong is replaced by what it answers then.
         servo: which.
-        pong: what it answered.
         model: what it is expected to be; all models of protocol 1.0 have the register at one place.
 
     Returns:
         Why that was not done, in words; None when it was.
+
+    Raises:
+        PortLostError: the port is gone.
     """
+    pong = found[servo]
     own = None if pong.model_number is None else model_of_number(pong.model_number)
     model = own or model or (MODELS[0] if bus.protocol == 1 else None)
     if model is None:
         return f"({named(pong)}) has its status return level at a place that is unknown here"
     register = model.registers["status_return"]
     if bus.put(servo, register, _ANSWER_ALL):
+        again = bus.ping(servo)
+        if again is not None:
+            found |= scan_again(bus, {servo: again}, ())
         return None
     locked = register.eeprom and model.protocol == 2
     return "did not take a status return level of 2" + (
@@ -282,13 +298,17 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
     try:
         expected = {joint.servo: joint for joint in plan.joints}
         ignored = set(plan.port.ignore)
-        asked = range(MAX_ID + 1) if full else expected
+        asked = ALL_IDS if full else expected
         found = scan(bus, [servo for servo in asked if servo not in ignored])
         if found:  # a bus where nobody answers is asked once
             found = scan_again(bus, found, expected)
         mute = [s for s, pong in found.items() if s in expected and not pong.reads]
         for servo in mute if configure else ():
-            _let_answer(plan, bus, found, expected[servo], findings)
+            trouble = let_answer(bus, found, servo, expected[servo].model)
+            if trouble is None:
+                findings.done.append(f"port {plan.name}: servo {servo}: {ANSWERS_NOW}")
+            else:
+                findings.advice.append(f"port {plan.name}: servo {servo} {trouble}")
         missing = [servo for servo in expected if servo not in found]
         elsewhere: dict[Place, list[int]] = {}
         if missing:
@@ -409,20 +429,6 @@ def _elsewhere(plan: PortPlan, place: Place, ids: Sequence[int]) -> str:
     return f"{told} {does} at {baud} baud, protocol {protocol}, not at {own}; {remedy}"
 
 
-def _let_answer(
-    plan: PortPlan, bus: Bus, found: dict[int, Pong], joint: JointPlan, findings: Findings
-) -> None:
-    servo = joint.servo
-    trouble = let_answer(bus, servo, found[servo], joint.model)
-    if trouble is not None:
-        findings.advice.append(f"port {plan.name}: servo {servo} {trouble}")
-        return
-    findings.done.append(f"port {plan.name}: servo {servo}: status return level set to 2")
-    pong = bus.ping(servo)
-    if pong is not None:
-        found |= scan_again(bus, {servo: pong}, ())
-
-
 def _settings(plan: PortPlan, bus: Bus, joint: JointPlan, drive: bool, findings: Findings) -> bool:
     """Modes in which goals would not be followed; False if the servo does not say reliably."""
     where, model, servo = f"port {plan.name}: servo {joint.servo}", joint.model, joint.servo
@@ -448,11 +454,11 @@ def _delays(
     slow: dict[int, int] = {}
     for joint in joints:
         register = joint.model.registers["return_delay"]
-        data = bus.confirmed(joint.servo, Block(register.address, register.size))
-        if data is None or data[0] * _US_PER_DELAY <= _MOST_DELAY_US:
+        data = bus.confirmed(joint.servo, register.block)
+        delay_us = 0 if data is None else register.value(data) * _US_PER_DELAY
+        if delay_us <= _MOST_DELAY_US:
             continue
-        delay = data[0] * _US_PER_DELAY
-        slow[joint.servo] = delay
+        slow[joint.servo] = delay_us
         if configure:
             _configure(plan, bus, joint, findings)
     if slow and not configure:

@@ -15,7 +15,6 @@ from adaptive_contact.bridge.phaselock import PhaseLock
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
 from adaptive_contact.bridge.port import PortLostError
 from adaptive_contact.bridge.status import BridgeStatus, Pulse
-from adaptive_contact.bridge.tables import Block
 from adaptive_contact.errors import BusError
 
 __all__ = ["PortLoop"]
@@ -135,12 +134,11 @@ class PortLoop:
 
     def _goal(self, joint: JointPlan) -> int | None:
         register = joint.model.registers["goal_position"]
-        block = Block(register.address, register.size)
         try:
-            data = self.bus.read([joint.servo], block)[joint.servo].data
+            data = self.bus.read([joint.servo], register.block)[joint.servo].data
         except PortLostError:
             return None  # the main reading will tell
-        return None if data is None else block.part(data, register)
+        return None if data is None else register.value(data)
 
     def _shift(self, before: int | None) -> int:
         """Nanoseconds by which the next tick is moved, in observe mode."""

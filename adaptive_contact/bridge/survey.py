@@ -1,4 +1,4 @@
-"""Asking a bus who is there, and writing a robot description down, with comments."""
+"""Ask a bus who is there, and make a robot description of it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import msgspec
 
 from adaptive_contact.bridge.bus import Bus, Pong
 from adaptive_contact.bridge.handshake import (
+    ANSWERS_NOW,
     USUAL_BAUDS,
     Place,
     let_answer,
@@ -24,7 +25,6 @@ from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
-from adaptive_contact.robot.write import write_robot
 
 __all__ = [
     "Found",
@@ -34,7 +34,6 @@ __all__ = [
     "group",
     "steepness",
     "wanted_legs",
-    "write_robot",
 ]
 
 _PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
@@ -135,24 +134,15 @@ def find_servos(
             f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
             "check power and cable, or give the rate with --baud"
         )
-    place = found.port.baud, found.port.protocol
     others = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
-    most = max(others, key=lambda at: others[at], default=place)
-    if others.get(most, 0) > len(found.servos):  # the one that was found first is the odd one
-        place = most
-    elif not (configure and found.mute):
-        return found
-    return _ask(name, device, place, ids, configure=configure) or found
+    most = max(others, key=lambda at: others[at], default=None)
+    if most is not None and others[most] > len(found.servos):
+        # The one that was found first is the odd one.
+        found = _ask(name, device, most, ids) or found
+    return _configured(found, ids) if configure and found.mute else found
 
 
-def _ask(
-    name: str,
-    device: str,
-    place: Place,
-    ids: Sequence[int],
-    *,
-    configure: bool = False,
-) -> Found | None:
+def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | None:
     """Ask a port at one baud rate and protocol who is there; None where nobody is."""
     port = Port(device=device, baud=place[0], protocol=place[1])
     bus = Bus(name, port)
@@ -162,22 +152,34 @@ def _ask(
         if not pongs:
             return None
         row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)
-        pongs = scan_again(bus, pongs, row)
-        mute = [servo for servo, pong in pongs.items() if not pong.reads and not pong.doubled]
-        done = []
-        for servo in mute if configure else ():
-            if ids and servo not in ids:
-                continue
-            trouble = let_answer(bus, servo, pongs[servo], None)
-            done.append(f"servo {servo}: " + (trouble or "status return level set to 2"))
-            again = None if trouble else bus.ping(servo)
-            if again is not None:
-                pongs |= scan_again(bus, {servo: again}, ())
-        found = dataclasses.replace(_found(bus, port, pongs), done=tuple(done))
+        found = _found(bus, port, scan_again(bus, pongs, row))
     finally:
         bus.close()
     missing = [servo for servo in ids or row[1:] if servo not in found.servos]
     return dataclasses.replace(found, elsewhere=look_elsewhere(name, port, missing))
+
+
+def _configured(found: Found, ids: Sequence[int]) -> Found:
+    """Let servos answer that answer pings only; of ``ids`` only, where there are some."""
+    bus = Bus(found.name, found.port)
+    bus.open()
+    try:
+        pongs = scan_again(bus, {}, [s for s in found.mute if s in ids or not ids])
+        done = []
+        for servo in [servo for servo, pong in pongs.items() if not pong.reads]:
+            trouble = let_answer(bus, pongs, servo)
+            done.append(f"servo {servo}: {trouble or ANSWERS_NOW}")
+        now = _found(bus, found.port, pongs)
+    finally:
+        bus.close()
+    return dataclasses.replace(
+        found,
+        servos=found.servos | now.servos,
+        names=found.names | now.names,
+        slopes_rad=found.slopes_rad | now.slopes_rad,
+        mute=tuple(s for s in found.mute if s not in pongs or s in now.mute),
+        done=tuple(done),
+    )
 
 
 def steepness(found: Iterable[Found], robot: Robot) -> dict[str, float]:

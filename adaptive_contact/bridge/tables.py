@@ -50,6 +50,15 @@ class Register(NamedTuple):
     eeprom: bool = False
     signed: bool = False
 
+    @property
+    def block(self) -> Block:
+        """Where it is, to be read alone."""
+        return Block(self.address, self.size)
+
+    def value(self, data: bytes) -> int:
+        """Its value, out of the bytes of its own block."""
+        return int.from_bytes(data, "little", signed=self.signed)
+
 
 class Block(NamedTuple):
     """Neighbouring registers that are read in one go."""
@@ -62,6 +71,11 @@ class Block(NamedTuple):
         """The same and a byte more: its answer cannot be taken for a late one to the shorter."""
         return Block(self.address, self.size + 1)
 
+    @property
+    def wider(self) -> Block:
+        """The same and a byte more, before it: some tables end with a register that is read."""
+        return Block(self.address - 1, self.size + 1) if self.address else self.longer
+
     def holds(self, register: Register) -> bool:
         """Whether all of a register is in it."""
         ends = register.address + register.size, self.address + self.size
@@ -70,7 +84,7 @@ class Block(NamedTuple):
     def part(self, data: bytes, register: Register) -> int:
         """A register's value out of the block's bytes."""
         at = register.address - self.address
-        return int.from_bytes(data[at : at + register.size], "little", signed=register.signed)
+        return register.value(data[at : at + register.size])
 
 
 # e-manual AX-12A (AX-18A, AX-12W, RX-28, RX-64 alike): "Control Table of EEPROM Area" and "of RAM
@@ -467,11 +481,8 @@ def number_name(number: int) -> str:
     model = model_of_number(number)
     if model is not None:
         return model.name
-    return (
-        f"{_OTHERS[number]}, model number {number}"
-        if number in _OTHERS
-        else (f"model number {number}")
-    )
+    told = f"model number {number}"
+    return f"{_OTHERS[number]}, {told}" if number in _OTHERS else told
 
 
 def feetech_name(data: bytes, servo: int) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import say_note
 
 __all__ = ["compile_tick"]
 
@@ -30,4 +30,4 @@ def compile_tick() -> None:
 
 
 def _tell(line: str) -> None:
-    say(f"adaptive-contact: {line}", err=True)
+    say_note(line)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import inspect
 import math
+import os
+import signal
+import threading
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import say_note
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import why_not_writable
@@ -26,7 +32,6 @@ __all__ = [
     "BaselineOption",
     "Commands",
     "ConfigOption",
-    "ConnectOption",
     "InsecureOption",
     "JsonOption",
     "JsonPayloadOption",
@@ -34,17 +39,19 @@ __all__ = [
     "LogJsonOption",
     "LogLevel",
     "LogLevelOption",
-    "NamespaceOption",
+    "MaxSessionsOption",
+    "Network",
     "NoStateOption",
     "RealtimeOption",
     "StateOption",
     "WhenAmbiguous",
-    "ZenohConfigOption",
     "check_output",
-    "client",
+    "flatten",
     "recorded_robot",
     "say_damage",
     "seconds_option",
+    "speed_of",
+    "stoppable",
 ]
 
 
@@ -81,9 +88,40 @@ class Commands(typer.Typer):
         return super().command(name, cls=_Command, **settings)
 
 
+def flatten(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of its groups, in the places of these.
+
+    A group is a parameter whose type is a dataclass, and whose fields are options: each becomes an
+    option of the command, which is called with the dataclass made of them.
+
+    Args:
+        command: as typer takes it, but for its groups.
+    """
+    groups: dict[str, type] = {}
+    options: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        kind = parameter.annotation
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            groups[parameter.name] = kind
+            options += inspect.signature(kind, eval_str=True).parameters.values()
+        else:
+            options.append(parameter)
+
+    @functools.wraps(command)
+    def run(**given: Any) -> None:
+        made = {
+            name: kind(**{field.name: given.pop(field.name) for field in dataclasses.fields(kind)})
+            for name, kind in groups.items()
+        }
+        command(**given, **made)
+
+    named = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
+    run.__signature__ = inspect.Signature(named)  # type: ignore[attr-defined]
+    return run
+
+
 def seconds_option(
     *names: str,
-    help: str,  # noqa: A002 - typer's name
     least: float = 0.0,
     most: float = math.inf,
     **settings: Any,
@@ -92,10 +130,9 @@ def seconds_option(
 
     Args:
         names: as of :func:`typer.Option`.
-        help: likewise.
         least: s.
         most: s; what lies outside is refused in one line.
-        settings: further ones of :func:`typer.Option`.
+        settings: further ones of :func:`typer.Option`, ``help`` among them.
 
     Returns:
         The option; its value is a float.
@@ -111,8 +148,8 @@ def seconds_option(
         return seconds
 
     if most < math.inf:
-        help = f"{help.rstrip('.')}, {least:g} to {most:g} s."  # noqa: A001
-    return typer.Option(*names, metavar="DURATION", parser=parse, help=help, **settings)
+        settings["help"] = f"{settings['help'].rstrip('.')}, {least:g} to {most:g} s."
+    return typer.Option(*names, metavar="DURATION", parser=parse, **settings)
 
 
 class WhenAmbiguous(StrEnum):
@@ -132,18 +169,9 @@ class LogLevel(StrEnum):
     ERROR = "error"
 
 
-_NETWORK = "Network"
+_NETWORK: Final = "Network"
+_MAX_SPEED: Final = 1000.0
 
-ConnectOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--connect",
-        metavar="ENDPOINT",
-        help=f"Router to join, such as {DEFAULT_ENDPOINT} (the default is that one); repeatable.",
-        show_default=False,
-        rich_help_panel=_NETWORK,
-    ),
-]
 ListenOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -155,26 +183,73 @@ ListenOption = Annotated[
         rich_help_panel=_NETWORK,
     ),
 ]
-NamespaceOption = Annotated[
-    str | None,
-    typer.Option(
-        "--namespace",
-        metavar="NAME",
-        help="Prefix of all keys, one per robot on a shared network, such as hexapod1.",
-        show_default=False,
-        rich_help_panel=_NETWORK,
-    ),
-]
-ZenohConfigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--zenoh-config",
-        metavar="FILE",
-        help="Zenoh configuration file (JSON5) for TLS, users and access control.",
-        show_default=False,
-        rich_help_panel=_NETWORK,
-    ),
-]
+
+
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """The options of every command that joins a router; see :func:`flatten`."""
+
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--connect",
+            metavar="ENDPOINT",
+            help=f"Router to join, such as {DEFAULT_ENDPOINT} (the default is that one); "
+            "repeatable.",
+            show_default=False,
+            rich_help_panel=_NETWORK,
+        ),
+    ] = None
+    namespace: Annotated[
+        str | None,
+        typer.Option(
+            "--namespace",
+            metavar="NAME",
+            help="Prefix of all keys, one per robot on a shared network, such as hexapod1.",
+            show_default=False,
+            rich_help_panel=_NETWORK,
+        ),
+    ] = None
+    zenoh_config: Annotated[
+        Path | None,
+        typer.Option(
+            "--zenoh-config",
+            metavar="FILE",
+            help="Zenoh configuration file (JSON5) for TLS, users and access control.",
+            show_default=False,
+            rich_help_panel=_NETWORK,
+        ),
+    ] = None
+
+    @property
+    def given(self) -> dict[str, object]:
+        """Those that were given, by name."""
+        options = {
+            "--connect": self.connect,
+            "--namespace": self.namespace,
+            "--zenoh-config": self.zenoh_config,
+        }
+        return {name: value for name, value in options.items() if value}
+
+    def client(self, *, json: bool = False, wait: bool = True) -> LinkSettings:
+        """Settings of a command that joins a router.
+
+        Args:
+            json: publish JSON instead of msgpack.
+            wait: for a router where there is none yet.
+
+        Raises:
+            ConfigurationError: an endpoint or the namespace cannot be used.
+        """
+        return client_settings(
+            self.connect or (),
+            namespace=self.namespace,
+            json=json,
+            wait=wait,
+            zenoh_config=self.zenoh_config,
+        )
+
+
 InsecureOption = Annotated[
     bool,
     typer.Option(
@@ -254,22 +329,37 @@ RealtimeOption = Annotated[
 ]
 
 
-def client(
-    connect: list[str] | None,
-    namespace: str | None,
-    zenoh_config: Path | None = None,
-    *,
-    json: bool = False,
-    wait: bool = True,
-) -> LinkSettings:
-    """Settings of a command that joins a router, from its options.
+def stoppable() -> threading.Event:
+    """An event that SIGINT and SIGTERM set; a second signal ends the process at once."""
+    stop = threading.Event()
+
+    def on_signal(*_: object) -> None:
+        if stop.is_set():
+            os._exit(1)
+        stop.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    return stop
+
+
+def speed_of(text: str | None) -> float | None:
+    """Times real time, 1 unless given; None for as fast as possible.
 
     Raises:
-        ConfigurationError: an endpoint or the namespace cannot be used.
+        ConfigurationError: neither a factor nor ``max``.
     """
-    return client_settings(
-        connect or (), namespace=namespace, json=json, wait=wait, zenoh_config=zenoh_config
-    )
+    if text == "max":
+        return None
+    try:
+        factor = 1.0 if text is None else float(text.removesuffix("x"))
+    except ValueError:
+        factor = 0.0
+    if not 0.0 < factor <= _MAX_SPEED:  # false for NaN, too
+        raise ConfigurationError(
+            f"--speed {text}: expected a factor above 0, up to {_MAX_SPEED:.0f}, or max"
+        )
+    return factor
 
 
 def check_output(path: Path, option: str) -> None:
@@ -287,7 +377,7 @@ def say_damage(recording: Recording) -> None:
     """Say what the last pass over a recording met, a line each."""
     lines = recording.notes if recording.damage is None else (recording.damage, *recording.notes)
     for line in lines:
-        say(f"adaptive-contact: {recording.path}: {line}", err=True)
+        say_note(f"{recording.path}: {line}")
 
 
 def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
@@ -311,9 +401,8 @@ def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
                 f"{path}: recorded from robot '{name}', and without --config the shipped "
                 f"'{robot.name}' is meant; give the --config of '{name}'"
             )
-    say(
-        f"adaptive-contact: no --config: taken for the shipped robot '{robot.name}' "
-        f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)",
-        err=True,
+    say_note(
+        f"no --config: taken for the shipped robot '{robot.name}' "
+        f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)"
     )
     return robot

@@ -32,6 +32,7 @@ __all__ = [
     "protect_output",
     "say",
     "say_json",
+    "say_note",
     "say_waiting",
 ]
 
@@ -51,9 +52,14 @@ def say_json(text: bytes | str) -> None:
     print(printable_json(text), flush=True)
 
 
+def say_note(line: object) -> None:
+    """Print one line for people beside a command's output, on standard error."""
+    say(f"adaptive-contact: {line}", err=True)
+
+
 def say_waiting(finding: Finding) -> None:
     """Say what stands in the way of the network, while a command tries on."""
-    say(f"adaptive-contact: {finding.line}; trying on", err=True)
+    say_note(f"{finding.line}; trying on")
 
 
 def overwrite(line: str) -> None:

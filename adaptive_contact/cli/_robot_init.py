@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,8 +12,8 @@ import msgspec
 import typer
 
 from adaptive_contact.cli._options import check_output
-from adaptive_contact.cli._output import say
-from adaptive_contact.cli.bridge import needs_sdk
+from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli.bridge import devices_of, needs_sdk
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot
@@ -25,35 +24,15 @@ from adaptive_contact.wire import is_leg_id
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.survey import Wanted
+    from adaptive_contact.cli.robot import Wishes
 
-__all__ = ["Wishes", "write_description"]
+__all__ = ["write_description"]
 
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
 _JOINTS: Final = 3
 _MOST_JOINTS: Final = 16
 _ID: Final = "1 to 32 letters, digits, '_', '.' or '-', beginning with a letter or digit"
-
-
-@dataclasses.dataclass(frozen=True)
-class Wishes:
-    """The options of ``robot init``; None where one is not given."""
-
-    devices: Mapping[str, str]
-    out: Path
-    joints: str | None
-    ids: str | None
-    legs: str | None
-    lengths: str | None
-    urdf: Path | None
-    base: str | None
-    tip: str | None
-    name: str | None
-    resolution: float | None
-    rate: float | None
-    baud: int | None
-    configure: bool
-    force: bool
 
 
 def write_description(wishes: Wishes) -> None:
@@ -64,7 +43,7 @@ def write_description(wishes: Wishes) -> None:
         BusError: the bus does not have such a robot.
     """
     # As seen from anywhere, but links are kept: /dev/serial/by-id names an adapter for good.
-    devices = {port: str(Path(path).absolute()) for port, path in wishes.devices.items()}
+    devices = {port: str(Path(path).absolute()) for port, path in devices_of(wishes.device).items()}
     out = wishes.out
     if not devices and wishes.urdf is None and wishes.joints is None:
         raise ConfigurationError(
@@ -97,7 +76,7 @@ def write_description(wishes: Wishes) -> None:
     parse_robot(text, source=f"{out} would not be read back, so it is not written")
     write_file(out, text, advice="give another --out")
     for note in () if read is None else read.notes:
-        say(f"adaptive-contact: {note}", err=True)
+        say_note(note)
     todo = "" if robot.legs[0].chain is not None else "fill in lengths_m, then "
     sizes = " and ".join(map(str, sorted({len(leg.joints) for leg in robot.legs})))
     live = "" if devices else "--live "

@@ -1,4 +1,4 @@
-"""Behind ``robot learn``: what legs are to do, what is kept of it, and how good a fit it makes."""
+"""``adaptive-contact robot learn``: swing the legs, keep what was read, fit it, say how good."""
 
 from __future__ import annotations
 
@@ -6,9 +6,23 @@ import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
+import typer
+
+from adaptive_contact.cli._options import (
+    ConfigOption,
+    Network,
+    RealtimeOption,
+    check_output,
+    flatten,
+    seconds_option,
+    stoppable,
+)
+from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli.bridge import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
+from adaptive_contact.files import holds_content
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +34,7 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
 
-__all__ = ["fit_samples", "free_file", "keep", "losses", "pose_of", "swings_of"]
+__all__ = ["free_file", "learn", "losses", "pose_of"]
 
 # Free ticks per term of the library below which a fit is refused (adapt.training).
 _LEAST_ROWS: Final = 4
@@ -29,6 +43,170 @@ _MORE: Final = 1.15
 _LEAST_TICKS: Final = 12
 # Ticks read in whole and in time, below which it is said; swings are cut to pieces by then.
 _ENOUGH_READ: Final = 0.97
+
+
+@flatten
+def learn(
+    *,
+    config: ConfigOption = None,
+    device: DeviceOption = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes.")
+    ] = Path("baseline.json"),
+    drive: Annotated[
+        bool,
+        typer.Option(
+            "--drive",
+            help="Let the bridge swing the legs.  Without it, your own controller has to swing "
+            "them in free air meanwhile.",
+        ),
+    ] = False,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live",
+            help="Learn from the samples of any source on the wire; no bus is opened.",
+        ),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
+    seconds: Annotated[
+        float, seconds_option("--seconds", least=1.0, most=3600.0, help="How long to swing.")
+    ] = 60.0,
+    amplitude: Annotated[
+        float,
+        typer.Option("--amplitude", min=0.05, max=1.5, help="Of driven swings, rad, each way."),
+    ] = 0.4,
+    pose: Annotated[
+        str | None,
+        typer.Option(
+            "--pose",
+            metavar="RAD,RAD,...",
+            help="Joint angles to swing around, as the legs stand when they walk; where they are "
+            "found without it.",
+            show_default=False,
+        ),
+    ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--recording",
+            metavar="FILE.mcap",
+            help="Where what is recorded goes; beside --out without it.",
+            show_default=False,
+        ),
+    ] = None,
+    more: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--more",
+            metavar="FILE.mcap",
+            help="Learn from this recording of an earlier run as well; repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    realtime: RealtimeOption = False,
+    network: Network,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Learn how the legs swing in free air, say how good that is, and write a baseline."""
+    stop = stoppable()
+    _check_source(
+        live=live,
+        of_bus={"--device": device, "--drive": drive, "--pose": pose, "--realtime": realtime},
+        of_wire=network.given,
+    )
+    from adaptive_contact.cli.fit import (
+        check_conventions,
+        check_streams,
+        gather,
+        print_training,
+        refuse_useless,
+    )
+    from adaptive_contact.fit.verdict import verdict
+    from adaptive_contact.model.model_file import save_baseline
+
+    check_output(out, "--out")
+    kept = free_file(out) if recording is None else recording
+    check_output(kept, "--recording")
+    if holds_content(kept):
+        raise ConfigurationError(f"{kept} is there already; give another --recording")
+    robot = robot_of(config)
+    for leg in robot.legs:
+        if leg.chain is None:
+            raise ConfigurationError(
+                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
+                "measure its links and fill them in"
+            )
+    gathered = gather(more or [], robot, refuse=False)
+    if live:
+        from adaptive_contact.cli._robot_live import collect_live
+
+        link = network.client(wait=False)
+        samples = collect_live(robot, link, seconds, stop=stop)
+    else:
+        with needs_sdk():
+            from adaptive_contact.bridge.collect import collect
+
+        plans = plans_of(robot, config, device)
+        home = None if pose is None else pose_of(pose, robot, plans)
+        shake_hands(plans, drive=drive)
+        if drive and not yes:
+            around = "where they are now" if home is None else f"{', '.join(map(str, home))} rad"
+            typer.confirm(
+                f"The legs {' '.join(robot.leg_ids)} will swing by up to {amplitude} rad around "
+                f"{around}.  Does the robot hang free, with nothing and nobody in reach?",
+                abort=True,
+                err=True,
+            )
+        scripts = swings_of(robot, plans, amplitude, seed, home) if drive else None
+        does = "swinging all legs" if drive else "looking on"
+        own = "" if drive else ": swing every leg in free air meanwhile"
+        say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
+        samples = collect(
+            plans, seconds, scripts=scripts, realtime=realtime, stop=stop, say=say_note
+        )
+    for line in losses(samples):
+        say_note(line)
+    keep(samples, kept, robot)
+    for name, rows in samples.items():
+        for sample in rows:
+            gathered[name].take_sample(sample)
+    # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
+    check_streams(robot, samples, {}, refuse=False)
+    check_conventions(robot, gathered, bridge=not live)
+    say_note("fitting the legs' models to what was read")
+    try:
+        training = fit_samples(robot, gathered, f"adaptive-contact robot learn ({out.name})")
+    except TooLittleDataError as error:
+        again = " ".join(f"--more {path}" for path in [*(more or []), kept])
+        raise TooLittleDataError(
+            f"{error}; what was recorded is in {kept}: run this again with {again} to add to it",
+            error.have,
+            error.needed,
+        ) from error
+    refuse_useless(robot, training)
+    save_baseline(training.baseline, out)
+    print_training(training, robot, json=json)
+    for line in verdict(robot, training):
+        say(line, err=json)
+    say(f"baseline written to {out}, the recording to {kept}", err=True)
+
+
+def _check_source(
+    *, live: bool, of_bus: Mapping[str, object], of_wire: Mapping[str, object]
+) -> None:
+    """Refuse options of the other source of samples."""
+    given = [name for name, value in (of_bus if live else of_wire).items() if value]
+    if given and live:
+        raise ConfigurationError(
+            f"--live listens to the wire, {', '.join(given)} is the bridge's; your own controller "
+            "swings the legs: leave it out"
+        )
+    if given:
+        raise ConfigurationError(
+            f"{', '.join(given)} goes with --live; without it, the bus is asked"
+        )
 
 
 def pose_of(text: str, robot: Robot, plans: Sequence[PortPlan]) -> list[float]:
@@ -126,7 +304,7 @@ def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) 
     """
     from threadpoolctl import threadpool_limits
 
-    from adaptive_contact.fit.train import learn
+    from adaptive_contact.fit import train
 
     streams = {
         leg: [
@@ -144,7 +322,7 @@ def fit_samples(robot: Robot, gathered: Mapping[str, LegGatherer], origin: str) 
         )
     try:
         with threadpool_limits(1):  # matrices this small only wait for each other in threads
-            return learn(robot, streams, origin=origin)
+            return train.learn(robot, streams, origin=origin)
     except IdentificationError as error:
         short = _shortfalls(robot, streams, gathered, error)
         if not short:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from adaptive_contact.cli._options import stoppable
 from adaptive_contact.cli._output import say, say_waiting
-from adaptive_contact.cli._sim_options import stoppable
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -19,17 +19,16 @@ import typer
 from adaptive_contact.cli._options import (
     Commands,
     ConfigOption,
-    ConnectOption,
     JsonPayloadOption,
-    NamespaceOption,
+    Network,
     RealtimeOption,
-    ZenohConfigOption,
     check_output,
-    client,
+    flatten,
     seconds_option,
+    stoppable,
 )
 from adaptive_contact.cli._output import make_stdout_optional, say
-from adaptive_contact.cli._sim_options import needs_simulator, stoppable
+from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -41,10 +40,12 @@ if TYPE_CHECKING:
 __all__ = [
     "DeviceOption",
     "app",
+    "described_in",
     "devices_of",
     "needs_sdk",
     "plans_of",
     "robot_of",
+    "shake_hands",
 ]
 
 app = Commands(help="Dynamixel servos on Zenoh, real and virtual; ROS 2.", no_args_is_help=True)
@@ -82,6 +83,11 @@ def robot_of(config: Path | None) -> Robot:
     return shipped_robot() if config is None else load_robot(config)
 
 
+def described_in(config: Path | None) -> str:
+    """Name the file of a description for a person."""
+    return "the shipped robot, as there is no --config" if config is None else str(config)
+
+
 def plans_of(
     robot: Robot, config: Path | None, device: list[str] | None, baud: int | None = None
 ) -> tuple[PortPlan, ...]:
@@ -101,7 +107,7 @@ def plans_of(
     try:
         return plan_ports(robot, devices, baud=baud)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{config or 'shipped robot'}: {error}") from error
+        raise ConfigurationError(f"{described_in(config)}: {error}") from error
 
 
 def devices_of(given: list[str] | None) -> dict[str, str]:
@@ -123,8 +129,37 @@ def devices_of(given: list[str] | None) -> dict[str, str]:
     return devices
 
 
+def shake_hands(
+    plans: Sequence[PortPlan],
+    by: str = "adaptive-contact",
+    *,
+    configure: bool = False,
+    drive: bool = False,
+) -> None:
+    """Make sure that the servos are those described, and say what was set or should be.
+
+    Args:
+        plans: what is expected on each port.
+        by: which command says so.
+        configure: write what should be set differently, EEPROM included.
+        drive: they are to be driven, not only observed.
+
+    Raises:
+        BusError: something stands in the way.
+    """
+    with needs_sdk():
+        from adaptive_contact.bridge.handshake import check_ports
+
+    findings = check_ports(plans, configure=configure, drive=drive)
+    for line in findings.done + findings.advice:
+        say(f"{by}: {line}", err=True)
+    findings.raise_errors()
+
+
 @app.command()
+@flatten
 def dynamixel(
+    *,
     config: ConfigOption = None,
     drive: Annotated[
         bool,
@@ -147,28 +182,22 @@ def dynamixel(
     baud: Annotated[
         int | None, typer.Option("--baud", help="Instead of robot.toml's.", show_default=False)
     ] = None,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
     """Publish the servos' positions and goals at the control rate, a process per port."""
     make_stdout_optional()
     stop = stoppable()
-    with needs_sdk():
-        from adaptive_contact.bridge.handshake import check_ports
-
     plans = plans_of(robot_of(config), config, device, baud)
-    settings = client(connect, namespace, zenoh_config, json=json)
-    findings = check_ports(plans, configure=configure, drive=drive)
-    for line in findings.done + findings.advice:
-        say(f"adaptive-contact bridge: {line}", err=True)
-    findings.raise_errors()
+    settings = network.client(json=json)
+    shake_hands(plans, "adaptive-contact bridge", configure=configure, drive=drive)
     _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)
 
 
 @app.command()
+@flatten
 def ros2(
+    *,
     config: ConfigOption = None,
     ros_connect: Annotated[
         list[str] | None,
@@ -191,9 +220,7 @@ def ros2(
         ),
     ] = None,
     realtime: RealtimeOption = False,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
     """Relay joint states of ROS 2 (rmw_zenoh) to the service, and contacts back; no ROS needed."""
@@ -207,9 +234,9 @@ def ros2(
     with needs_rosbags():
         from adaptive_contact.ros2.intake import check_mapped
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
-    check_mapped(robot, str(config or "shipped robot"))
-    settings = client(connect, namespace, zenoh_config, json=json)
-    ros_settings = client(ros_connect, None, ros_zenoh_config)
+    check_mapped(robot, described_in(config))
+    settings = network.client(json=json)
+    ros_settings = Network(ros_connect, None, ros_zenoh_config).client()
 
     def waits_for_ros(finding: Finding) -> None:
         _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
@@ -316,7 +343,9 @@ class _Crew:
 
 
 @app.command()
+@flatten
 def virtual(
+    *,
     directory: Annotated[
         Path,
         typer.Option("--dir", metavar="DIR", help="Where the ports appear, as links."),
@@ -391,9 +420,7 @@ def virtual(
     truth: Annotated[
         bool, typer.Option("--truth", help="Publish robot/leg/*/truth over Zenoh.")
     ] = False,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
     """A bus on pseudo-terminals whose servos are the simulated robot."""
@@ -428,7 +455,7 @@ def virtual(
         seconds=seconds,
         record=record,
         write_config=write_config,
-        link=client(connect, namespace, zenoh_config, json=json) if truth else None,
+        link=network.client(json=json) if truth else None,
     )
     if realtime:
         from adaptive_contact.priority import take_priority

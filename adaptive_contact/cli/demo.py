@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli._options import seconds_option
-from adaptive_contact.cli._output import say
+from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._sim_options import given, needs_simulator
 from adaptive_contact.cli._web import (
     WEB_PANEL,
@@ -75,7 +75,7 @@ def demo(
             run_demo(settings, console, stop, page)
             page.close(f"The demo is over; {settings.report} has what was found.")
     except (StoppedError, KeyboardInterrupt):
-        say("adaptive-contact: stopped; nothing was judged", err=True)
+        say_note("stopped; nothing was judged")
         raise typer.Exit(_STOPPED) from None
 
 

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from adaptive_contact.cli._options import (
-    ConnectOption,
     JsonOption,
-    NamespaceOption,
-    ZenohConfigOption,
-    client,
+    Network,
+    flatten,
     seconds_option,
 )
 from adaptive_contact.cli._output import say_json
@@ -32,10 +30,10 @@ _PIPE_WIDTH: Final = 140
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
 
+@flatten
 def doctor(
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    *,
+    network: Network,
     seconds: Annotated[
         float, seconds_option("--seconds", least=0.5, most=600.0, help="How long to listen.")
     ] = 3.0,
@@ -49,7 +47,7 @@ def doctor(
     from adaptive_contact.service.link import Link, NoRouterError
 
     try:
-        with Link.open(client(connect, namespace, zenoh_config, wait=False)) as link:
+        with Link.open(network.client(wait=False)) as link:
             diagnosis = examine(link, seconds)
     except NoRouterError as error:
         found = error.finding

@@ -15,7 +15,7 @@ from adaptive_contact.cli._options import (
     recorded_robot,
     say_damage,
 )
-from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
@@ -100,21 +100,19 @@ def fit(
             progress=lambda leg: say(f"fitting leg {leg}", err=True),
         )
     for reason in training.skipped.values():
-        say(f"adaptive-contact: left out: {reason}", err=True)
+        say_note(f"left out: {reason}")
     for leg_id, known in training.figures.items():
         if known.touched:
-            say(
-                f"adaptive-contact: leg '{leg_id}': the foot seems to have touched in "
+            say_note(
+                f"leg '{leg_id}': the foot seems to have touched in "
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
-                "record free swings, or with truth, to learn from all of them",
-                err=True,
+                "record free swings, or with truth, to learn from all of them"
             )
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
-        say(
-            f"adaptive-contact: the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
-            "they are cautious, and soft contacts will be missed; record more swings",
-            err=True,
+        say_note(
+            f"the thresholds rest on {ticks} free ticks, expected {MANY_TICKS}: "
+            "they are cautious, and soft contacts will be missed; record more swings"
         )
     refuse_useless(robot, training)
     save_baseline(training.baseline, out)
@@ -166,19 +164,18 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
                     leg.take_truth(truth)
         say_damage(recording)
         for line in robots.trouble(None):
-            say(f"adaptive-contact: {path}: {line}", err=True)
+            say_note(f"{path}: {line}")
         of = f"{path}: " if len(recordings) > 1 else ""
         for finding in check_streams(robot, samples, refused, of=of, refuse=refuse):
             for name in finding.legs:
                 causes.setdefault(name, set()).add(finding.cause)
     if strangers:
         absent = [name for name, leg in legs.items() if not leg.samples]
-        say(
-            f"adaptive-contact: not used: {of_legs(sorted(strangers))}, which robot "
+        say_note(
+            f"not used: {of_legs(sorted(strangers))}, which robot "
             f"'{robot.name}' lacks"
             + (f"; it has {of_legs(absent)}, of which there are no samples" if absent else "")
-            + "; give the --config of the robot that was recorded",
-            err=True,
+            + "; give the --config of the robot that was recorded"
         )
     _tell_unused(legs, causes, robot.period_s)
     if causes and not any(leg.samples for leg in legs.values()):
@@ -205,7 +202,7 @@ def _tell_unused(
             left_out.setdefault(why, {})[name] = leg.off_rate
     for why, times_of in left_out.items():
         total = sum(times_of.values())
-        say(f"adaptive-contact: {of_legs(times_of)}: {total} samples not used: {why}", err=True)
+        say_note(f"{of_legs(times_of)}: {total} samples not used: {why}")
 
 
 def check_streams(
@@ -239,7 +236,7 @@ def check_streams(
     for finding in found:
         legs = f"{of_legs(finding.legs)}: " if finding.legs else ""
         line = f"{of}{finding.level}: {legs}{finding.what}; {finding.remedy}"
-        say(f"adaptive-contact: {line}", err=True)
+        say_note(line)
         if finding.level == "error" and finding.cause in SPOILS:
             spoilt.update(dict.fromkeys(finding.legs))
     if spoilt and refuse:
@@ -271,12 +268,12 @@ def check_conventions(
     for leg, line in judge_recorded_ids(
         robot, {leg: one.last_run() for leg, one in gathered.items()}
     ).items():
-        say(f"adaptive-contact: leg '{leg}': {line}", err=True)
+        say_note(f"leg '{leg}': {line}")
     grave = []
     for finding in judge_conventions(robot, gathered, hangs=bridge).findings:
         advice = finding.servo_advice(robot.leg(finding.leg)) if bridge else finding.advice
         line = f"leg '{finding.leg}': {finding.message}: {advice}"
-        say(f"adaptive-contact: {line}", err=True)
+        say_note(line)
         if finding.grave:
             grave.append(finding.leg)
     if grave:
@@ -294,8 +291,8 @@ def refuse_useless(robot: Robot, training: Training) -> None:
     if not refused:
         return
     for line in refused:
-        say(f"adaptive-contact: {line}", err=True)
-    say("adaptive-contact: no baseline was written", err=True)
+        say_note(line)
+    say_note("no baseline was written")
     raise typer.Exit(1)
 
 

@@ -14,7 +14,13 @@ from typing import Annotated, Any, Final
 import typer
 
 from adaptive_contact.cli._options import Commands
-from adaptive_contact.cli._output import OutputLost, make_stdout_optional, protect_output, say
+from adaptive_contact.cli._output import (
+    OutputLost,
+    make_stdout_optional,
+    protect_output,
+    say,
+    say_note,
+)
 from adaptive_contact.errors import AdaptiveContactError
 
 __all__ = ["app", "main"]
@@ -122,24 +128,20 @@ def _run() -> int:
     except typer.Abort as abort:
         if isinstance(abort.__cause__, KeyboardInterrupt):
             return _INTERRUPTED
-        say("adaptive-contact: nothing was done", err=True)
+        say_note("nothing was done")
         return 1
     except _Misunderstood as error:
         return _refuse(error)
     except AdaptiveContactError as error:
         first, *others = error.lines
-        say(f"adaptive-contact: {first}", err=True)
+        say_note(first)
         for line in others:
             say(line, err=True)
         return 2
     except OSError as error:
         if error.errno not in _FULL:
             raise
-        say(
-            f"adaptive-contact: {error.filename or 'a file'} cannot be written "
-            f"({error.strerror}); make room",
-            err=True,
-        )
+        say_note(f"{error.filename or 'a file'} cannot be written ({error.strerror}); make room")
         return 2
     return code if isinstance(code, int) else 0
 
@@ -148,11 +150,7 @@ def _lost(cause: OSError) -> int:
     """Say why stdout cannot be written; a reader that is gone knows."""
     if isinstance(cause, BrokenPipeError):
         return _READER_GONE
-    say(
-        f"adaptive-contact: the output cannot be written ({cause.strerror}); make room, or send it "
-        "elsewhere",
-        err=True,
-    )
+    say_note(f"the output cannot be written ({cause.strerror}); make room, or send it elsewhere")
     return 2
 
 
@@ -163,7 +161,7 @@ def _refuse(error: Any) -> int:
         return int(error.exit_code)
     path = "adaptive-contact" if error.ctx is None else error.ctx.command_path
     words = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
-    say(f"adaptive-contact: {words}; see `{path} --help`", err=True)
+    say_note(f"{words}; see `{path} --help`")
     return int(error.exit_code)
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import collections
 import os
-import signal
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Annotated
@@ -14,13 +12,12 @@ from typing import Annotated
 import typer
 
 from adaptive_contact.cli._options import (
-    ConnectOption,
-    NamespaceOption,
-    ZenohConfigOption,
-    client,
+    Network,
+    flatten,
     seconds_option,
+    stoppable,
 )
-from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_waiting
+from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
@@ -28,7 +25,9 @@ from adaptive_contact.printable import printable
 __all__ = ["record"]
 
 
+@flatten
 def record(
+    *,
     file: Annotated[
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to write.", show_default=False)
     ],
@@ -46,16 +45,12 @@ def record(
     force: Annotated[
         bool, typer.Option("--force", help="Replace the file if it is there already.")
     ] = False,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
 ) -> None:
     """Record messages of any key, byte for byte, until Ctrl-C."""
     make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: _on_signal(stop))
+    stop = stoppable()
 
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.recording import RecordingWriter
@@ -66,7 +61,7 @@ def record(
         raise ConfigurationError(
             f"{file} exists already; choose another name, or give --force to replace it"
         )
-    settings = client(connect, namespace, zenoh_config)
+    settings = network.client()
     try:
         link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
@@ -96,13 +91,6 @@ def record(
         os._exit(0)
 
 
-def _on_signal(stop: threading.Event) -> None:
-    """The first signal asks the recorder to end, the second does not ask."""
-    if stop.is_set():
-        os._exit(1)
-    stop.set()
-
-
 def _kinds(counts: collections.Counter[str]) -> str:
     """Counts by the last part of the key, the most frequent first."""
     kinds: collections.Counter[str] = collections.Counter()
@@ -128,8 +116,6 @@ def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: f
         rate = counts[name] / elapsed_s
         say(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
     if not counts:
-        say(
-            f"adaptive-contact: nothing was heard on '{key}'; "
-            "`adaptive-contact doctor` tells who publishes what",
-            err=True,
+        say_note(
+            f"nothing was heard on '{key}'; `adaptive-contact doctor` tells who publishes what"
         )

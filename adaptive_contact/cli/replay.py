@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import io
 import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,16 +18,16 @@ from adaptive_contact.cli._options import (
     AmbiguousOption,
     BaselineOption,
     ConfigOption,
-    ConnectOption,
-    NamespaceOption,
+    Network,
     WhenAmbiguous,
-    ZenohConfigOption,
     check_output,
-    client,
+    flatten,
     recorded_robot,
     say_damage,
+    speed_of,
+    stoppable,
 )
-from adaptive_contact.cli._output import say, say_waiting
+from adaptive_contact.cli._output import say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
 from adaptive_contact.files import write_file
 
@@ -43,10 +41,10 @@ if TYPE_CHECKING:
 
 __all__ = ["replay"]
 
-_MAX_SPEED: Final = 1000.0
 
-
+@flatten
 def replay(
+    *,
     file: Annotated[
         Path,
         typer.Argument(
@@ -93,9 +91,7 @@ def replay(
         bool,
         typer.Option("--keep-run", help="Leave `run` in the samples as recorded, not a new start."),
     ] = False,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
 ) -> None:
     """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
     from adaptive_contact.service.recording import is_bag, read_recording
@@ -104,9 +100,7 @@ def replay(
         "--speed": speed,
         "--all": everything,
         "--keep-run": keep_run,
-        "--connect": connect,
-        "--namespace": namespace,
-        "--zenoh-config": zenoh_config,
+        **network.given,
     }
     published = when_ambiguous is not WhenAmbiguous.WITHHOLD
     through_learners = {
@@ -126,8 +120,8 @@ def replay(
             del through_learners["--config"]  # says what the bag's topics are
         _refuse(through_learners, "{} is for --events, --plot; the service on the wire has its own")
         mapping = recorded_robot(config, [file]) if bag else None
-        factor = _speed(speed)
-        settings = client(connect, namespace, zenoh_config)
+        factor = speed_of(speed)
+        settings = network.client()
         recording = read_recording(file, mapping)
         _to_wire(recording, settings, factor, everything=everything, keep_run=keep_run)
 
@@ -136,21 +130,6 @@ def _refuse(options: Mapping[str, object], message: str) -> None:
     given = [name for name, value in options.items() if value not in (None, False)]
     if given:
         raise ConfigurationError(message.format(" and ".join(given)))
-
-
-def _speed(text: str | None) -> float | None:
-    """Factor over real time, None for as fast as possible."""
-    if text == "max":
-        return None
-    try:
-        factor = 1.0 if text is None else float(text.removesuffix("x"))
-    except ValueError:
-        factor = 0.0
-    if not 0.0 < factor <= _MAX_SPEED:  # false for NaN, too
-        raise ConfigurationError(
-            f"--speed {text}: expected a factor above 0, up to {_MAX_SPEED:.0f}, or max"
-        )
-    return factor
 
 
 def _to_events(
@@ -213,7 +192,7 @@ def _to_events(
     _warn(recording, counts)
     _tell_legs(bank)
     for line in robots.trouble(robot):
-        say(f"adaptive-contact: {recording.path}: {line}", err=True)
+        say_note(f"{recording.path}: {line}")
     if counts.samples == 0:
         usable = "usable " if counts.rejects else ""
         raise RecordingError(f"{recording.path}: no {usable}servo sample (robot/leg/*/servo) in it")
@@ -246,7 +225,7 @@ def _tell_legs(bank: LearnerBank) -> None:
         if status.note:
             words.append(status.note)
         if words:
-            say(f"adaptive-contact: leg '{leg}': {', '.join(words)}", err=True)
+            say_note(f"leg '{leg}': {', '.join(words)}")
 
 
 def _to_wire(
@@ -261,9 +240,7 @@ def _to_wire(
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.replay import WirePlayer
 
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: _on_signal(stop))
+    stop = stoppable()
     try:
         link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
@@ -289,7 +266,7 @@ def _to_wire(
     )
     _warn(recording, player.counts)
     for line in robots.trouble(None):
-        say(f"adaptive-contact: {recording.path}: {line}", err=True)
+        say_note(f"{recording.path}: {line}")
     if player.sent.total() == 0 and not stop.is_set():
         raise RecordingError(
             f"{recording.path}: nothing to publish, there is no servo sample and no truth in it"
@@ -298,13 +275,6 @@ def _to_wire(
         # A subscriber hangs on to the session, and the interpreter's own exit would wait for it.
         sys.stdout.flush()
         os._exit(0)
-
-
-def _on_signal(stop: threading.Event) -> None:
-    """The first signal asks the player to end, the second does not ask."""
-    if stop.is_set():
-        os._exit(1)
-    stop.set()
 
 
 def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
@@ -322,4 +292,4 @@ def _warn(recording: Recording, counts: Counts) -> None:
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))
-        say(f"adaptive-contact: {recording.path}: {rejected} samples not used: {reasons}", err=True)
+        say_note(f"{recording.path}: {rejected} samples not used: {reasons}")

@@ -14,7 +14,7 @@ from adaptive_contact.cli._options import (
     recorded_robot,
     seconds_option,
 )
-from adaptive_contact.cli._output import say, say_json
+from adaptive_contact.cli._output import say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
@@ -71,11 +71,11 @@ def score(
         raise RecordingError(f"{recording}: {error}{cut}") from error
     finally:
         for line in (*robots.trouble(robot), *source.notes):
-            say(f"adaptive-contact: {recording}: {line}", err=True)
+            say_note(f"{recording}: {line}")
     if robots.spoilt(robot):
         raise _nothing_judged(recording)
     if source.damage is not None:
-        say(f"adaptive-contact: {recording}: {source.damage}", err=True)
+        say_note(f"{recording}: {source.damage}")
     if json:
         import msgspec
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Iterator
@@ -19,7 +17,6 @@ from adaptive_contact.cli._options import (
     AmbiguousOption,
     BaselineOption,
     ConfigOption,
-    ConnectOption,
     InsecureOption,
     JsonPayloadOption,
     ListenOption,
@@ -27,14 +24,15 @@ from adaptive_contact.cli._options import (
     LogLevel,
     LogLevelOption,
     MaxSessionsOption,
-    NamespaceOption,
+    Network,
     NoStateOption,
     RealtimeOption,
     StateOption,
     WhenAmbiguous,
-    ZenohConfigOption,
+    flatten,
+    stoppable,
 )
-from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
+from adaptive_contact.cli._output import make_stdout_optional, say, say_note, say_waiting
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
 from adaptive_contact.priority import cores, take_priority
 
@@ -53,15 +51,15 @@ _SWITCH_S: Final = 0.0005
 _BEHIND_THE_BUS: Final = 5
 
 
+@flatten
 def serve(
+    *,
     config: ConfigOption = None,
     baseline: BaselineOption = None,
     state: StateOption = None,
     no_state: NoStateOption = False,
     listen: ListenOption = None,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
     insecure: InsecureOption = False,
     max_sessions: MaxSessionsOption = None,
     realtime: RealtimeOption = False,
@@ -76,9 +74,7 @@ def serve(
     """
     make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: _on_signal(stop))
+    stop = stoppable()
 
     if no_state and state is not None:
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
@@ -97,10 +93,10 @@ def serve(
         configure_logs(log_level, json=log_json)
         settings = router_settings(
             listen or (),
-            connect or (),
-            namespace=namespace,
+            network.connect or (),
+            namespace=network.namespace,
             json=json,
-            zenoh_config=zenoh_config,
+            zenoh_config=network.zenoh_config,
             insecure=insecure,
             max_sessions=max_sessions,
         )
@@ -109,7 +105,7 @@ def serve(
         # Before Zenoh makes its threads: an event passes through them.
         refused = take_priority(below=_BEHIND_THE_BUS) if realtime else None
         if refused is not None:
-            say(f"adaptive-contact: {refused}", err=True)
+            say_note(refused)
         robot, learned, origin = _load(config, baseline)
         compile_tick()
         refitter = ProcessRefitter(process=process)
@@ -127,7 +123,7 @@ def serve(
                 return
             raise
         try:
-            keeper = None if no_state else _keeper(state, robot, learned, namespace)
+            keeper = None if no_state else _keeper(state, robot, learned, network.namespace)
             sweeper = Sweeper()
             service = Service(
                 link,
@@ -173,19 +169,12 @@ def _leave(fault: BaseException | None) -> None:
     expected = isinstance(fault, AdaptiveContactError)
     try:
         if expected:
-            say(f"adaptive-contact: {fault}", err=True)
+            say_note(fault)
         elif fault is not None:
             traceback.print_exception(fault)
         sys.stdout.flush()
     finally:  # also where nothing can be written any more
         os._exit(0 if fault is None else 2 if expected else 1)
-
-
-def _on_signal(stop: threading.Event) -> None:
-    """The first signal asks the worker to end, the second does not ask."""
-    if stop.is_set():
-        os._exit(1)
-    stop.set()
 
 
 def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None, str | None]:

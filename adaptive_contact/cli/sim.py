@@ -10,38 +10,20 @@ import typer
 
 from adaptive_contact.cli._options import (
     Commands,
-    ConnectOption,
     JsonOption,
     JsonPayloadOption,
-    NamespaceOption,
-    ZenohConfigOption,
-    client,
+    Network,
+    flatten,
     seconds_option,
+    stoppable,
 )
 from adaptive_contact.cli._output import make_stdout_optional, say, say_json, say_waiting
 from adaptive_contact.cli._sim_options import (
-    BogusOption,
-    DriftOption,
-    DroppedOption,
-    OfflineOption,
-    PreviewOption,
     ReactOption,
-    RecordOption,
-    RenderOption,
-    RepeatedOption,
-    RobotSeedOption,
-    ScenarioOption,
-    SecondsOption,
-    SeedOption,
-    SpeedOption,
-    ViewOption,
-    base_of,
+    RunOptions,
     execute,
     given,
     needs_simulator,
-    robot_of,
-    speed_of,
-    stoppable,
 )
 from adaptive_contact.cli.baseline import baseline
 from adaptive_contact.errors import ConfigurationError, LinkError
@@ -52,7 +34,9 @@ app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_
 
 
 @app.command()
+@flatten
 def pose(
+    *,
     leg: Annotated[
         str | None, typer.Option("--leg", metavar="LEG|all", help="Which leg moves. [rf]")
     ] = None,
@@ -73,48 +57,31 @@ def pose(
         str | None, typer.Option("--path", metavar="cartesian|joint", help="What is straight.")
     ] = None,
     react_ms: ReactOption = None,
-    scenario: ScenarioOption = None,
-    seconds: SecondsOption = None,
-    speed: SpeedOption = None,
-    seed: SeedOption = None,
-    robot_seed: RobotSeedOption = None,
-    drift: DriftOption = None,
-    dropped: DroppedOption = None,
-    repeated: RepeatedOption = None,
-    bogus: BogusOption = None,
-    preview: PreviewOption = None,
-    offline: OfflineOption = False,
-    record: RecordOption = None,
-    render: RenderOption = None,
-    view: ViewOption = False,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    run: RunOptions,
+    network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
     """Stand on five legs and move one, in free air or onto obstacles (the paper's set-up)."""
     make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
-        from adaptive_contact_sim import LEGS, PoseSettings, RunPlan
+        from adaptive_contact_sim import LEGS, PoseSettings
 
     changes = given(approach=approach, workspace=workspace, path=path, react_ms=react_ms)
     if leg is not None:
         changes["legs"] = LEGS if leg == "all" else tuple(leg.split(","))
-    base, motion = base_of(scenario, PoseSettings)
+    base, motion = run.base(PoseSettings)
     changes["obstacles"] = dataclasses.replace(
         motion.obstacles, **given(probability=obstacles, soft=soft)
     )
     settings = dataclasses.replace(base.settings, motion=dataclasses.replace(motion, **changes))
-    settings = robot_of(settings, seed, robot_seed, drift, dropped, repeated, bogus, preview)
-    wire = None if offline else client(connect, namespace, zenoh_config, json=json)
-    duration = base.seconds if seconds is None else seconds
-    plan = RunPlan(settings, duration, speed_of(speed, offline=offline), wire, record, render, view)
-    execute(plan, stop)
+    execute(run.plan(base, settings, network, json=json), stop)
 
 
 @app.command()
+@flatten
 def walk(
+    *,
     gait: Annotated[
         str | None, typer.Option("--gait", metavar="tripod|ripple|wave", help="[tripod]")
     ] = None,
@@ -142,46 +109,28 @@ def walk(
             help="When it says stance: stopped by a touch, or as planned. [touch]",
         ),
     ] = None,
-    scenario: ScenarioOption = None,
-    seconds: SecondsOption = None,
-    speed: SpeedOption = None,
-    seed: SeedOption = None,
-    robot_seed: RobotSeedOption = None,
-    drift: DriftOption = None,
-    dropped: DroppedOption = None,
-    repeated: RepeatedOption = None,
-    bogus: BogusOption = None,
-    preview: PreviewOption = None,
-    offline: OfflineOption = False,
-    record: RecordOption = None,
-    render: RenderOption = None,
-    view: ViewOption = False,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    run: RunOptions,
+    network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
     """Walk over flat, stepped, rough or soft ground, or one with holes."""
     make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
-        from adaptive_contact_sim import RunPlan, WalkSettings
+        from adaptive_contact_sim import WalkSettings
 
-    base, motion = base_of(scenario, WalkSettings)
+    base, motion = run.base(WalkSettings)
     changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms, phase=phase)
     settings = dataclasses.replace(
         base.settings,
         motion=dataclasses.replace(motion, **changes),
         terrain=dataclasses.replace(base.settings.terrain, **given(kind=terrain, relief_m=relief)),
     )
-    settings = robot_of(settings, seed, robot_seed, drift, dropped, repeated, bogus, preview)
-    wire = None if offline else client(connect, namespace, zenoh_config, json=json)
-    duration = base.seconds if seconds is None else seconds
-    plan = RunPlan(settings, duration, speed_of(speed, offline=offline), wire, record, render, view)
-    execute(plan, stop)
+    execute(run.plan(base, settings, network, json=json), stop)
 
 
 @app.command()
+@flatten
 def inject(
     kind: Annotated[
         str | None,
@@ -190,14 +139,13 @@ def inject(
     value: Annotated[
         float | None, typer.Option("--value", help="Absolute, in the kind's unit.")
     ] = None,
+    *,
     leg: Annotated[str, typer.Option("--leg", metavar="LEG|all")] = "all",
     joint: Annotated[str, typer.Option("--joint", metavar="JOINT|all")] = "all",
     shape: Annotated[str, typer.Option("--shape", metavar="step|ramp|pulse|walk")] = "step",
     duration: Annotated[float, seconds_option("--duration", help="Of a shape.")] = 0.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of a random walk.")] = 0,
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    network: Network,
     json: JsonOption = False,
 ) -> None:
     """Let something drift in a running simulator, and print what now holds."""
@@ -213,9 +161,7 @@ def inject(
         fields = given(kind=kind, value=value, leg=leg, joint=joint, shape=shape)
         fields |= {"duration_s": duration, "seed": seed}
         drift = drift_from(fields, where=f"drift '{kind}'").drift
-    with Link.open(
-        client(connect, namespace, zenoh_config, wait=False), on_wait=say_waiting
-    ) as link:
+    with Link.open(network.client(wait=False), on_wait=say_waiting) as link:
         replies = link.query(SIM_DRIFT, drift)
     if not replies:
         raise LinkError(

@@ -20,7 +20,9 @@ from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+
+    from rich.table import Table
 
     from adaptive_contact.service.state import Record, Stored
 
@@ -55,26 +57,41 @@ def show(
     if not found:
         say(f"no state in {shown_path(_folder(state))}")
         return
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console(pipe_width=_PIPE_WIDTH)
+    for folder in sorted({stored.path.parent for stored in found}):
+        here = [stored for stored in found if stored.path.parent == folder]
+        rows = [_row(stored) for stored in here]
+        robots = sorted({row["robot"] for row in rows} - {None})
+        say(f"{', '.join(robots) or 'no sound state of a robot'}, in {shown_path(folder)}")
+        console.print(_table(here, rows))
+        for stored, row in zip(here, rows, strict=True):
+            if row["refused"] is not None:
+                say(f"{shown_path(Path(stored.path.name))}: {row['refused']}")
+
+
+def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
+    """The files of one robot; their names tell leg, library of terms and settings."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    from adaptive_contact.cli._console import table_console
-
-    table = Table(box=box.SIMPLE_HEAD)
-    for name in ("robot", "leg", "library", "settings", "model", "age", "size", "file"):
-        table.add_column(name)
-    table.add_column("state", overflow="fold")
-    for stored in found:
-        row = _row(stored)
-        age = "-" if row["age_s"] is None else _duration(row["age_s"])
-        cells = (row["robot"], row["leg"], row["library"], row["settings"], row["model_version"])
-        words = [Text("-" if cell is None else printable(cell)) for cell in cells]
-        size = f"{row['bytes'] / 1000:.0f} kB"
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("leg", "model", "age", "size", "state"):
+        table.add_column(name, no_wrap=True)
+    table.add_column("file", overflow="fold")
+    for stored, row in zip(found, rows, strict=True):
+        known = row["age_s"] is not None
         table.add_row(
-            *words, age, size, _kind(stored.path), Text(printable(row["refused"] or "sound"))
+            Text(printable(row["leg"]) if known else "-"),
+            str(row["model_version"]) if known else "-",
+            _duration(row["age_s"]) if known else "-",
+            f"{row['bytes'] / 1000:.0f} kB",
+            "sound" if row["refused"] is None else "refused",
+            Text(printable(shown_path(Path(stored.path.name)))),
         )
-    table_console(pipe_width=_PIPE_WIDTH).print(table)
+    return table
 
 
 @app.command()
@@ -202,12 +219,6 @@ def _is_named(path: Path, root: Path, robot: str | None, leg: str | None) -> boo
 
     of_robot = robot is None or path.parent == robot_folder(root, robot)
     return of_robot and (leg is None or is_of_leg(path, leg))
-
-
-def _kind(path: Path) -> str:
-    """What kind of file it is: ``state``, ``before``, and which of them was refused."""
-    known = (".state", ".before", ".refused")
-    return "".join(suffix for suffix in path.suffixes[-2:] if suffix in known)[1:]
 
 
 def _records(found: Iterable[Stored]) -> Iterable[Record]:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
+import math
 import sys
-import threading
 import time
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from adaptive_contact.cli._options import (
-    ConnectOption,
     JsonOption,
-    NamespaceOption,
-    ZenohConfigOption,
-    client,
+    Network,
+    flatten,
     seconds_option,
+    stoppable,
 )
 from adaptive_contact.cli._output import say_json, say_waiting
 from adaptive_contact.cli._web import (
@@ -31,12 +28,11 @@ from adaptive_contact.cli._web import (
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable
 
     from rich.console import Group
 
-    from adaptive_contact.service.link import Link
-    from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.service.watch import View
 
     Look = Callable[[], View]
@@ -47,10 +43,10 @@ _REFRESH_S: Final = 0.25
 _PIPE_WIDTH: Final = 160
 
 
+@flatten
 def watch(
-    connect: ConnectOption = None,
-    namespace: NamespaceOption = None,
-    zenoh_config: ZenohConfigOption = None,
+    *,
+    network: Network,
     once: Annotated[
         bool, typer.Option("--once", help="Look for a while, print one table and end.")
     ] = False,
@@ -82,56 +78,48 @@ def watch(
     page_settings = web_settings(web, host, port, no_browser)
     if page_settings is not None and (once or json):
         raise ConfigurationError("--web shows a page; leave --once and --json out")
-    # As Ctrl-C, so that the terminal gets its cursor back.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    from adaptive_contact.service.feed import Feed
-
-    settings = client(connect, namespace, zenoh_config)
+    settings = network.client()
     if page_settings is not None:
         serve_page(page_settings, settings, browse=not no_browser)
         return
-    patience_s = wait if once else None
-    with contextlib.suppress(KeyboardInterrupt), _join(settings, patience_s) as link:
+    stop = stoppable()
+    from adaptive_contact.service.feed import Feed
+    from adaptive_contact.service.link import Link, NoRouterError
+
+    # A script that looks once is not to stand still where there is no router.
+    patience_s = wait if once else math.inf
+    try:
+        link = Link.open(settings, on_wait=say_waiting, stop=stop, patience_s=patience_s)
+    except NoRouterError:
+        if stop.is_set():
+            return
+        raise
+    with link:
         feed = Feed(link)
 
         def look() -> View:
             return feed.view(time.monotonic_ns())
 
         if not once and not json and sys.stdout.isatty():
-            _live(look)
-        while True:
-            _look_for(seconds, look)
+            _live(look, stop)
+            return
+        while not _look_for(seconds, look, stop):
             _print(look(), json)
             if once:
                 break
 
 
-def _look_for(seconds: float, look: Look) -> None:
-    """Take in what arrives until the next output is due."""
+def _look_for(seconds: float, look: Look, stop: threading.Event) -> bool:
+    """Take in what arrives until the next output is due; True if stopped before."""
     until = time.monotonic() + seconds
     while (left := until - time.monotonic()) > 0:
-        time.sleep(min(left, _REFRESH_S))
+        if stop.wait(min(left, _REFRESH_S)):
+            return True
         look()
+    return False
 
 
-def _join(settings: LinkSettings, patience_s: float | None) -> Link:
-    """Join a router; a script that looks once is not to stand still where there is none."""
-    from adaptive_contact.service.link import Link, NoRouterError
-
-    if patience_s is None:
-        return Link.open(settings, on_wait=say_waiting)
-    stop = threading.Event()
-    timer = threading.Timer(patience_s, stop.set)
-    timer.start()
-    try:
-        return Link.open(settings, on_wait=say_waiting, stop=stop)
-    except NoRouterError as error:
-        raise NoRouterError(error.finding, f"no router within {patience_s:g} s: ") from error
-    finally:
-        timer.cancel()
-
-
-def _live(look: Look) -> None:
+def _live(look: Look, stop: threading.Event) -> None:
     """Redraw until Ctrl-C."""
     from rich.live import Live
 
@@ -139,17 +127,13 @@ def _live(look: Look) -> None:
     from adaptive_contact.service.watch_table import table
 
     console = table_console()
-    try:
 
-        def drawn() -> Group:  # the terminal may change its size
-            return table(look(), console.width, console.height)
+    def drawn() -> Group:  # the terminal may change its size
+        return table(look(), console.width, console.height)
 
-        with Live(drawn(), console=console, auto_refresh=False) as live:
-            while True:
-                live.update(drawn(), refresh=True)
-                time.sleep(_REFRESH_S)  # the period of the picture
-    finally:
-        console.show_cursor()  # of a stop while it begins, too
+    with Live(drawn(), console=console, auto_refresh=False) as live:
+        while not stop.wait(_REFRESH_S):
+            live.update(drawn(), refresh=True)
 
 
 def _print(view: View, json: bool) -> None:

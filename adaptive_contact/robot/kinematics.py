@@ -43,7 +43,6 @@ __all__ = [
     "foot",
     "foot_point",
     "height_gradient",
-    "height_gradients",
     "inverse",
     "link_angles",
     "straight",
@@ -286,13 +285,6 @@ def height_gradient(
 ) -> Array:
     """:meth:`Chain.height_gradient` of a :func:`straight` chain, (J,) rad to (J,) m per rad."""
     return straight(lengths_m, axes).height_gradient(q)
-
-
-def height_gradients(
-    q: ArrayLike, lengths_m: Sequence[float], axes: Sequence[str | Vector]
-) -> Array:
-    """:meth:`Chain.height_gradients` of a :func:`straight` chain, (..., J) m per rad."""
-    return straight(lengths_m, axes).height_gradients(q)
 
 
 def _turned(vectors: Array, axis: Array, angles: Array) -> Array:

@@ -305,6 +305,18 @@ class Urdf:
                     "a loop (a parallel linkage) is no chain, see docs/robot.md"
                 )
             parents[joint.child] = joint
+        ends_in_a_root: set[str] = set()
+        for link in parents:
+            way: dict[str, None] = {}  # in order
+            while link in parents and link not in ends_in_a_root:
+                if link in way:
+                    circle = ", ".join(sorted(list(way)[list(way).index(link) :]))
+                    raise self._error(
+                        f"links {circle} hang on each other in a circle; expected a tree of links"
+                    )
+                way[link] = None
+                link = parents[link].parent
+            ends_in_a_root.update(way)
         return parents
 
     def _path(self, leg: str, link: str) -> list[_Joint]:
@@ -313,13 +325,7 @@ class Urdf:
             near = difflib.get_close_matches(link, self.links, n=1, cutoff=0.5)
             hint = f"did you mean '{near[0]}'?" if near else f"its last links: {self.last_links()}"
             raise self._error(f"leg '{leg}': there is no link '{link}'; {hint}")
-        path: list[_Joint] = []
-        while link in self._parents:
-            if len(path) > len(self._parents):
-                raise self._error(f"leg '{leg}': its links hang on each other in a circle")
-            path.append(self._parents[link])
-            link = self._parents[link].parent
-        return path[::-1]
+        return self._above(link)[::-1]
 
     def last_links(self) -> str:
         """The links that carry no other, for a person."""
@@ -328,6 +334,7 @@ class Urdf:
         return ", ".join(tips[:_LISTED]) + more
 
     def _above(self, link: str) -> list[_Joint]:
+        """Joints from a link to the root."""
         above = []
         while link in self._parents:
             above.append(self._parents[link])
@@ -348,11 +355,10 @@ class Urdf:
         while all(len(own) > shared + 1 for own in links) and (
             len({own[shared + 1] for own in links}) == 1
         ):
-            shared += 1
-            [first] = links[0][shared : shared + 1]
-            if len(links) == 1 and self._parents[first].kind in _TURNING:
-                shared -= 1
+            # Of one leg alone, its own joints are above all its links.
+            if len(links) == 1 and self._parents[links[0][shared + 1]].kind in _TURNING:
                 break
+            shared += 1
         return links[0][shared]
 
     # -- a leg -------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ subscription of the session.  A sink only enqueues.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -190,6 +191,7 @@ class Link:
         *,
         on_wait: Callable[[Finding], None] | None = None,
         stop: threading.Event | None = None,
+        patience_s: float = math.inf,
     ) -> Self:
         """Join the network.
 
@@ -200,14 +202,15 @@ class Link:
             settings: how.
             on_wait: called with what stands in the way, at first and whenever it changes.
             stop: ends the waiting when set.
+            patience_s: so does this time.
 
         Raises:
-            NoRouterError: the router is unreachable or refuses, and ``wait`` is False or
-                ``stop`` was set.
+            NoRouterError: the router is unreachable or refuses, and ``wait`` is False,
+                ``stop`` was set or ``patience_s`` is over.
             LinkError: an address cannot be listened on, or be one of a router to join.
             ConfigurationError: the Zenoh configuration file cannot be used.
         """
-        stop = stop or threading.Event()
+        stop, until_s = stop or threading.Event(), time.monotonic() + patience_s
         told: Finding | None = None
         while True:
             config, facts = configure(settings)
@@ -224,7 +227,10 @@ class Link:
                 told = finding
                 if on_wait is not None:
                     on_wait(finding)
-            if stop.wait(_RETRY_S):
+            left_s = until_s - time.monotonic()
+            if left_s <= 0:
+                raise NoRouterError(finding, f"no router within {patience_s:g} s: ")
+            if stop.wait(min(_RETRY_S, left_s)):
                 raise NoRouterError(finding, "stopped while waiting for a router; ")
 
     def __enter__(self) -> Self:

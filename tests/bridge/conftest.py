@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,11 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adaptive_contact.bridge import handshake, survey
 from adaptive_contact.bridge.loop import PortLoop
 from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
 from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.bridge.tables import models_named
+from adaptive_contact.cli import main as cli
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import MSGPACK, Command, ServoSample, encode
 from adaptive_contact_sim.virtual import (
@@ -29,7 +33,27 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 
+sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
+from anybus import serve
+from described import Serve
+
 PERIOD_S = 0.02
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _commands() -> None:
+    if not cli.app.registered_groups:
+        cli._register()
+
+
+@pytest.fixture(autouse=True)
+def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look for servos 0 to 30 only: an id that nobody has costs the wait for its ping.
+
+    Commands that are processes of their own look for all.
+    """
+    monkeypatch.setattr(handshake, "ALL_IDS", range(31))
+    monkeypatch.setattr(survey, "_BEYOND", 2)
 
 
 @dataclasses.dataclass
@@ -238,3 +262,24 @@ def run(rig: Callable, catcher: Callable) -> Iterator[Callable[..., Running]]:
     yield start
     for one in running:
         one.end()
+
+
+@pytest.fixture
+def bus(tmp_path: Path) -> Iterator[Serve]:
+    """Serve the servos of SPECs (see ``anybus``) on a port."""
+    stop, stack = threading.Event(), contextlib.ExitStack()
+    threads: list[threading.Thread] = []
+
+    def make(*specs: str, where: str = "bus") -> tuple[Path, Sequence[VirtualServo]]:
+        (tmp_path / where).mkdir()
+        server, _ = serve(tmp_path / where, specs)
+        stack.enter_context(server)
+        threads.append(threading.Thread(target=server.run, args=(stop,), daemon=True))
+        threads[-1].start()
+        return tmp_path / where / "port0", server.ports[0].servos
+
+    yield make
+    stop.set()
+    for thread in threads:
+        thread.join(5.0)
+    stack.close()

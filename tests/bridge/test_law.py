@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from adaptive_contact.bridge.law import slope_rad
-from adaptive_contact.bridge.survey import find_servos, group, steepness, write_robot
+from adaptive_contact.bridge.survey import find_servos, group, steepness
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.robot import parse_robot
+from adaptive_contact.robot.write import write_robot
 
 X_STEP = 2 * math.pi / 4096
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import select
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from anybus import AnyServo, Horns, any_servo
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
@@ -28,9 +28,6 @@ from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
 from adaptive_contact.robot import Port
 from adaptive_contact.wire import MSGPACK, Command, encode
 from adaptive_contact_sim.virtual import FaultSchedule, VirtualPort
-
-sys.path.insert(0, str(Path(__file__).parent))
-from anybus import AnyServo, Horns, any_servo
 
 # So long that no tick runs out of time, however busy the computer is.
 PERIOD_S = 2.0

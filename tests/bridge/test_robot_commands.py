@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from described import command
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.freeswing import (
@@ -18,13 +19,14 @@ from adaptive_contact.bridge.freeswing import (
     REST_TICKS,
     free_swings,
 )
-from adaptive_contact.bridge.survey import describe, find_servos, group, write_robot
+from adaptive_contact.bridge.survey import describe, find_servos, group
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw
 from adaptive_contact.errors import AdaptiveContactError, BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Limits, Mount, Port, foot, parse_robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
+from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ServoSample
 
 # Real time on pseudo-terminals: run by `make test-all`, on a machine with nothing else to do.
@@ -34,26 +36,12 @@ AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL330-M288", "protocol": 2}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _commands() -> None:
-    if not cli.app.registered_groups:
-        cli._register()
-
-
-def invoke(*words: str) -> str:
-    result = CliRunner().invoke(cli.app, list(words))
-    if isinstance(result.exception, AdaptiveContactError):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 @real_time
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> None:
     r = rig(**kind)
     out = tmp_path / "robot.toml"
-    said = invoke(
+    said = command(
         "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out), "--legs", "l0,l1",
         "--name", "rig", "--lengths", "0.05,0.06,0.1",
     )  # fmt: skip
@@ -68,7 +56,7 @@ def test_init_writes_what_answers(rig: Callable, tmp_path: Path, kind: dict) -> 
     filled = out.read_text().replace("# limits = {", "limits = {")
     assert parse_robot(filled, source="filled").leg("l0").limits == Limits((-1.0,) * 3, (1.0,) * 3)
     with pytest.raises(ConfigurationError, match="is there already"):
-        invoke("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
+        command("robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out))
 
 
 @real_time
@@ -87,7 +75,7 @@ def test_init_takes_servos_for_the_joints_of_a_urdf(rig: Callable, tmp_path: Pat
             )
     urdf, out = tmp_path / "r.urdf", tmp_path / "robot.toml"
     urdf.write_text(f'<robot name="r">{"".join(parts)}</robot>')
-    invoke(
+    command(
         "robot", "init", "--device", f"p0={tmp_path}/p0", "--out", str(out),
         "--urdf", str(urdf), "--legs", "l=l2,r=r2", "--tip", "0,0,-0.1",
     )  # fmt: skip
@@ -173,7 +161,7 @@ def test_check_shows_and_moves_nothing(rig: Callable, tmp_path: Path) -> None:
         )
     )
     (tmp_path / "robot.toml").write_text(text.replace("protocol = 1", "protocol = 1\n", 1))
-    said = invoke(
+    said = command(
         "robot", "check", "--config", str(tmp_path / "robot.toml"), "--seconds", "0.3",
         "--picture", str(tmp_path / "legs.svg"),
     )  # fmt: skip
@@ -189,7 +177,7 @@ def test_learn_needs_lengths_and_asks_before_it_moves(rig: Callable, tmp_path: P
     path = tmp_path / "robot.toml"
     path.write_text(write_robot(r.robot))
     with pytest.raises(ConfigurationError, match="has no lengths_m"):
-        invoke("robot", "learn", "--config", str(path), "--drive", "--yes")
+        command("robot", "learn", "--config", str(path), "--drive", "--yes")
     with pytest.raises(ConfigurationError, match="expected 3 angles in rad"):
         pose_of("0,x", r.robot, r.plans)
     assert pose_of("0,0.5,-1", r.robot, r.plans) == [0.0, 0.5, -1.0]
@@ -265,7 +253,7 @@ def test_what_cannot_be_is_told_in_one_line(
             f'servos = {{ ids = [1], model = "{model}" }}\n'
         )
     with pytest.raises(AdaptiveContactError, match=message) as caught:
-        invoke(*words)
+        command(*words)
     assert "\n" not in str(caught.value)
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.bridge.survey import write_robot
+from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Command, command_key
 

@@ -209,7 +209,7 @@ def test_a_body_that_is_upside_down_is_doubted() -> None:
         (
             robot_of(joint("a", "body", "hip"), joint("b", "hip", "body")),
             "hip",
-            "its links hang on each other in a circle",
+            "links body, hip hang on each other in a circle; expected a tree",
         ),
         (
             robot_of(HIP, THIGH, KNEE.replace("<limit", '<mimic joint="hfe"/><limit'), FOOT),
@@ -264,6 +264,12 @@ def test_several_roots_and_shared_joints_are_refused() -> None:
         Urdf(spine, "x").legs({"a": "a", "b": "b", "c": "c"}, tip_m=(0.1, 0.0, -0.1))
     with pytest.raises(ConfigurationError, match="--base 'spare' carries no leg 'a'"):
         Urdf(spine, "x").legs({"a": "a"}, base="spare")
+
+
+def test_a_leaf_on_a_circle_is_refused_before_anybody_looks_for_feet() -> None:
+    joints = (joint("a", "hip", "thigh"), joint("b", "thigh", "hip"), joint("c", "hip", "foot"))
+    with pytest.raises(ConfigurationError, match="links hip, thigh hang on each other in a circle"):
+        Urdf(robot_of(*joints), "x")
 
 
 def test_large_and_missing_files_are_refused(tmp_path: Path) -> None:

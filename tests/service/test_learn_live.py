@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.freeswing import free_swings
+from adaptive_contact.cli import _robot_learning as command
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli import robot as command
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import Robot, parse_robot

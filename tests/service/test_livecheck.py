@@ -247,7 +247,7 @@ def test_what_the_wire_itself_shows() -> None:
 @pytest.fixture
 def run_live(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable]:
     """The command, beside a source that publishes all samples; ends when they are taken in."""
-    from adaptive_contact.cli import robot as command
+    from adaptive_contact.cli import _robot_check as command
 
     if not cli.app.registered_groups:
         cli._register()

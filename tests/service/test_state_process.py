@@ -264,8 +264,9 @@ def test_contradictory_options_get_one_line(serve: Any, tmp_path: Path) -> None:
 
 
 def test_show_export_and_reset(
-    serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path
-) -> None:
+    serve: Any, join: Join, inbox: Any, sample: Sample, state: Any, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     folder = tmp_path / "kept"
     code, _, error = state("show", "--state", str(folder))
     assert (code, error.count("\n")) == (2, 0)
@@ -287,9 +288,16 @@ def test_show_export_and_reset(
     assert all(row["refused"] is None for row in rows)
     damaged = Path(rows[0]["file"])
     damaged.write_bytes(damaged.read_bytes()[:-9])
+    monkeypatch.setenv("COLUMNS", "80")
     _, out, _ = state("show", "--state", str(folder))
-    assert "damaged" in out
-    assert "sound" in out
+    assert out.startswith(f"mini, in {folder}/mini\n")
+    assert f"{damaged.name}: damaged: " in out
+    names = [Path(row["file"]).name for row in rows]
+    listed = [line.split() for line in out.splitlines() if " kB " in line]
+    assert [(line[-1], line[-2]) for line in listed] == [
+        (name, "refused" if name == damaged.name else "sound") for name in names
+    ]
+    assert max(map(len, out.splitlines()[1:5])) <= 80
 
     exported = tmp_path / "out.json"
     code, out, _ = state("export", str(exported), "--state", str(folder))

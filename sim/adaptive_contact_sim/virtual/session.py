@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
-from adaptive_contact.bridge.survey import write_robot
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Robot
+from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import ContactTruth, truth_key
 from adaptive_contact_sim.scenario import load_scenario
 from adaptive_contact_sim.virtual.assembly import (

@@ -1,0 +1,56 @@
+"""Commands of this program run in this process, and descriptions of robots on virtual buses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+from typer.testing import CliRunner
+
+from adaptive_contact.cli import main as cli
+from adaptive_contact.robot import Robot, load_robot, parse_robot
+from adaptive_contact.robot.write import write_robot
+from adaptive_contact_sim.virtual import VirtualServo
+
+# Serves the servos of SPECs (see ``anybus``) on a port: its device, and they.
+Serve = Callable[..., tuple[Path, Sequence[VirtualServo]]]
+
+
+def command(*words: object) -> str:
+    """What a command that succeeds says."""
+    result = CliRunner().invoke(cli.app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def init(device: Path, *words: str) -> tuple[str, Robot]:
+    out = device.parent / "robot.toml"
+    said = command("robot", "init", "--device", device, "--out", out, "--force", *words)
+    return said, load_robot(out)
+
+
+def robot(device: Path, *legs: tuple[Sequence[int], object], **port: object) -> Robot:
+    """A description of legs with these ids and models; its bus waits, as this computer is busy."""
+    port = {"timeout_ms": 30, **port}
+    settings = "".join(f"{name} = {_toml(value)}\n" for name, value in port.items())
+    text = (
+        '[robot]\nname = "t"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
+        f'[port.main]\ndevice = "{device}"\n{settings}'
+    )
+    for i, (ids, model) in enumerate(legs):
+        joints = [f"j{j}" for j in range(len(ids))]
+        text += f'[[leg]]\nid = "l{i}"\njoints = {_toml(joints)}\n[leg.servos]\n'
+        text += f"ids = {list(ids)}\nmodel = {_toml(model)}\n"
+    return parse_robot(text, source="t")
+
+
+def _toml(value: object) -> str:
+    return msgspec.json.encode(value).decode()
+
+
+def write(path: Path, described: Robot) -> Path:
+    path.write_text(write_robot(described), encoding="utf-8")
+    return path

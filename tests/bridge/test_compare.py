@@ -1,0 +1,142 @@
+"""What ``robot check`` says of registers that differ, or that shape the motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+from described import Serve, robot, write
+from typer.testing import CliRunner
+
+from adaptive_contact.bridge.compare import COMPARED, Servo, compare, read_servos
+from adaptive_contact.bridge.handshake import check_ports
+from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.bridge.tables import (
+    models_named,
+)
+from adaptive_contact.cli import main as cli
+from adaptive_contact.robot import Port, parse_robot
+
+
+def test_check_tells_what_differs_and_what_shapes_the_motion(bus: Serve) -> None:
+    device, servos = bus("1-5:AX-12A", "6:AX-12A:upper_slope=64:moving_speed=200")
+    legs = ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A")
+    described = robot(device, *legs, timeout_ms=10)
+    path = device.parent / "robot.toml"
+    said = CliRunner().invoke(cli.app, ["robot", "check", "--config", str(write(path, described))])
+    assert said.exit_code == 0
+    assert (
+        "CCW compliance slope differs among AX-12A: 32 in 5 servos, 64 in servo 6 (l1 j2)"
+        in said.output
+    )
+    assert "moving speed of servo 6 (l1 j2) is 200: goals are followed at 2.3 rad/s" in said.output
+    assert said.output.count("differs") == 1
+    assert all(servo.writes == 0 for servo in servos)
+
+
+def test_servos_that_are_alike_and_free_say_nothing(bus: Serve) -> None:
+    device, _ = bus("1-2:AX-12A", "3:MX-28")
+    described = robot(device, ((1, 2, 3), ["AX-12A", "AX-12A", "MX-28"]))
+    assert compare(read_servos(plan_ports(described))) == []
+
+
+@pytest.mark.parametrize("model", ["AX-12A", "MX-106", "XL-320", "XL430-W250"])
+def test_every_register_that_is_compared_is_read(bus: Serve, model: str) -> None:
+    """Those at the end of a control table, too."""
+    device, [servo] = bus(f"1:{model}")
+    described = robot(device, ((1,), model), protocol=servo.model.protocol)
+    [read] = read_servos(plan_ports(described))
+    assert dict(read.values) == {
+        name: servo.value(name) for name in COMPARED if name in servo.model.registers
+    }
+
+
+def servo_of(model: str, number: int, **values: int) -> Servo:
+    return Servo(number, f"l{number} j", models_named(model)[0], values)
+
+
+@pytest.mark.parametrize(
+    ("servos", "lines"),
+    [
+        (
+            [servo_of("XM430-W350", n, profile_velocity=44, drive_mode=0) for n in (1, 2)],
+            ["profile velocity of all 2 servos is 44: goals are followed at 1.1 rad/s at the most"],
+        ),
+        (
+            [servo_of("XM430-W350", 1, profile_velocity=100, profile_acceleration=30,
+                      drive_mode=4)],
+            ["profile velocity of servo 1 (l1 j) is 100 ms: goals are reached so much later",
+             "profile acceleration of servo 1 (l1 j) is 30 ms: so long a servo gathers speed"],
+        ),
+        (
+            [servo_of("XM430-W350", 1, profile_acceleration=10, drive_mode=0)],
+            ["is 10: goals are followed with a limited acceleration (3.75 rad/s²)"],
+        ),
+        (
+            [servo_of("XL430-W250", n, drive_mode=n % 2) for n in (2, 4, 5)],
+            ["drive mode differs among XL430-W250: 0 in 2 servos, 1 in servo 5 (l5 j) (1 is rev"],
+        ),
+        (
+            [servo_of("XL430-W250", 1, pwm_limit=442), servo_of("AX-12A", 2, torque_limit=512)],
+            ["torque limit of servo 2 (l2 j) is 512 of 1023: it drives with 50 %",
+             "PWM limit of servo 1 (l1 j) is 442 of 885: it drives with 50 %"],
+        ),
+        ([servo_of("AX-12A", 1, torque_limit=0)], []),
+        ([servo_of("MX-28", n, position_p=32, goal_acceleration=0) for n in (1, 2)], []),
+        ([servo_of("MX-28", 1, position_p=32), servo_of("MX-64", 2, position_p=8)], []),
+        (
+            [servo_of("AX-12A", n, return_delay=250 * (n == 3)) for n in (1, 2, 3)],
+            ["return delay differs among AX-12A: 0 in 2 servos, 250 in servo 3 (l3 j)"],
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_said_of_registers(servos: list[Servo], lines: list[str]) -> None:
+    said = compare(servos)
+    assert len(said) == len(lines), said
+    for line, part in zip(said, lines, strict=True):
+        assert part in line
+
+
+TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial.md"
+REPLACED = [
+    ["1:AX-12A:at=0.4"],
+    ["9:AX-12A:baud=57600"],
+    ["9:AX-18A"],
+    ["9:AX-12A:return_delay=250:moving_speed=300:lower_slope=64"],
+]
+
+
+def test_the_tutorial_says_of_a_replaced_servo_what_the_commands_say(bus: Serve) -> None:
+    text = TUTORIAL.read_text(encoding="utf-8").split("## When a servo or a horn was replaced")[1]
+    lines = [
+        line.removeprefix("adaptive-contact: ").removeprefix("  - ")
+        for line in text.split("\n## ")[0].splitlines()
+        if line.startswith(("adaptive-contact: port", "adaptive-contact: CW", "  - port"))
+        or (line.startswith("adaptive-contact: ") and " servo 9 " in line)
+    ]
+    assert len(lines) == 8
+    names = ("lf", "lm", "lr", "rf", "rm", "rr")
+    said = []
+    for i, new in enumerate(REPLACED):
+        device, _ = bus("1-8:AX-12A", "10-18:AX-12A", *new, where=f"bus{i}")
+        legs = [
+            f'[[leg]]\nid = "{name}"\njoints = ["coxa", "femur", "tibia"]\n'
+            f"servos = {{ ids = [{3 * j + 1}, {3 * j + 2}, {3 * j + 3}] }}\n"
+            for j, name in enumerate(names)
+        ]
+        described = parse_robot(
+            '[robot]\nname = "t"\nperiod_s = 0.02\nquantum_rad = 0.005\n'
+            f'[port.main]\ndevice = "{device}"\n' + "".join(legs),
+            source="t",
+        )
+        described = msgspec.structs.replace(
+            described, ports={"main": Port(device=str(device), timeout_ms=20)}
+        )
+        findings = check_ports(plan_ports(described), full=False)
+        found = findings.errors + findings.advice
+        if not findings.errors:
+            found += compare(read_servos(plan_ports(described)))
+        said += [line.replace(str(device), "/home/you/bus/port0") for line in found]
+    for line in lines:
+        assert line in said, said

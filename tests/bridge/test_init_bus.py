@@ -1,0 +1,195 @@
+"""``robot init`` on buses as they are: a head, mixed models, servos that are mute or astray."""
+
+from __future__ import annotations
+
+import pytest
+from described import Serve, command, init, robot
+from typer.testing import CliRunner
+
+from adaptive_contact.bridge.handshake import check_ports
+from adaptive_contact.bridge.plan import plan_ports
+from adaptive_contact.bridge.survey import find_servos, group, wanted_legs
+from adaptive_contact.bridge.tables import (
+    feetech_name,
+)
+from adaptive_contact.cli import main as cli
+from adaptive_contact.errors import BusError, ConfigurationError
+from adaptive_contact.robot import load_robot
+from adaptive_contact_sim.virtual.servo import VirtualServo
+
+
+def test_legs_of_any_ids_and_the_rest_ignored(bus: Serve) -> None:
+    device, _ = bus("1-12:AX-12A", "13:MX-28", "14:AX-12A:number=999")
+    said, found = init(device, "--ids", "2,4,6/8,10,12", "--legs", "right,left")
+    assert "servo 1, 3, 5, 7, 9, 11, 13, 14 is no leg's: ignored" in said
+    assert [leg.servos.ids for leg in found.legs] == [(2, 4, 6), (8, 10, 12)]
+    assert found.leg_ids == ("right", "left")
+    assert found.ports["main"].ignore == (1, 3, 5, 7, 9, 11, 13, 14)
+    assert check_ports(plan_ports(found), full=False).errors == []
+
+
+def test_legs_of_several_sizes(bus: Serve) -> None:
+    device, _ = bus("1-5:AX-12A")
+    said, found = init(device, "--ids", "5,4/3,2,1")
+    assert "2 legs of 2 and 3 joints" in said
+    assert [leg.joints for leg in found.legs] == [("hip", "knee"), ("coxa", "femur", "tibia")]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--ids", "1,2,x"), "'1,2,x' is no list of ids"),
+        (("--ids", "1,2,3/"), "'' is no list of ids"),
+        (("--ids", "1,2,3/3,4,5"), "3 is there twice"),
+        (("--ids", "1,2,253"), "253 is no id"),
+        (("--ids", "1,2,3/4,5"), "has a leg of 2 servos"),
+        (("--ids", "head:1,2,3"), "--ids names port 'head'; --device gives main"),
+        (("--ids", "1,2,3", "--legs", "a,b"), "2 legs are named, but the servos make 1"),
+        (("--ids", "1,2,9"), "port main has no servo 9 (ids there are 1-3)"),
+    ],
+)
+def test_ids_that_cannot_be(bus: Serve, words: tuple[str, ...], message: str) -> None:
+    device, _ = bus("1-3:AX-12A")
+    joints = ("--joints", "3") if message.startswith("has a leg") else ()
+    with pytest.raises((BusError, ConfigurationError)) as caught:
+        init(device, *words, *joints)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (device.parent / "robot.toml").exists()
+
+
+@pytest.mark.slow
+def test_ids_that_two_ports_have(bus: Serve) -> None:
+    left, _ = bus("1-3:AX-12A", where="left")
+    right, _ = bus("1-3:AX-12A", where="right")
+    devices = ("--device", f"left={left}", "--device", f"right={right}")
+    out = left.parent / "robot.toml"
+    with pytest.raises(BusError, match="ports left, right all have these servos; name the port"):
+        command("robot", "init", *devices, "--out", out, "--ids", "1,2,3")
+    command("robot", "init", *devices, "--out", out, "--ids", "right:1,2,3/left:3,2,1")
+    legs = load_robot(out).legs
+    assert [(leg.servos.port, leg.servos.ids) for leg in legs] == [
+        ("right", (1, 2, 3)), ("left", (3, 2, 1)),
+    ]  # fmt: skip
+    assert [leg.port for leg in wanted_legs("1/b:2")] == [None, "b"]
+
+
+def test_an_ax18_in_a_leg_of_ax12(bus: Serve) -> None:
+    device, _ = bus("1-2:AX-12A", "3:AX-18A")
+    said, found = init(device)
+    assert "2 x AX-12A, ids 1-2; 1 x AX-18A, ids 3" in said
+    assert found.legs[0].servos.models == ("AX-12A", "AX-12A", "AX-18A")
+    right = robot(device, ((1, 2, 3), ["AX-12A", "AX-12A", "AX-18A"]))
+    assert check_ports(plan_ports(right), full=False).errors == []
+    wrong = robot(device, ((1, 2, 3), ["AX-12A", "AX-18A", "AX-18A"]))
+    [line] = check_ports(plan_ports(wrong), full=False).errors
+    assert "servo 2 (l0 j1) is AX-12A, expected AX-18A" in line
+    with pytest.raises(ConfigurationError, match=r"servos\.model has 2 values for 3 joints"):
+        robot(device, ((1, 2, 3), ["AX-12A", "AX-18A"]))
+
+
+def test_a_servo_at_another_rate_is_looked_for_and_told(bus: Serve) -> None:
+    device, servos = bus("1-5:AX-12A", "6:AX-12A:baud=57600")
+    out = device.parent / "robot.toml"
+    for words, why in [
+        ((), "5 servos do not make legs"),
+        (("--ids", "1,2,3/4,5,6"), "port main has no servo 6"),
+    ]:
+        ended = CliRunner().invoke(
+            cli.app, ["robot", "init", "--device", str(device), "--out", str(out), *words]
+        )
+        assert why in str(ended.exception)
+        assert "servo 6 answers at 57600 baud, protocol 1" in ended.output
+    described = robot(device, ((1, 2, 3), "AX-12A"), ((4, 5, 6), "AX-12A"), timeout_ms=20)
+    [line] = check_ports(plan_ports(described), full=False).errors
+    assert "servo 6 answers at 57600 baud, protocol 1, not at 1000000 baud, protocol 1" in line
+    assert "set its baud rate with DYNAMIXEL Wizard" in line
+    assert "missing" not in line
+    assert all(servo.writes == 0 for servo in servos)
+
+
+def test_the_rate_of_most_servos_is_the_ports(bus: Serve) -> None:
+    """A new servo at its own rate is the odd one, though it is heard first."""
+    device, _ = bus("1:AX-12A:at=0.2", "2-4:AX-12A:baud=115200")
+    out = device.parent / "robot.toml"
+    words = ["robot", "init", "--device", str(device), "--out", str(out), "--force"]
+    said = ""
+    for _ in range(5):  # a busy computer's virtual servo may answer a ping too late
+        said = CliRunner().invoke(cli.app, words).output
+        if "servo 1" in said:
+            break
+    assert "ids 2-4; 115200 baud, protocol 1" in said
+    assert "servo 1 answers at 1000000 baud, protocol 1" in said
+    assert load_robot(out).ports["main"].baud == 115200
+    found = find_servos("main", str(device), (1_000_000,))
+    assert sorted(found.servos) == [1]
+
+
+def test_init_lets_a_mute_servo_answer(bus: Serve) -> None:
+    device, servos = bus("1-2:AX-12A", "3:AX-12A:status_return=0")
+    said, found = init(device, "--configure")
+    assert "port main: servo 3: status return level set to 2" in said
+    assert found.legs[0].servos.ids == (1, 2, 3)
+    assert servos[2].answers == 2
+
+
+@pytest.mark.slow
+def test_init_leaves_a_mute_head_alone(bus: Serve) -> None:
+    device, servos = bus("1-2:AX-12A", "3,20:AX-12A:status_return=0")
+    _, found = init(device, "--configure", "--ids", "1,2,3")
+    assert [servo.answers for servo in servos] == [2, 2, 2, 0]
+    assert found.ports["main"].ignore == (20,)
+
+
+def test_find_servos_names_what_it_wrote_nothing_to(bus: Serve) -> None:
+    device, servos = bus("1-2:AX-12A:status_return=0")
+    found = find_servos("main", str(device))
+    assert found.mute == (1, 2)
+    assert found.done == ()
+    with pytest.raises(BusError, match="servo 1, 2 answers to pings but not to reads"):
+        group([found], 2)
+    assert all(servo.writes == 0 for servo in servos)
+
+
+def test_the_other_firmware_of_an_mx(bus: Serve) -> None:
+    device, _ = bus("1-3:MX-28(2.0)")
+    with pytest.raises(ConfigurationError, match=r'or model = "MX-28\(2\.0\)" if it has that'):
+        plan_ports(robot(device, ((1,), "MX-28"), protocol=2))
+    said, found = init(device)
+    assert "3 x MX-28(2.0), ids 1-3" in said
+    assert found.legs[0].servos.model == "MX-28(2.0)"
+    described = robot(device, ((1, 2, 3), "MX-28(2.0)"), protocol=2)
+    assert check_ports(plan_ports(described), full=False, drive=True).errors == []
+
+
+class Feetech:
+    """Answers reads as a Feetech STS servo: firmware, model number and id at its own places."""
+
+    def __init__(self, servo: VirtualServo, number: bytes) -> None:
+        def read(address: int, size: int) -> bytes:
+            memory = bytes((3, 10, 0)) + number + bytes((servo.id, 0)) + bytes(80)
+            return memory[address : address + size]
+
+        servo.read = read  # type: ignore[method-assign,assignment]
+
+
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [((777).to_bytes(2, "little"), "STS3215"), ((1284).to_bytes(2, "big"), "SCS0009"),
+     (b"\x63\x00", "number 99")],
+)  # fmt: skip
+def test_a_feetech_servo_is_no_dynamixel(bus: Serve, number: bytes, name: str) -> None:
+    device, servos = bus("1-3:AX-12A")
+    Feetech(servos[2], number)
+    with pytest.raises(BusError) as caught:
+        init(device)
+    assert f"servo 3 (Feetech {name}, no Dynamixel) is of no known model" in str(caught.value)
+    [line] = check_ports(plan_ports(robot(device, ((1, 2, 3), "AX-12A"))), full=False).errors
+    assert f"is a Feetech {name}, no Dynamixel, expected AX-12A" in line
+    assert servos[2].writes == 0
+
+
+def test_a_dynamixel_is_no_feetech() -> None:
+    # AX: id, baud rate, return delay; an id that is also the return delay.
+    assert feetech_name(bytes((3, 1, 3)), 3) is None
+    assert feetech_name(bytes((3, 1, 250)), 3) is None
