@@ -110,7 +110,7 @@ class Types:
         every = list(self._readers.values())
         self._unhashed = {NO_HASH: every[2:], "": every}
         others = (name for name in RosType if name is not RosType.CONTROLLER_STATE)
-        self._hashes = {name: own.hash_rihs01(name) for name in others}
+        self._hashes: dict[str, str] = {name: own.hash_rihs01(name) for name in others}
 
     def hash_of(self, type_name: str) -> str:
         """What stands in keys for a type's definition."""
