@@ -7,6 +7,7 @@ import json
 import signal
 import struct
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -22,8 +23,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.service.foxglove_live import FoxgloveServer
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
 from adaptive_contact.service.link import Link, Request, client_settings, router_settings
 from adaptive_contact.wire import (
     ContactEvent,
@@ -245,3 +246,9 @@ def test_the_command_says_where_and_ends_on_a_signal(router: Link, command: Any)
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=10)[0] == ""
     assert process.returncode == 0
+
+
+def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'adaptive-contact\[foxglove\]'"):
+        check_installed()
