@@ -27,7 +27,7 @@ from adaptive_contact.cli._options import (
     seconds_option,
     stoppable,
 )
-from adaptive_contact.cli._output import make_stdout_optional, say
+from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
 
@@ -48,7 +48,9 @@ __all__ = [
     "shake_hands",
 ]
 
-app = Commands(help="Dynamixel servos on Zenoh, real and virtual; ROS 2.", no_args_is_help=True)
+app = Commands(
+    help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
+)
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
@@ -267,6 +269,53 @@ def ros2(
     except LinkError:
         if not stop.is_set():
             raise
+
+
+@app.command()
+@flatten
+def foxglove(
+    *,
+    host: Annotated[
+        str, typer.Option("--host", metavar="ADDRESS", help="Where Foxglove connects to.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65_535, help="0 takes a free one.")
+    ] = 8765,
+    network: Network,
+) -> None:
+    """Show the running robot in Foxglove, over its websocket protocol."""
+    make_stdout_optional()
+    stop = stoppable()
+    from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+    from adaptive_contact.service.link import Link
+
+    check_installed()
+    settings = network.client()
+    try:
+        with (
+            Link.open(settings, on_wait=say_waiting, stop=stop) as link,
+            FoxgloveServer(link, host, port) as server,
+        ):
+            say(
+                f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
+                f"(Open connection), or {server.app_url}; stop with Ctrl-C"
+            )
+            if host not in ("127.0.0.1", "localhost", "::1"):
+                say(
+                    "adaptive-contact bridge foxglove: whoever reaches this address sees "
+                    "everything; where others listen, leave --host out and use ssh -L",
+                    err=True,
+                )
+            server.run(stop)
+    except LinkError:
+        if not stop.is_set():
+            raise
+        return
+    for (key, why), count in server.left_out.most_common(8):
+        say(
+            f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+            err=True,
+        )
 
 
 def _say_ros(line: str) -> None:

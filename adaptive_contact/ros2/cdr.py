@@ -13,7 +13,15 @@ import struct
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-__all__ = ["CdrError", "ControllerState", "Header", "Point", "Stamp", "StateReader"]
+__all__ = [
+    "CdrError",
+    "ControllerState",
+    "Header",
+    "Point",
+    "Stamp",
+    "StateReader",
+    "UnknownHashError",
+]
 
 _LITTLE: Final = b"\x00\x01"
 _BIG: Final = b"\x00\x00"
@@ -31,6 +39,10 @@ _Unpack = Callable[[bytes, int], tuple[int, ...]]
 
 class CdrError(Exception):
     """A payload is no message of its type."""
+
+
+class UnknownHashError(Exception):
+    """A type's hash is of no definition that is known; the text names those that are."""
 
 
 class Stamp(NamedTuple):

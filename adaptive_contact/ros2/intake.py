@@ -4,44 +4,31 @@ A ``JointTrajectoryControllerState`` holds what a sample needs: ``feedback`` was
 ``reference`` is written in one update of the controller.  A ``JointState`` holds readings; the
 command in force is the newest one on the command topic, as ros2_control writes in an update what it
 had received before.
-
-Ticks are counted by the publisher's sequence numbers, so that a lost message is a gap in ``seq``.
-Bags keep no sequence numbers: there a gap is two periods or more in both the header's and the
-recorder's time.
 """
 
 from __future__ import annotations
 
-import enum
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Robot
-from adaptive_contact.ros2.names import (
-    ARRAY,
-    COMMANDS,
-    CONTROLLER_STATE,
-    FLAGS,
-    STATES,
-    TRAJECTORY,
-)
+from adaptive_contact.ros2.cdr import CdrError, UnknownHashError
+from adaptive_contact.ros2.names import COMMANDS, FLAGS, STATES, RosType
+from adaptive_contact.ros2.problems import OnProblem, Reason
+from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
 
-__all__ = ["Complaints", "Intake", "Origin", "Problem", "Reason", "check_mapped"]
+__all__ = ["Intake", "check_mapped"]
 
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 4  # joints that a line names
-# A publisher whose numbers go back by less has sent a message twice; by more, it counts anew.
-_REPEATED: Final = 50
-# Numbers of a publisher that jump further are no loss: it counts anew.
-_MOST_LOST: Final = 10_000_000
-_MOST_PUBLISHERS: Final = 64
 # Distinct sets of joint names of one topic that are kept.
 _MOST_LAYOUTS: Final = 64
-_GAP_PERIODS: Final = 1.5
+
+# Reads a message of a type and a hash of its definition.
+Decode = Callable[[str, str, bytes], Any]
 
 
 def check_mapped(robot: Robot, source: str) -> None:
@@ -61,96 +48,6 @@ def check_mapped(robot: Robot, source: str) -> None:
         )
 
 
-class Reason(enum.StrEnum):
-    """Why a message, or what one leg has of it, was not used."""
-
-    WRONG_TYPE = "wrong_type"
-    WRONG_HASH = "wrong_hash"
-    UNREADABLE = "unreadable"
-    TOO_LARGE = "too_large"
-    NO_POSITIONS = "no_positions"
-    NOT_FINITE = "not_finite"
-    JOINTS_MISSING = "joints_missing"
-    UNMAPPED = "unmapped"
-    NO_COMMAND = "no_command"
-    TRAJECTORY = "trajectory"
-    REPEATED = "repeated"
-    OVERFLOW = "overflow"
-
-
-class Problem(NamedTuple):
-    """Something that was not used.
-
-    Attributes:
-        topic: where it came.
-        reason: in one word, for counting.
-        detail: what was found, what was expected, what to do.
-    """
-
-    topic: str
-    reason: Reason
-    detail: str
-
-
-class Origin(NamedTuple):
-    """Where a message comes from.
-
-    Attributes:
-        publisher: its id; empty where it is not known.
-        seq: the message's number, None where it has none.
-        time_ns: when it was published or recorded, ns since 1970.
-    """
-
-    publisher: bytes
-    seq: int | None
-    time_ns: int
-
-
-class Complaints:
-    """Counts problems, and lets one line of each kind through now and then.
-
-    Args:
-        every_s: between two lines of one kind.
-
-    Attributes:
-        counts: of each topic and reason.
-        first: detail of each kind's first problem.
-    """
-
-    def __init__(self, every_s: float = 10.0) -> None:
-        self.counts: Counter[tuple[str, Reason]] = Counter()
-        self.first: dict[tuple[str, Reason], str] = {}
-        self._every_s = every_s
-        self._said: dict[tuple[str, Reason], tuple[float, int]] = {}
-
-    def take(self, problem: Problem, now_s: float) -> str | None:
-        """Count a problem.
-
-        Args:
-            problem: what was found.
-            now_s: on any clock that does not go back.
-
-        Returns:
-            The line to say now, None while one of its kind was said a short time ago.
-        """
-        kind = (problem.topic, problem.reason)
-        self.counts[kind] += 1
-        self.first.setdefault(kind, problem.detail)
-        before_s, before = self._said.get(kind, (-math.inf, 0))
-        if now_s - before_s < self._every_s:
-            return None
-        times = self.counts[kind] - before
-        self._said[kind] = (now_s, self.counts[kind])
-        return f"{problem.topic}: {problem.detail}" + (f" ({times} times)" if times > 1 else "")
-
-    def lines(self) -> list[str]:
-        """One line of every kind, with its count."""
-        return [
-            f"{topic}: {self.first[topic, reason]}" + (f" ({times} times)" if times > 1 else "")
-            for (topic, reason), times in self.counts.items()
-        ]
-
-
 class _LegState:
     """What is known of a leg between messages."""
 
@@ -164,17 +61,6 @@ class _LegState:
         self.touches: bool | None = None
         self.commanded = False
         self.samples = 0
-
-
-class _Publisher:
-    """A publisher's numbers on one topic."""
-
-    def __init__(self, run: int) -> None:
-        self.run = run
-        self.seq: int | None = None
-        self.lost = 0
-        self.ticks: Counter[str] = Counter()
-        self.times: dict[str, tuple[int, int]] = {}
 
 
 class _Roles:
@@ -213,22 +99,19 @@ class Intake:
         ConfigurationError: the robot has no ``[ros2]``.
     """
 
-    def __init__(self, robot: Robot, run: int, on_problem: Callable[[Problem], None]) -> None:
+    def __init__(self, robot: Robot, run: int, on_problem: OnProblem) -> None:
         self._legs = {leg.id: _LegState(leg) for leg in robot.legs if leg.ros2 is not None}
         check_mapped(robot, f"robot '{robot.name}'")
         self.legs = tuple(self._legs)
         self.unmapped = tuple(leg for leg in robot.leg_ids if leg not in self._legs)
         self._robot = robot
-        self._run = run
-        self._problem = on_problem
+        self._refuse = on_problem
         self._roles: dict[str, _Roles] = {}
-        self._publishers: dict[tuple[str, bytes], _Publisher] = {}
+        self._ticks = TickCounter(run, robot.period_s * _NS, on_problem)
         self._layouts: dict[str, dict[tuple[str, ...], list[tuple[_LegState, list[int]]]]] = {}
         self._offset_ns: int | None = None
         # Switches that closed or opened before any stamp was seen.
         self._early: list[tuple[_LegState, bool, Origin]] = []
-        self._gap_ns = round(_GAP_PERIODS * robot.period_s * _NS)
-        self._period_ns = robot.period_s * _NS
         for leg in robot.legs:
             if leg.ros2 is not None:
                 self._map(leg, self._legs[leg.id])
@@ -282,6 +165,45 @@ class Intake:
             if state in roles.states or state in roles.commands
         )
 
+    def read(
+        self, decode: Decode, topic: str, type_name: str, type_hash: str, payload: bytes
+    ) -> Any | None:
+        """Read a message's bytes.
+
+        Args:
+            decode: :meth:`adaptive_contact.ros2.types.Types.decode`.
+            topic: a mapped one.
+            type_name: of the message.
+            type_hash: of the type's definition.
+            payload: CDR.
+
+        Returns:
+            The message; None where it was refused.
+        """
+        expected = self._roles[topic].types
+        if type_name not in expected:
+            self._refuse(
+                topic,
+                Reason.WRONG_TYPE,
+                f"carries {type_name}; expected {' or '.join(expected)}: "
+                "correct the topic in robot.toml",
+            )
+            return None
+        try:
+            return decode(type_name, type_hash, payload)
+        except UnknownHashError as error:
+            self._refuse(
+                topic,
+                Reason.WRONG_HASH,
+                f"{type_name} has the type hash {type_hash[:15]}…, another definition "
+                f"than those known ({error}); not used: publish with the distribution's own",
+            )
+        except CdrError as error:
+            self._refuse(
+                topic, Reason.UNREADABLE, f"a message is no {type_name} ({error}); not used"
+            )
+        return None
+
     def take(
         self, topic: str, type_name: str, message: Any, origin: Origin
     ) -> Sequence[tuple[str, Message]]:
@@ -317,10 +239,10 @@ class Intake:
     def _states(
         self, topic: str, type_name: str, message: Any, origin: Origin
     ) -> Iterable[tuple[str, Message]]:
-        publisher = self._publisher(topic, origin)
+        publisher = self._ticks.publisher(topic, origin)
         if publisher is None:
             return
-        whole = type_name == CONTROLLER_STATE
+        whole = type_name == RosType.CONTROLLER_STATE
         if whole:
             names = message.joint_names
             readings, commands = message.feedback.positions, message.reference.positions
@@ -329,13 +251,11 @@ class Intake:
         if len(readings) != len(names) or (commands is not None and len(commands) != len(names)):
             which = "feedback or reference" if whole else "position"
             found = min(len(readings), len(readings if commands is None else commands))
-            self._problem(
-                Problem(
-                    topic,
-                    Reason.NO_POSITIONS,
-                    f"{which} has {found} positions for {len(names)} joints; "
-                    "expected one of each: let the controller have position interfaces",
-                )
+            self._refuse(
+                topic,
+                Reason.NO_POSITIONS,
+                f"{which} has {found} positions for {len(names)} joints; "
+                "expected one of each: let the controller have position interfaces",
             )
             return
         stamp = message.header.stamp
@@ -355,12 +275,12 @@ class Intake:
         at: list[int],
         readings: Any,
         commands: Any,
-        publisher: _Publisher,
+        publisher: Publisher,
         t_ns: int,
         origin: Origin,
     ) -> ServoSample | None:
         """A leg's sample, None where there is none; its tick passes all the same."""
-        seq = self._tick(publisher, leg.id, t_ns, origin)
+        seq = self._ticks.tick(publisher, leg.id, t_ns, origin)
         measured = [float(readings[i]) for i in at]
         if commands is not None:
             desired = [float(commands[i]) for i in at]
@@ -399,68 +319,20 @@ class Intake:
         remedy = "wait, or look whether anybody publishes on the command topic of robot.toml"
         if not leg.commanded:
             remedy = "a JointState holds readings only: write the command topic into [ros2]"
-        self._problem(
-            Problem(
-                topic,
-                Reason.NO_COMMAND,
-                f"leg '{leg.id}' has readings and no command yet for {_some(lacking)}; {remedy}",
-            )
+        self._refuse(
+            topic,
+            Reason.NO_COMMAND,
+            f"leg '{leg.id}' has readings and no command yet for {_some(lacking)}; {remedy}",
         )
 
     def _not_finite(self, topic: str, leg: _LegState, good: list[bool], what: str) -> None:
         names = [name for name, finite in zip(leg.names, good, strict=True) if not finite]
-        self._problem(
-            Problem(
-                topic,
-                Reason.NOT_FINITE,
-                f"{what} of {_some(names)} is NaN or infinite; not used: "
-                "look whether the hardware answers and the controller is active",
-            )
+        self._refuse(
+            topic,
+            Reason.NOT_FINITE,
+            f"{what} of {_some(names)} is NaN or infinite; not used: "
+            "look whether the hardware answers and the controller is active",
         )
-
-    # -- numbers -----------------------------------------------------------------------------------
-
-    def _publisher(self, topic: str, origin: Origin) -> _Publisher | None:
-        """Who sent a message, its number taken in; None for a message that was there already."""
-        key = (topic, origin.publisher)
-        publisher = self._publishers.get(key)
-        back = 0
-        if publisher is not None and origin.seq is not None and publisher.seq is not None:
-            ahead = origin.seq - publisher.seq
-            if -_REPEATED < ahead <= 0:
-                self._problem(
-                    Problem(
-                        topic,
-                        Reason.REPEATED,
-                        f"message {origin.seq} came after {publisher.seq} of the same publisher; "
-                        "not used: look for a topic that is relayed twice",
-                    )
-                )
-                return None
-            if ahead <= 0 or ahead > _MOST_LOST:
-                publisher, back = None, 1
-            else:
-                publisher.lost += ahead - 1
-        if publisher is None:
-            if not back and len(self._publishers) >= _MOST_PUBLISHERS:
-                self._publishers.pop(next(iter(self._publishers)))
-            publisher = self._publishers[key] = _Publisher(self._run)
-            self._run += 1
-        publisher.seq = origin.seq
-        return publisher
-
-    def _tick(self, publisher: _Publisher, leg: str, t_ns: int, origin: Origin) -> int:
-        """Number of a leg's tick."""
-        if origin.seq is None:
-            before = publisher.times.get(leg)
-            if before is not None:
-                apart = min(t_ns - before[0], origin.time_ns - before[1])
-                if self._gap_ns < apart < _MOST_LOST * self._period_ns:
-                    publisher.ticks[leg] += round(apart / self._period_ns) - 1
-            publisher.times[leg] = (t_ns, origin.time_ns)
-        seq = publisher.ticks[leg] + publisher.lost
-        publisher.ticks[leg] += 1
-        return seq
 
     # -- layout ------------------------------------------------------------------------------------
 
@@ -488,13 +360,11 @@ class Intake:
                 found.append((leg, [where[name] for name in leg.names]))
         others = [name for name in names if name not in mapped]
         if others:
-            self._problem(
-                Problem(
-                    topic,
-                    Reason.UNMAPPED,
-                    f"{_some(others)} belong to no leg of robot.toml; ignored: "
-                    "write them into [leg.ros2] joints if they should",
-                )
+            self._refuse(
+                topic,
+                Reason.UNMAPPED,
+                f"{_some(others)} belong to no leg of robot.toml; ignored: "
+                "write them into [leg.ros2] joints if they should",
             )
         return found
 
@@ -504,13 +374,11 @@ class Intake:
             lacking = [name for name in leg.names if name not in names]
             # Several nodes may publish one joint state topic, each its own joints.
             if lacking and (whole or len(lacking) < len(leg.names)):
-                self._problem(
-                    Problem(
-                        topic,
-                        Reason.JOINTS_MISSING,
-                        f"leg '{leg.id}' lacks {_some(lacking)}; there are {_some(names)}: "
-                        "correct [leg.ros2] joints",
-                    )
+                self._refuse(
+                    topic,
+                    Reason.JOINTS_MISSING,
+                    f"leg '{leg.id}' lacks {_some(lacking)}; there are {_some(names)}: "
+                    "correct [leg.ros2] joints",
                 )
 
     # -- commands ----------------------------------------------------------------------------------
@@ -521,12 +389,10 @@ class Intake:
             return
         bad = [name for name, value in values.items() if not math.isfinite(value)]
         if bad:
-            self._problem(
-                Problem(
-                    topic,
-                    Reason.NOT_FINITE,
-                    f"the command of {_some(bad)} is NaN or infinite; the last one stays in force",
-                )
+            self._refuse(
+                topic,
+                Reason.NOT_FINITE,
+                f"the command of {_some(bad)} is NaN or infinite; the last one stays in force",
             )
         for leg in roles.commands:
             for j, name in enumerate(leg.names):
@@ -537,39 +403,33 @@ class Intake:
         self, topic: str, type_name: str, message: Any, roles: _Roles
     ) -> Mapping[str, float] | None:
         """Commanded angles by joint; None where a message has none that can be used."""
-        if type_name == ARRAY:
+        if type_name == RosType.ARRAY:
             names, positions = roles.order, message.data
             if names is None:
-                self._problem(
-                    Problem(
-                        topic,
-                        Reason.NO_POSITIONS,
-                        "the values carry no names; write command_joints = [...] into [ros2], in "
-                        "the controller's order",
-                    )
+                self._refuse(
+                    topic,
+                    Reason.NO_POSITIONS,
+                    "the values carry no names; write command_joints = [...] into [ros2], in "
+                    "the controller's order",
                 )
                 return None
-        elif type_name == TRAJECTORY:
+        elif type_name == RosType.TRAJECTORY:
             if len(message.points) != 1:
-                self._problem(
-                    Problem(
-                        topic,
-                        Reason.TRAJECTORY,
-                        f"a trajectory of {len(message.points)} points says no command in force; "
-                        "take the controller's state topic as `state` instead",
-                    )
+                self._refuse(
+                    topic,
+                    Reason.TRAJECTORY,
+                    f"a trajectory of {len(message.points)} points says no command in force; "
+                    "take the controller's state topic as `state` instead",
                 )
                 return None
             names, positions = message.joint_names, message.points[0].positions
         else:
             names, positions = message.name, message.position
         if len(names) != len(positions):
-            self._problem(
-                Problem(
-                    topic,
-                    Reason.NO_POSITIONS,
-                    f"{len(positions)} positions for {len(names)} joints; expected one of each",
-                )
+            self._refuse(
+                topic,
+                Reason.NO_POSITIONS,
+                f"{len(positions)} positions for {len(names)} joints; expected one of each",
             )
             return None
         return {name: float(value) for name, value in zip(names, positions, strict=True)}

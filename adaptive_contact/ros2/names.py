@@ -1,31 +1,26 @@
-"""Names of the message types that are read and written."""
+"""Types of the messages that are read and written."""
 
 from __future__ import annotations
 
+import enum
 from typing import Final
 
-__all__ = [
-    "ARRAY",
-    "BOOL",
-    "COMMANDS",
-    "CONTROLLER_STATE",
-    "DIAGNOSTICS",
-    "FLAGS",
-    "JOINT_STATE",
-    "JOINT_VALUES",
-    "STATES",
-    "TRAJECTORY",
-]
+__all__ = ["COMMANDS", "FLAGS", "STATES", "RosType"]
 
-CONTROLLER_STATE: Final = "control_msgs/msg/JointTrajectoryControllerState"
-JOINT_STATE: Final = "sensor_msgs/msg/JointState"
-TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
-ARRAY: Final = "std_msgs/msg/Float64MultiArray"
-BOOL: Final = "std_msgs/msg/Bool"
-JOINT_VALUES: Final = "control_msgs/msg/DynamicJointState"
-DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
+
+class RosType(enum.StrEnum):
+    """Name of a message type, as keys, bags and rosbags write it."""
+
+    CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+    JOINT_STATE = "sensor_msgs/msg/JointState"
+    TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+    ARRAY = "std_msgs/msg/Float64MultiArray"
+    BOOL = "std_msgs/msg/Bool"
+    JOINT_VALUES = "control_msgs/msg/DynamicJointState"
+    DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
 
 # What a topic of each role may carry.
-STATES: Final = (CONTROLLER_STATE, JOINT_STATE)
-COMMANDS: Final = (JOINT_STATE, TRAJECTORY, ARRAY)
-FLAGS: Final = (BOOL,)
+STATES: Final = (RosType.CONTROLLER_STATE, RosType.JOINT_STATE)
+COMMANDS: Final = (RosType.JOINT_STATE, RosType.TRAJECTORY, RosType.ARRAY)
+FLAGS: Final = (RosType.BOOL,)

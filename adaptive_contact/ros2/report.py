@@ -1,4 +1,4 @@
-"""What ROS 2 is told of contacts and learners, as messages of its own types."""
+"""What ROS 2 receives of contacts and learners, as messages of its own types."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.ros2.names import BOOL, DIAGNOSTICS, JOINT_VALUES
+from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.rmw import Address
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.wire import ContactEvent, LearnerStatus
@@ -57,14 +57,14 @@ class Report:
         self._robot = robot
         self._node = node
         self._last: dict[str, ContactEvent] = {}
-        self._of_leg = {leg: self._address(topic_of_leg(node, leg), BOOL) for leg in legs}
+        self._of_leg = {leg: self._address(topic_of_leg(node, leg), RosType.BOOL) for leg in legs}
         if len({address.topic for address in self._of_leg.values()}) < len(legs):
             raise ConfigurationError(
                 f"the legs {', '.join(legs)} would share topics, as ROS names hold no '-' or '.'; "
                 "rename them in robot.toml"
             )
-        self.values = self._address(f"/{node}/contacts", JOINT_VALUES)
-        self.diagnostics = self._address("/diagnostics", DIAGNOSTICS)
+        self.values = self._address(f"/{node}/contacts", RosType.JOINT_VALUES)
+        self.diagnostics = self._address("/diagnostics", RosType.DIAGNOSTICS)
 
     def _address(self, topic: str, type_name: str) -> Address:
         return Address(topic, type_name, self._types.hash_of(type_name))
@@ -76,7 +76,7 @@ class Report:
 
     def contact(self, contact: bool) -> bytes:
         """A ``Bool``."""
-        return self._types.encode(self._types.types[BOOL](data=contact))
+        return self._types.encode(self._types.types[RosType.BOOL](data=contact))
 
     def take(self, event: ContactEvent) -> bytes:
         """A ``DynamicJointState`` of all legs with an event, after this one.
@@ -89,7 +89,7 @@ class Report:
         value = types["control_msgs/msg/InterfaceValue"]
         legs = [leg for leg in self._of_leg if leg in self._last]
         rows = [self._last[leg] for leg in legs]
-        message = types[JOINT_VALUES](
+        message = types[RosType.JOINT_VALUES](
             header=self._header(event.t_ns),
             joint_names=legs,
             interface_values=[
@@ -129,7 +129,7 @@ class Report:
         text = "relays" if trouble is None else trouble
         rows.append(self._row(level, f"{self._node}: gateway", text, gateway))
         types = self._types.types
-        message = types[DIAGNOSTICS](header=self._header(now_ns), status=rows)
+        message = types[RosType.DIAGNOSTICS](header=self._header(now_ns), status=rows)
         return self._types.encode(message)
 
     def _of_learner(self, status: LearnerStatus) -> Any:

@@ -16,16 +16,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from adaptive_contact.ros2.cdr import CdrError, StateReader
-from adaptive_contact.ros2.names import (
-    ARRAY,
-    BOOL,
-    CONTROLLER_STATE,
-    DIAGNOSTICS,
-    JOINT_STATE,
-    JOINT_VALUES,
-    TRAJECTORY,
-)
+from adaptive_contact.ros2.cdr import CdrError, StateReader, UnknownHashError
+from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.rmw import NO_HASH
 
 __all__ = ["CdrError", "Types", "UnknownHashError", "typestore"]
@@ -79,10 +71,6 @@ _INTERFACE_VALUE: Final = "string[] interface_names\nfloat64[] values\n"
 _DAMAGE: Final = (SerdeError, struct.error, ValueError, IndexError, OverflowError, MemoryError)
 
 
-class UnknownHashError(Exception):
-    """A type's hash is of no definition that is known; the text names those that are."""
-
-
 def typestore(state: str = "jazzy") -> Typestore:
     """All types that are read or written.
 
@@ -93,8 +81,8 @@ def typestore(state: str = "jazzy") -> Typestore:
     store.max_sequence_length = _MOST_ITEMS
     store.register(
         {
-            **get_types_from_msg(_CONTROLLER_STATES[state].fields, CONTROLLER_STATE),
-            **get_types_from_msg(_JOINT_VALUES, JOINT_VALUES),
+            **get_types_from_msg(_CONTROLLER_STATES[state].fields, RosType.CONTROLLER_STATE),
+            **get_types_from_msg(_JOINT_VALUES, RosType.JOINT_VALUES),
             **get_types_from_msg(_INTERFACE_VALUE, "control_msgs/msg/InterfaceValue"),
         }
     )
@@ -115,14 +103,14 @@ class Types:
         self._own = own
         self.types: dict[str, Any] = own.types
         self._readers = {
-            store.hash_rihs01(CONTROLLER_STATE): _CONTROLLER_STATES[name].reader()
+            store.hash_rihs01(RosType.CONTROLLER_STATE): _CONTROLLER_STATES[name].reader()
             for name, store in self._stores.items()
         }
         # Definitions that a key without hash may mean, and a bag that says nothing.
         every = list(self._readers.values())
         self._unhashed = {NO_HASH: every[2:], "": every}
-        others = (JOINT_STATE, TRAJECTORY, ARRAY, BOOL, JOINT_VALUES, DIAGNOSTICS)
-        self._hashes = {name: own.hash_rihs01(name) for name in others}
+        others = (name for name in RosType if name is not RosType.CONTROLLER_STATE)
+        self._hashes: dict[str, str] = {name: own.hash_rihs01(name) for name in others}
 
     def hash_of(self, type_name: str) -> str:
         """What stands in keys for a type's definition."""
@@ -140,7 +128,7 @@ class Types:
             UnknownHashError: no definition has this hash.
             CdrError: the bytes are no such message.
         """
-        if type_name != CONTROLLER_STATE:
+        if type_name != RosType.CONTROLLER_STATE:
             known = self._hashes.get(type_name, "")
             if type_hash not in (NO_HASH, "", known):
                 raise UnknownHashError(_short(known))

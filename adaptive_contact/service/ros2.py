@@ -24,9 +24,11 @@ from typing import Final
 from adaptive_contact.errors import LinkError
 from adaptive_contact.robot import Robot
 from adaptive_contact.ros2 import rmw
-from adaptive_contact.ros2.intake import Complaints, Intake, Origin, Problem, Reason
+from adaptive_contact.ros2.intake import Intake
+from adaptive_contact.ros2.problems import Complaints, Reason
 from adaptive_contact.ros2.report import Report
-from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError
+from adaptive_contact.ros2.ticks import Origin
+from adaptive_contact.ros2.types import Types
 from adaptive_contact.service.link import Link, Publisher, Received
 from adaptive_contact.service.probe import REMEDY, Finding
 from adaptive_contact.wire import (
@@ -243,45 +245,17 @@ class Gateway:
         address = self._address(received.key)
         if address is None:
             return
-        if address.type not in self._topics[topic]:
-            self._complain(
-                Problem(
-                    topic,
-                    Reason.WRONG_TYPE,
-                    f"carries {address.type}; expected {' or '.join(self._topics[topic])}: "
-                    "correct the topic in robot.toml",
-                )
-            )
-            return
         if len(received.payload) > MAX_BYTES:
             self._complain(
-                Problem(
-                    topic,
-                    Reason.TOO_LARGE,
-                    f"a message of {len(received.payload)} bytes, at most {MAX_BYTES}; not used",
-                )
+                topic,
+                Reason.TOO_LARGE,
+                f"a message of {len(received.payload)} bytes, at most {MAX_BYTES}; not used",
             )
             return
-        try:
-            message = self._types.decode(address.type, address.hash, received.payload)
-        except UnknownHashError as error:
-            self._complain(
-                Problem(
-                    topic,
-                    Reason.WRONG_HASH,
-                    f"{address.type} has the type hash {address.hash[:15]}…, another definition "
-                    f"than those known ({error}); not used: publish with the distribution's own",
-                )
-            )
-            return
-        except CdrError as error:
-            self._complain(
-                Problem(
-                    topic,
-                    Reason.UNREADABLE,
-                    f"a message is no {address.type} ({error}); not used",
-                )
-            )
+        message = self.intake.read(
+            self._types.decode, topic, address.type, address.hash, received.payload
+        )
+        if message is None:
             return
         self._show(address)
         attached = rmw.decode_attachment(received.attachment)
@@ -301,8 +275,8 @@ class Gateway:
             self._addresses[key] = rmw.address_of(key)
         return self._addresses[key]
 
-    def _complain(self, problem: Problem) -> None:
-        line = self.complaints.take(problem, self._now_s())
+    def _complain(self, topic: str, reason: Reason, detail: str) -> None:
+        line = self.complaints.take(topic, reason, detail, self._now_s())
         if line is not None:
             self._say(line)
 
@@ -329,12 +303,10 @@ class Gateway:
             for topic, times in self._inbox.take_dropped().items():
                 for _ in range(times):
                     self._complain(
-                        Problem(
-                            topic,
-                            Reason.OVERFLOW,
-                            f"more messages than can be read; the oldest of {WAITING} are dropped: "
-                            "publish at the control rate",
-                        )
+                        topic,
+                        Reason.OVERFLOW,
+                        f"more messages than can be read; the oldest of {WAITING} are dropped: "
+                        "publish at the control rate",
                     )
             now_s = self._now_s()
             if now_s >= silent_s and self.intake.silent:

@@ -18,10 +18,11 @@ import numpy as np
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import PhaseTracker
 from adaptive_contact.robot.kinematics import foot
+from adaptive_contact.service.link import Link
 from adaptive_contact.service.ports import Learner
-from adaptive_contact.wire import LegTrace, ServoSample
+from adaptive_contact.wire import LegTrace, Rejected, ServoSample, decode, leg_of_key, trace_key
 
-__all__ = ["LEASE_S", "MOST_TICKS", "Judged", "Tracer", "judged_tick"]
+__all__ = ["LEASE_S", "MOST_TICKS", "Judged", "TraceReader", "Tracer", "judged_tick"]
 
 # Ticks are kept for so long after a question; a page asks ten times a second.
 LEASE_S: Final = 3.0
@@ -29,6 +30,8 @@ LEASE_S: Final = 3.0
 MOST_TICKS: Final = 400
 # Samples in one answer, of all legs: samples that come meanwhile wait for less than a millisecond.
 _MOST_ANSWERED: Final = 200
+# A question waits no longer for its answer.
+_ASK_S: Final = 0.5
 
 
 class Judged(NamedTuple):
@@ -171,3 +174,37 @@ def judged_tick(learner: Learner) -> Judged | None:
     if tick is None:
         return None
     return Judged(tick.residual.tolist(), float(np.nanmax(tick.scores)))
+
+
+class TraceReader:
+    """Asks a service for the ticks since the question before.
+
+    Args:
+        link: to the service's router.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._number = -1  # of the newest tick
+
+    def ask(self) -> list[LegTrace]:
+        """Return what is new of each leg; empty where no service answers.
+
+        Raises:
+            LinkError: the link is closed.
+        """
+        after = self._number
+        asked = trace_key("*") if after < 0 else f"{trace_key('*')}?after={after}"
+        traces = []
+        for reply in self._link.query(asked, timeout_s=_ASK_S):
+            leg = leg_of_key(reply.key)
+            if reply.error is not None or leg is None:
+                continue
+            trace = decode(reply.payload, LegTrace, reply.encoding)
+            if isinstance(trace, Rejected) or trace.leg != leg:
+                continue
+            if trace.number < after:  # the service has begun again
+                self._number = -1
+            self._number = max(self._number, trace.number)
+            traces.append(trace)
+        return traces

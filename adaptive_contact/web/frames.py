@@ -84,11 +84,9 @@ class Frames:
         self._ticks: dict[str, list[list[Any]]] = {}
         self._contacts: deque[tuple[str, ContactEvent | ContactTruth]] = deque(maxlen=_MOST_WAITING)
         self._verdicts: list[tuple[str, Verdict]] = []
-        self.number = -1  # of the newest tick, to ask for what comes after it
 
     def trace(self, trace: LegTrace, now_ns: int) -> None:
         """Take ticks of a leg in."""
-        self.number = max(self.number, trace.number)
         rows = list(
             zip(
                 trace.t_ns,
@@ -123,10 +121,6 @@ class Frames:
                     *(_angle(value) for value in angles),
                 ]
             )
-
-    def restarted(self) -> None:
-        """The service, and with it the numbers of its ticks, has begun again."""
-        self.number = -1
 
     def contact(self, leg: str, message: ContactEvent | ContactTruth) -> None:
         """Take a contact event or a change of truth in."""

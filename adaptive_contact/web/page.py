@@ -10,7 +10,6 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Final, Self
 
 import msgspec
@@ -19,18 +18,11 @@ from adaptive_contact.errors import LinkError
 from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.findings import Finding, Level
 from adaptive_contact.service.link import Link
+from adaptive_contact.service.trace import TraceReader
 from adaptive_contact.service.watch import View
 from adaptive_contact.web.frames import Frames, Table
 from adaptive_contact.web.server import Site, WebSettings
-from adaptive_contact.wire import (
-    LegTrace,
-    ModelReport,
-    Rejected,
-    decode,
-    leg_of_key,
-    model_key,
-    trace_key,
-)
+from adaptive_contact.wire import ModelReport, Rejected, decode, model_key
 
 __all__ = ["FRAME_S", "LivePage"]
 
@@ -69,6 +61,7 @@ class LivePage:
         self._table = Table()
         self._waiting: Finding | None = None
         self._link: Link | None = None
+        self._reader: TraceReader | None = None
         self._models: dict[str, tuple[float, bytes | None]] = {}
         self._asking = asyncio.Lock()
         self._closed = False
@@ -81,12 +74,7 @@ class LivePage:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -100,6 +88,7 @@ class LivePage:
 
     def follow(self, link: Link) -> None:
         """Show the service behind a link, which its owner closes after the page."""
+        self._reader = TraceReader(link)
         self._link = link
 
     def wait(self, until: threading.Event | None = None) -> None:
@@ -211,24 +200,12 @@ class LivePage:
 
     def _ask_ticks(self, view: View) -> bool:
         """Ask the service for the ticks since the last question; False where it has none."""
-        if self._link is None or not view.alive or not view.connected:
+        if self._reader is None or not view.alive or not view.connected:
             return True  # nobody is there to ask
-        after = self._frames.number
-        asked = trace_key("*") if after < 0 else f"{trace_key('*')}?after={after}"
         try:
-            replies = self._link.query(asked, timeout_s=_ASK_S)
+            traces = self._reader.ask()
         except LinkError:
             return False
-        answered = False
-        for reply in replies:
-            leg = leg_of_key(reply.key)
-            if reply.error is not None or leg is None:
-                continue
-            trace = decode(reply.payload, LegTrace, reply.encoding)
-            if isinstance(trace, Rejected) or trace.leg != leg:
-                continue
-            if trace.number < after:  # the service has begun again
-                self._frames.restarted()
+        for trace in traces:
             self._frames.trace(trace, time.monotonic_ns())
-            answered = answered or bool(trace.t_ns)
-        return answered
+        return any(trace.t_ns for trace in traces)

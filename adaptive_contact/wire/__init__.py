@@ -35,6 +35,7 @@ from adaptive_contact.wire.keys import (
     truth_key,
 )
 from adaptive_contact.wire.messages import (
+    LEG_MESSAGES,
     MAX_ANGLE_RAD,
     MAX_PREVIEW_TICKS,
     VERSION,
@@ -65,6 +66,7 @@ __all__ = [
     "ALL_SERVO",
     "ALL_TRUTH",
     "JSON",
+    "LEG_MESSAGES",
     "MAX_ANGLE_RAD",
     "MAX_PAYLOAD_BYTES",
     "MAX_PREVIEW_TICKS",

@@ -10,6 +10,8 @@ import difflib
 import re
 from typing import Final
 
+from adaptive_contact.wire.messages import LEG_MESSAGES
+
 __all__ = [
     "ALL_CONTACT",
     "ALL_LEARNER",
@@ -39,8 +41,7 @@ SIM_DRIFT: Final = "robot/sim/drift"
 # A leg id becomes one chunk of a key: no '/', and none of the wildcards '*', '$', '?', '#',
 # which Zenoh accepts in `put` and would fan one sample out over every leg.
 _LEG_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}\Z")
-_KINDS: Final = ("servo", "contact", "learner", "model", "trace", "truth", "command")
-_LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(_KINDS)})\Z")
+_LEG_KEY = re.compile(rf"robot/leg/([^/]*)/(?:{'|'.join(LEG_MESSAGES)})\Z")
 _OWN_DEPTH: Final = 4
 
 
@@ -81,7 +82,7 @@ def meant_key(key: str) -> str | None:
         return None
     own = key.lstrip("/").startswith("robot/leg/")
     for leg, kind in (parts[-2:], parts[:-3:-1]):  # also the two the wrong way round
-        near = difflib.get_close_matches(kind.lower(), _KINDS, n=1)
+        near = difflib.get_close_matches(kind.lower(), LEG_MESSAGES, n=1)
         # A word of other robots' keys, such as camera/command, is no misspelling of ours; nor are
         # keys with more slashes.
         ours = own or (near == ["servo"] and len(parts) <= _OWN_DEPTH)

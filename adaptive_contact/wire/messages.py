@@ -13,6 +13,7 @@ from typing import Final, Literal
 import msgspec
 
 __all__ = [
+    "LEG_MESSAGES",
     "MAX_ANGLE_RAD",
     "MAX_PREVIEW_TICKS",
     "VERSION",
@@ -300,3 +301,15 @@ class DriftReply(Message, frozen=True, kw_only=True, omit_defaults=True):
     t_ns: int
     holds: dict[str, dict[str, dict[str, float]]]
     error: str | None = None
+
+
+# Last part of a leg's key -> its message.
+LEG_MESSAGES: Final[dict[str, type[Message]]] = {
+    "servo": ServoSample,
+    "contact": ContactEvent,
+    "learner": LearnerStatus,
+    "model": ModelReport,
+    "trace": LegTrace,
+    "truth": ContactTruth,
+    "command": Command,
+}

@@ -33,7 +33,7 @@ pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
-from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE, JOINT_STATE
+from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.types import typestore
 
 TICK = 20_000_000
@@ -123,7 +123,7 @@ class BagWriter:
         self.writer.open()
         return self
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         self.writer.close()
 
     def put(self, topic: str, message: Any, time_ns: int, raw: bytes | None = None) -> None:
@@ -141,11 +141,11 @@ class BagWriter:
         return types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
 
     def flag(self, value: bool) -> Any:
-        return self.store.types[BOOL](data=value)
+        return self.store.types[RosType.BOOL](data=value)
 
     def joints(self, names: list[str], positions: list[float], t_ns: int) -> Any:
         empty = np.zeros(0)
-        return self.store.types[JOINT_STATE](
+        return self.store.types[RosType.JOINT_STATE](
             self.header(t_ns), names, np.array(positions), empty, empty
         )
 
@@ -161,7 +161,7 @@ class BagWriter:
             )
 
         names = [f"{leg}_{joint}" for leg in samples for joint in "cft"]
-        return types[CONTROLLER_STATE](
+        return types[RosType.CONTROLLER_STATE](
             header=self.header(next(iter(samples.values())).t_ns),
             joint_names=names,
             reference=point(q for sample in samples.values() for q in sample.desired),
@@ -278,7 +278,7 @@ def test_what_is_missing_is_told_a_line_each(tmp_path, robot) -> None:
         "no topic /gait/lf/swing in the bag",
         "no topic /gait/rf/swing in the bag",
         "no topic /feet/rf in the bag",
-        "/feet/lf: holds sensor_msgs/msg/JointState; expected std_msgs/msg/Bool",
+        "/feet/lf: carries sensor_msgs/msg/JointState; expected std_msgs/msg/Bool",
         "lf_gripper belong to no leg",
         "leg 'lf' lacks lf_t",
         "a message is no control_msgs/msg/JointTrajectoryControllerState",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.ros2.names import ARRAY, CONTROLLER_STATE, JOINT_STATE, TRAJECTORY
+from adaptive_contact.ros2.names import RosType
 
 LEGS = """
 [[leg]]
@@ -64,7 +64,7 @@ class Messages:
         duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
         nothing = types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"]([], [], [], duration)
         values: dict[str, Any] = {}
-        for name, _ in self.store.fielddefs[CONTROLLER_STATE][1]:
+        for name, _ in self.store.fielddefs[RosType.CONTROLLER_STATE][1]:
             if name == "header":
                 values[name] = self.header(t_ns)
             elif name.endswith("joint_names"):
@@ -79,23 +79,23 @@ class Messages:
                 values[name] = self._point(told)
             else:
                 values[name] = self._point([])
-        return types[CONTROLLER_STATE](**values)
+        return types[RosType.CONTROLLER_STATE](**values)
 
     def joints(self, names: list[str], positions: list[float], t_ns: int = 10**9) -> Any:
         empty = np.zeros(0)
-        return self.store.types[JOINT_STATE](
+        return self.store.types[RosType.JOINT_STATE](
             self.header(t_ns), names, np.array(positions, dtype=np.float64), empty, empty
         )
 
     def trajectory(self, names: list[str], points: list[list[float]]) -> Any:
-        return self.store.types[TRAJECTORY](
+        return self.store.types[RosType.TRAJECTORY](
             self.header(0), names, [self._point(point) for point in points]
         )
 
     def array(self, values: list[float]) -> Any:
         types = self.store.types
         layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
-        return types[ARRAY](layout, np.array(values, dtype=np.float64))
+        return types[RosType.ARRAY](layout, np.array(values, dtype=np.float64))
 
     def flag(self, value: bool) -> Any:
         return self.store.types["std_msgs/msg/Bool"](data=value)

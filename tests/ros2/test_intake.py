@@ -12,8 +12,10 @@ pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.ros2.intake import Complaints, Intake, Origin, Problem, Reason
-from adaptive_contact.ros2.names import ARRAY, BOOL, CONTROLLER_STATE, JOINT_STATE, TRAJECTORY
+from adaptive_contact.ros2.intake import Intake
+from adaptive_contact.ros2.names import RosType
+from adaptive_contact.ros2.problems import Complaints, Reason
+from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types, typestore
 from adaptive_contact.wire import ContactTruth, ServoSample
 
@@ -31,9 +33,11 @@ READER = Types()
 def read_state(message: Any) -> Any:
     """As it is read from the wire, without a hash."""
     for store in STORES:
-        if [name for name, _ in store.fielddefs[CONTROLLER_STATE][1]] == list(vars(message))[:-1]:
-            payload = bytes(store.serialize_cdr(message, CONTROLLER_STATE))
-            return READER.decode(CONTROLLER_STATE, "", payload)
+        if [name for name, _ in store.fielddefs[RosType.CONTROLLER_STATE][1]] == list(
+            vars(message)
+        )[:-1]:
+            payload = bytes(store.serialize_cdr(message, RosType.CONTROLLER_STATE))
+            return READER.decode(RosType.CONTROLLER_STATE, "", payload)
     raise AssertionError(list(vars(message)))
 
 
@@ -41,8 +45,8 @@ class Rig:
     """An intake, what it made and what it complained of."""
 
     def __init__(self, robot: Any) -> None:
-        self.problems: list[Problem] = []
-        self.intake = Intake(robot, 1000, self.problems.append)
+        self.problems: list[tuple[str, Reason, str]] = []
+        self.intake = Intake(robot, 1000, lambda *found: self.problems.append(found))
 
     def take(
         self,
@@ -54,13 +58,13 @@ class Rig:
         by: bytes = A,
         time_ns: int = 10**9,
     ) -> dict[str, Any]:
-        if name == CONTROLLER_STATE:
+        if name == RosType.CONTROLLER_STATE:
             message = read_state(message)
         return dict(self.intake.take(topic, name, message, Origin(by, seq, time_ns)))
 
     @property
     def reasons(self) -> list[Reason]:
-        return [problem.reason for problem in self.problems]
+        return [reason for _, reason, _ in self.problems]
 
 
 @pytest.fixture
@@ -76,7 +80,7 @@ def made(messages):
 def state(rig: Rig, made: Any, joints: list[str], seq: int | None, **origin: Any) -> dict[str, Any]:
     angles = [0.1 * i for i in range(len(joints))]
     message = made.state(joints, angles, [-a for a in angles], origin.pop("stamp", 10**9))
-    return rig.take("/legs/controller_state", CONTROLLER_STATE, message, seq, **origin)
+    return rig.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, seq, **origin)
 
 
 @pytest.mark.parametrize("kind", ["jazzy", "2023", "humble", "old"])
@@ -140,12 +144,12 @@ def test_a_reading_that_is_nan_is_the_last_one_and_not_valid(rig, made, joints) 
     state(used, made, joints, 1)
     angles = [0.5, math.nan, 0.5, 0.5, 0.5, 0.5]
     message = made.state(joints, angles, [0.0] * 6)
-    got = used.take("/legs/controller_state", CONTROLLER_STATE, message, 2)
+    got = used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, 2)
     assert got["lf"].measured == pytest.approx([0.5, 0.1, 0.5])
     assert got["lf"].valid == [True, False, True]
     assert got["rf"].valid is None
     assert used.reasons == [Reason.NOT_FINITE]
-    assert "lf_f" in used.problems[0].detail
+    assert "lf_f" in used.problems[0][2]
 
 
 def test_a_reference_that_is_nan_takes_its_leg_only(rig, made, joints) -> None:
@@ -153,7 +157,7 @@ def test_a_reference_that_is_nan_takes_its_leg_only(rig, made, joints) -> None:
     state(used, made, joints, 1)
     told = [0.0, 0.0, math.inf, 0.0, 0.0, 0.0]
     got = used.take(
-        "/legs/controller_state", CONTROLLER_STATE, made.state(joints, [0.0] * 6, told), 2
+        "/legs/controller_state", RosType.CONTROLLER_STATE, made.state(joints, [0.0] * 6, told), 2
     )
     assert set(got) == {"rf"}
     assert used.reasons == [Reason.NOT_FINITE]
@@ -166,37 +170,37 @@ def test_missing_and_strange_joints_are_named(rig, made, joints) -> None:
     assert set(state(used, made, names, 1)) == {"lf"}
     state(used, made, names, 2)
     assert used.reasons == [Reason.UNMAPPED, Reason.JOINTS_MISSING, Reason.JOINTS_MISSING]
-    assert "gripper" in used.problems[0].detail
-    assert "leg 'rf' lacks rf_t" in used.problems[1].detail
+    assert "gripper" in used.problems[0][2]
+    assert "leg 'rf' lacks rf_t" in used.problems[1][2]
 
 
 def test_positions_that_are_not_there_are_told(rig, made, joints) -> None:
     used = rig()
     message = made.state(joints, [], [0.0] * 6)
-    assert used.take("/legs/controller_state", CONTROLLER_STATE, message, 1) == {}
+    assert used.take("/legs/controller_state", RosType.CONTROLLER_STATE, message, 1) == {}
     assert used.reasons == [Reason.NO_POSITIONS]
 
 
 def read(rig: Rig, made: Any, joints: list[str], seq: int) -> dict[str, Any]:
     message = made.joints(joints, [0.1] * len(joints))
-    return rig.take("/joint_states", JOINT_STATE, message, seq)
+    return rig.take("/joint_states", RosType.JOINT_STATE, message, seq)
 
 
 def test_joint_states_take_the_command_in_force(rig, made, joints) -> None:
     used = rig(BOTH)
     assert read(used, made, joints, 1) == {}
     assert used.reasons == [Reason.NO_COMMAND] * 2
-    used.take("/commands", JOINT_STATE, made.joints(joints[:4], [1.0, 2.0, 3.0, 4.0]))
+    used.take("/commands", RosType.JOINT_STATE, made.joints(joints[:4], [1.0, 2.0, 3.0, 4.0]))
     got = read(used, made, joints, 2)
     assert set(got) == {"lf"}
     assert got["lf"].desired == [1.0, 2.0, 3.0]
-    used.take("/commands", TRAJECTORY, made.trajectory(joints[4:], [[5.0, 6.0]]))
+    used.take("/commands", RosType.TRAJECTORY, made.trajectory(joints[4:], [[5.0, 6.0]]))
     assert read(used, made, joints, 3)["rf"].desired == [4.0, 5.0, 6.0]
 
 
 def test_joint_states_may_come_in_parts(rig, made, joints) -> None:
     used = rig(BOTH)
-    used.take("/commands", JOINT_STATE, made.joints(joints, [0.0] * 6))
+    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.0] * 6))
     parts = [read(used, made, joints[at : at + 3], seq) for seq, at in ((1, 0), (2, 3), (5, 0))]
     assert [list(part) for part in parts] == [["lf"], ["rf"], ["lf"]]
     assert not used.problems
@@ -205,54 +209,58 @@ def test_joint_states_may_come_in_parts(rig, made, joints) -> None:
 def test_an_array_needs_its_order(rig, made, joints) -> None:
     values = made.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     used = rig(BOTH)
-    used.take("/commands", ARRAY, values)
+    used.take("/commands", RosType.ARRAY, values)
     assert used.reasons == [Reason.NO_POSITIONS]
     ordered = rig(f"{BOTH}\ncommand_joints = {joints[::-1]}".replace("'", '"'))
-    ordered.take("/commands", ARRAY, values)
+    ordered.take("/commands", RosType.ARRAY, values)
     assert read(ordered, made, joints, 1)["lf"].desired == [6.0, 5.0, 4.0]
-    ordered.take("/commands", ARRAY, made.array([1.0]))
+    ordered.take("/commands", RosType.ARRAY, made.array([1.0]))
     assert ordered.reasons == [Reason.NO_POSITIONS]
 
 
 def test_a_trajectory_of_many_points_is_no_command(rig, made, joints) -> None:
     used = rig(BOTH)
-    used.take("/commands", TRAJECTORY, made.trajectory(joints, [[0.0] * 6, [1.0] * 6]))
+    used.take("/commands", RosType.TRAJECTORY, made.trajectory(joints, [[0.0] * 6, [1.0] * 6]))
     assert used.reasons == [Reason.TRAJECTORY]
 
 
 def test_a_command_that_is_nan_leaves_the_last_one(rig, made, joints) -> None:
     used = rig(BOTH)
-    used.take("/commands", JOINT_STATE, made.joints(joints, [0.5] * 6))
-    used.take("/commands", JOINT_STATE, made.joints(joints, [math.nan] + [0.6] * 5))
+    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [0.5] * 6))
+    used.take("/commands", RosType.JOINT_STATE, made.joints(joints, [math.nan] + [0.6] * 5))
     assert read(used, made, joints, 1)["lf"].desired == [0.5, 0.6, 0.6]
     assert used.reasons == [Reason.NOT_FINITE]
 
 
 def test_phase_and_foot_switches_are_of_their_leg(rig, made, joints) -> None:
     used = rig(STATE + '\nphase = "/gait/{leg}/swing"\ntruth = "/feet/{leg}"')
-    assert used.take("/feet/lf", BOOL, made.flag(False), time_ns=79 * 10**9) == {}  # no clock yet
-    used.take("/gait/rf/swing", BOOL, made.flag(True))
+    assert (
+        used.take("/feet/lf", RosType.BOOL, made.flag(False), time_ns=79 * 10**9) == {}
+    )  # no clock yet
+    used.take("/gait/rf/swing", RosType.BOOL, made.flag(True))
     message = read_state(made.state(joints, [0.0] * 6, [0.0] * 6, 50 * 10**9))
     origin = Origin(A, 1, 80 * 10**9)
     *both, (leg, first) = used.intake.take(
-        "/legs/controller_state", CONTROLLER_STATE, message, origin
+        "/legs/controller_state", RosType.CONTROLLER_STATE, message, origin
     )
     assert leg == "lf"
     assert first == ContactTruth(t_ns=49 * 10**9, contact=False, force=0.0)
     got = dict(both)
     assert (got["rf"].phase, got["lf"].phase) == ("swing", None)
-    used.take("/gait/rf/swing", BOOL, made.flag(False))
+    used.take("/gait/rf/swing", RosType.BOOL, made.flag(False))
     assert state(used, made, joints, 2)["rf"].phase == "stance"
     state(used, made, joints, 3, stamp=51 * 10**9, time_ns=81 * 10**9)
-    truth: ContactTruth = used.take("/feet/rf", BOOL, made.flag(True), time_ns=82 * 10**9)["rf"]
+    truth: ContactTruth = used.take("/feet/rf", RosType.BOOL, made.flag(True), time_ns=82 * 10**9)[
+        "rf"
+    ]
     assert (truth.contact, truth.t_ns) == (True, 52 * 10**9)
-    assert used.take("/feet/rf", BOOL, made.flag(True), time_ns=83 * 10**9) == {}
+    assert used.take("/feet/rf", RosType.BOOL, made.flag(True), time_ns=83 * 10**9) == {}
 
 
 def test_complaints_are_counted_and_said_now_and_then() -> None:
     complaints = Complaints(every_s=10.0)
-    problem = Problem("/x", Reason.UNREADABLE, "no message")
-    said = [complaints.take(problem, now_s) for now_s in (0.0, 1.0, 9.0, 10.0)]
+    problem = ("/x", Reason.UNREADABLE, "no message")
+    said = [complaints.take(*problem, now_s) for now_s in (0.0, 1.0, 9.0, 10.0)]
     assert said == ["/x: no message", None, None, "/x: no message (3 times)"]
     assert complaints.counts["/x", Reason.UNREADABLE] == 4
     assert complaints.lines() == ["/x: no message (4 times)"]

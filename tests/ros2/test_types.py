@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
-from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE, JOINT_STATE, JOINT_VALUES
+from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.rmw import NO_HASH
 from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError, typestore
 
@@ -18,9 +18,10 @@ STORES = {state: typestore(state) for state in ("jazzy", "2023", "humble", "old"
 
 # From C sources that rosidl_generator_c wrote (Iron and Kilted).
 GENERATED = {
-    CONTROLLER_STATE: "RIHS01_6cb9ac0858fc11b54bd6c0a46f032ea243c16856182276d8eb0875f6ce6a8335",
-    JOINT_VALUES: "RIHS01_18024c98a62697680f581108eeed40b28fb4542fa0ac5a8e36f56c62b6813d26",
-    JOINT_STATE: "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+    RosType.CONTROLLER_STATE: "RIHS01_"
+    "6cb9ac0858fc11b54bd6c0a46f032ea243c16856182276d8eb0875f6ce6a8335",
+    RosType.JOINT_VALUES: "RIHS01_18024c98a62697680f581108eeed40b28fb4542fa0ac5a8e36f56c62b6813d26",
+    RosType.JOINT_STATE: "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
 }
 
 
@@ -33,8 +34,8 @@ def test_hashes_are_rosidls(name: str) -> None:
 def test_each_definition_is_read_by_its_hash(state, messages, joints) -> None:
     made = messages(state)
     sent = made.state(joints, [0.1] * 6, [0.2] * 6)
-    hash_ = made.store.hash_rihs01(CONTROLLER_STATE)
-    read = Types().decode(CONTROLLER_STATE, hash_, made.cdr(sent))
+    hash_ = made.store.hash_rihs01(RosType.CONTROLLER_STATE)
+    read = Types().decode(RosType.CONTROLLER_STATE, hash_, made.cdr(sent))
     assert list(read.joint_names) == joints
     assert read.header.stamp == (1, 0)
     assert read.feedback.positions == (0.1,) * 6
@@ -45,39 +46,39 @@ def test_each_definition_is_read_by_its_hash(state, messages, joints) -> None:
 def test_without_hashes_the_layout_decides(state, messages, joints) -> None:
     made = messages(state)
     sent = made.state(joints, [0.1] * 6, [0.2] * 6)
-    read = Types("humble").decode(CONTROLLER_STATE, NO_HASH, made.cdr(sent))
+    read = Types("humble").decode(RosType.CONTROLLER_STATE, NO_HASH, made.cdr(sent))
     assert read.feedback.positions[5] == 0.1
 
 
 def test_humble_writes_no_hashes() -> None:
-    assert Types("humble").hash_of(BOOL) == NO_HASH
-    assert Types("jazzy").hash_of(BOOL).startswith("RIHS01_")
+    assert Types("humble").hash_of(RosType.BOOL) == NO_HASH
+    assert Types("jazzy").hash_of(RosType.BOOL).startswith("RIHS01_")
 
 
 def test_cdr_of_a_bool_is_five_bytes() -> None:
     types = Types()
-    assert types.encode(types.types[BOOL](data=True)) == b"\x00\x01\x00\x00\x01"
+    assert types.encode(types.types[RosType.BOOL](data=True)) == b"\x00\x01\x00\x00\x01"
 
 
 def test_an_unknown_hash_is_named() -> None:
     with pytest.raises(UnknownHashError, match="RIHS01_"):
-        Types().decode(JOINT_STATE, "RIHS01_" + 64 * "0", b"")
+        Types().decode(RosType.JOINT_STATE, "RIHS01_" + 64 * "0", b"")
 
 
 def test_every_cut_is_refused(messages, joints) -> None:
     made = messages()
     whole = made.cdr(made.state(joints, [0.1] * 6, [0.2] * 6))
-    hash_ = made.store.hash_rihs01(CONTROLLER_STATE)
+    hash_ = made.store.hash_rihs01(RosType.CONTROLLER_STATE)
     types = Types()
     for length in range(len(whole)):
         with pytest.raises(CdrError):
-            types.decode(CONTROLLER_STATE, hash_, whole[:length])
+            types.decode(RosType.CONTROLLER_STATE, hash_, whole[:length])
 
 
 def test_damage_is_refused_or_read(messages, joints) -> None:
     made = messages()
     whole = np.frombuffer(made.cdr(made.state(joints, [0.1] * 6, [0.2] * 6)), dtype=np.uint8)
-    hash_ = made.store.hash_rihs01(CONTROLLER_STATE)
+    hash_ = made.store.hash_rihs01(RosType.CONTROLLER_STATE)
     types, rng = Types(), np.random.default_rng(3)
     refused = 0
     for _ in range(3000):
@@ -85,7 +86,7 @@ def test_damage_is_refused_or_read(messages, joints) -> None:
         at = rng.integers(len(damaged), size=rng.integers(1, 6))
         damaged[at] = rng.integers(256, size=len(at))
         try:
-            types.decode(CONTROLLER_STATE, hash_, damaged.tobytes())
+            types.decode(RosType.CONTROLLER_STATE, hash_, damaged.tobytes())
         except CdrError:
             refused += 1
     assert refused > 300
@@ -118,7 +119,7 @@ def test_states_are_read_as_rosbags_reads_them(state: str, data: st.DataObject) 
         )
 
     values: dict[str, object] = {}
-    for name, _ in store.fielddefs[CONTROLLER_STATE][1]:
+    for name, _ in store.fielddefs[RosType.CONTROLLER_STATE][1]:
         if name == "header":
             stamp = types["builtin_interfaces/msg/Time"](data.draw(seconds), data.draw(nanoseconds))
             frame = data.draw(st.text(st.characters(codec="utf-8", exclude_characters="\0")))
@@ -130,9 +131,11 @@ def test_states_are_read_as_rosbags_reads_them(state: str, data: st.DataObject) 
         else:
             values[name] = multi() if name.startswith("multi_dof") else point()
     little = data.draw(st.booleans())
-    made = types[CONTROLLER_STATE](**values)
-    payload = bytes(store.serialize_cdr(made, CONTROLLER_STATE, little_endian=little))
-    read = READER.decode(CONTROLLER_STATE, store.hash_rihs01(CONTROLLER_STATE), payload)
+    made = types[RosType.CONTROLLER_STATE](**values)
+    payload = bytes(store.serialize_cdr(made, RosType.CONTROLLER_STATE, little_endian=little))
+    read = READER.decode(
+        RosType.CONTROLLER_STATE, store.hash_rihs01(RosType.CONTROLLER_STATE), payload
+    )
     stamp = values["header"].stamp
     assert read.header.stamp == (stamp.sec, stamp.nanosec)
     assert list(read.joint_names) == values["joint_names"]

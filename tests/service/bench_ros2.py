@@ -34,7 +34,7 @@ import zenoh
 
 from adaptive_contact.priority import take_priority
 from adaptive_contact.ros2 import rmw
-from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE
+from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.wire import (
@@ -73,11 +73,11 @@ def message(legs: tuple[str, ...], t_ns: int) -> bytes:
         values, values, values, np.zeros(0), duration
     )
     stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-    made = types[CONTROLLER_STATE](
+    made = types[RosType.CONTROLLER_STATE](
         types["std_msgs/msg/Header"](stamp, ""), joints, point, point, point, point, [],
         nothing, nothing, nothing, nothing, 1.0,
     )  # fmt: skip
-    return bytes(STORE.serialize_cdr(made, CONTROLLER_STATE))
+    return bytes(STORE.serialize_cdr(made, RosType.CONTROLLER_STATE))
 
 
 def serve() -> None:
@@ -162,19 +162,19 @@ def measure(
 
     service.subscribe(servo_key("*"), on_sample)
     keep = [session.declare_subscriber(f"0/echo/{leg}", on_bool) for leg in LEGS]
-    hash_ = STORE.hash_rihs01(BOOL)
+    hash_ = STORE.hash_rihs01(RosType.BOOL)
     for leg in LEGS:
-        address = rmw.Address(f"/adaptive_contact/{leg}/contact", BOOL, hash_)
+        address = rmw.Address(f"/adaptive_contact/{leg}/contact", RosType.BOOL, hash_)
         keep.append(session.declare_subscriber(rmw.topic_key(0, address), on_bool))
     groups = [LEGS] if one_topic else [(leg,) for leg in LEGS]
-    state_hash = STORE.hash_rihs01(CONTROLLER_STATE)
+    state_hash = STORE.hash_rihs01(RosType.CONTROLLER_STATE)
     publishers = [
         session.declare_publisher(
             rmw.topic_key(
                 0,
                 rmw.Address(
                     "/legs/state" if one_topic else f"/{group[0]}/state",
-                    CONTROLLER_STATE,
+                    RosType.CONTROLLER_STATE,
                     state_hash,
                 ),
             )

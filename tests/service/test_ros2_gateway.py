@@ -23,7 +23,7 @@ from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, learne
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
 from adaptive_contact.ros2 import rmw
-from adaptive_contact.ros2.names import BOOL, CONTROLLER_STATE
+from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.ros2 import WAITING, _Inbox
 from adaptive_contact.service.traffic import Received
@@ -158,7 +158,7 @@ class Publisher:
         t_ns = time.time_ns()
         stamp = types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
         names = ("reference", "feedback", "error", "output")
-        return types[CONTROLLER_STATE](
+        return types[RosType.CONTROLLER_STATE](
             header=types["std_msgs/msg/Header"](stamp, ""),
             joint_names=JOINTS,
             reference=point(told or [0.0] * 6),
@@ -176,7 +176,7 @@ class Publisher:
     def put(
         self,
         payload: bytes,
-        name: str = CONTROLLER_STATE,
+        name: str = RosType.CONTROLLER_STATE,
         *,
         hash_: str | None = None,
         topic: str = STATE,
@@ -249,8 +249,8 @@ def test_nodes_of_a_foreign_sdk(serve, gateway, join, inbox, command, ros, port)
     rows = told("diagnostics")[-1]["rows"]
     assert {f"adaptive_contact: leg {leg}" for leg in LEGS} <= set(rows)
     graph = told("graph")[0]["topics"]
-    assert graph["/adaptive_contact/rf/contact"] == [BOOL]
-    assert graph[STATE] == [CONTROLLER_STATE]
+    assert graph["/adaptive_contact/rf/contact"] == [RosType.BOOL]
+    assert graph[STATE] == [RosType.CONTROLLER_STATE]
 
 
 def test_late_joiners_get_the_latched_contact(serve, gateway, join, inbox, ros, sample) -> None:
@@ -267,7 +267,10 @@ def test_late_joiners_get_the_latched_contact(serve, gateway, join, inbox, ros, 
         threading.Event().wait(0.02)
     events.wait(lambda all_: all_[-1].contact)
     key = rmw.topic_key(
-        0, rmw.Address("/adaptive_contact/rf/contact", BOOL, typestore().hash_rihs01(BOOL))
+        0,
+        rmw.Address(
+            "/adaptive_contact/rf/contact", RosType.BOOL, typestore().hash_rihs01(RosType.BOOL)
+        ),
     )
     late = inbox()
     # As rmw_zenoh declares a subscription that is reliable and transient local, of depth 1.
@@ -295,7 +298,9 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(serve, gateway, join, 
     running = gateway(served.endpoint)
     publisher = Publisher(ros)
     booleans = inbox()
-    out = rmw.Address("/adaptive_contact/lf/contact", BOOL, publisher.store.hash_rihs01(BOOL))
+    out = rmw.Address(
+        "/adaptive_contact/lf/contact", RosType.BOOL, publisher.store.hash_rihs01(RosType.BOOL)
+    )
     ros.declare_subscriber(
         rmw.topic_key(0, out), lambda got: booleans(got.payload.to_bytes()[-1] == 1)
     )
@@ -303,7 +308,7 @@ def test_bad_messages_get_a_line_each_and_hold_up_nothing(serve, gateway, join, 
 
     good = publisher.cdr(publisher.state([0.1] * 6))
     for _ in range(3):
-        publisher.put(b"\x00\x01\x00\x00\x01", BOOL)
+        publisher.put(b"\x00\x01\x00\x00\x01", RosType.BOOL)
         publisher.put(good, hash_="RIHS01_" + 64 * "0")
         publisher.put(good[: len(good) // 2])
         publisher.put(b"")
@@ -391,7 +396,7 @@ def test_a_router_that_comes_back(serve, gateway, join, inbox, port) -> None:
 
 def test_legs_without_samples_are_told_of(serve, gateway, ros) -> None:
     served = serve()
-    other = rmw.Address("/joint_controller/state", CONTROLLER_STATE, "x")
+    other = rmw.Address("/joint_controller/state", RosType.CONTROLLER_STATE, "x")
     node = rmw.Node(0, "aa", "controller")
     token = ros.liveliness().declare_token(node.endpoint_token("MP", 1, other, rmw.STREAM))
     running = gateway(served.endpoint)

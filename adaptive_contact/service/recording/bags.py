@@ -16,7 +16,9 @@ from typing import Final, NamedTuple
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Robot
 from adaptive_contact.ros2 import needs_rosbags
-from adaptive_contact.ros2.intake import Complaints, Intake, Origin, Problem, Reason, check_mapped
+from adaptive_contact.ros2.intake import Intake, check_mapped
+from adaptive_contact.ros2.problems import Complaints, Reason
+from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
@@ -84,29 +86,19 @@ class Bag(Recording):
         self.types, self.notes = {}, ()
         complaints = Complaints()
 
-        def complain(problem: Problem) -> None:
-            complaints.take(problem, 0.0)
+        def complain(topic: str, reason: Reason, detail: str) -> None:
+            complaints.take(topic, reason, detail, 0.0)
 
         intake = Intake(self._robot, 1, complain)
         topics = intake.topics(truth=True)
-        reader = self._cdr.Types(self._robot.ros2.distro if self._robot.ros2 else "jazzy")
+        decode = self._cdr.Types(self._robot.ros2.distro if self._robot.ros2 else "jazzy").decode
         for message in self._messages():
             if message.topic not in topics:
                 continue
-            if message.type not in topics[message.topic]:
-                expected = " or ".join(topics[message.topic])
-                why = f"holds {message.type}; expected {expected}: correct the topic in robot.toml"
-                complain(Problem(message.topic, Reason.WRONG_TYPE, why))
-                continue
-            try:
-                content = reader.decode(message.type, message.hash, message.payload)
-            except self._cdr.UnknownHashError:
-                why = f"{message.type} of another definition ({message.hash[:15]}…); not used"
-                complain(Problem(message.topic, Reason.WRONG_HASH, why))
-                continue
-            except self._cdr.CdrError as error:
-                why = f"a message is no {message.type} ({error}); not used"
-                complain(Problem(message.topic, Reason.UNREADABLE, why))
+            content = intake.read(
+                decode, message.topic, message.type, message.hash, message.payload
+            )
+            if content is None:
                 continue
             origin = Origin(b"", None, message.time_ns)
             for leg, made in intake.take(message.topic, message.type, content, origin):

@@ -208,15 +208,11 @@ class _Json(_Form):
 class _Protobuf(_Form):
     encoding = schema_encoding = "protobuf"
 
-    def __init__(self) -> None:
-        self._encoders: dict[type[Message], Callable[[Message], bytes]] = {}
-
     def schema(self, kind: type[Message]) -> bytes:
-        data, self._encoders[kind] = protobuf_class(kind)
-        return data
+        return protobuf_class(kind)[0]
 
     def encode(self, message: Message) -> bytes:
-        return self._encoders[type(message)](message)
+        return protobuf_class(type(message))[1](message)
 
 
 def _without_none(held: Any) -> Any:

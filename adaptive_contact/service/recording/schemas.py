@@ -10,6 +10,7 @@ repeated message of ``key`` and ``value``, which has the same bytes and which ev
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable
 from types import UnionType
@@ -19,32 +20,17 @@ import msgspec
 
 from adaptive_contact.errors import MissingExtraError
 from adaptive_contact.service.status import ServiceStatus
-from adaptive_contact.wire import (
-    BridgeStatus,
-    Command,
-    ContactEvent,
-    ContactTruth,
-    Drift,
-    LearnerStatus,
-    Message,
-    ModelReport,
-    ServoSample,
-)
+from adaptive_contact.wire import LEG_MESSAGES, BridgeStatus, Drift, LegTrace, Message
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor_pb2 import DescriptorProto
 
 __all__ = ["KINDS", "json_schema", "kind_of_key", "parts_of", "protobuf_class", "schema_name"]
 
-# Key, behind any namespace -> its message.
-_OF_LEG: Final[dict[str, type[Message]]] = {
-    "servo": ServoSample,
-    "contact": ContactEvent,
-    "learner": LearnerStatus,
-    "model": ModelReport,
-    "truth": ContactTruth,
-    "command": Command,
-}
+# Key, behind any namespace -> its message.  A leg's trace has none: it answers a question, so no
+# recording has it, and a column that is a list of ticks could not be drawn.  Foxglove gets its
+# ticks one by one (:class:`~adaptive_contact.service.foxglove_live.JudgedTick`).
+_OF_LEG: Final = {name: kind for name, kind in LEG_MESSAGES.items() if kind is not LegTrace}
 _KEY: Final = re.compile(
     rf"(?:^|/)robot/(?:leg/[^/]+/(?P<leg>{'|'.join(_OF_LEG)})"
     r"|(?P<bridge>bridge/[^/]+/status)|(?P<service>service/status)|(?P<drift>sim/drift))\Z"
@@ -141,6 +127,7 @@ def _json_type(annotation: Any) -> dict[str, Any] | None:
 _Convert = Callable[[Any], Any]
 
 
+@functools.cache
 def protobuf_class(kind: type[Message]) -> tuple[bytes, Callable[[Message], bytes]]:
     """Make the protobuf form of a message.
 

@@ -7,8 +7,7 @@ import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Final, cast
+from typing import IO, Any, Final, Self, cast
 
 from mcap.writer import CompressionType, Writer
 
@@ -147,15 +146,10 @@ class RecordingWriter:
         finally:
             self._abandon()
 
-    def __enter__(self) -> RecordingWriter:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _open_channel(self, key: str, encoding: str) -> int:

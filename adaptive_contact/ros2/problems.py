@@ -1,0 +1,78 @@
+"""What was not used of ROS 2's messages: counted by topic and reason, and said now and then."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import Counter
+from collections.abc import Callable
+
+__all__ = ["Complaints", "OnProblem", "Reason"]
+
+
+class Reason(enum.StrEnum):
+    """Why a message, or what one leg has of it, was not used."""
+
+    WRONG_TYPE = "wrong_type"
+    WRONG_HASH = "wrong_hash"
+    UNREADABLE = "unreadable"
+    TOO_LARGE = "too_large"
+    NO_POSITIONS = "no_positions"
+    NOT_FINITE = "not_finite"
+    JOINTS_MISSING = "joints_missing"
+    UNMAPPED = "unmapped"
+    NO_COMMAND = "no_command"
+    TRAJECTORY = "trajectory"
+    REPEATED = "repeated"
+    OVERFLOW = "overflow"
+
+
+# Called with the topic, the reason, and a line: what was found, what was expected, what to do.
+OnProblem = Callable[[str, Reason, str], None]
+
+
+class Complaints:
+    """Counts problems, and lets one line of each kind through now and then.
+
+    Args:
+        every_s: between two lines of one kind, s.
+
+    Attributes:
+        counts: of each topic and reason.
+        first: detail of each kind's first problem.
+    """
+
+    def __init__(self, every_s: float = 10.0) -> None:
+        self.counts: Counter[tuple[str, Reason]] = Counter()
+        self.first: dict[tuple[str, Reason], str] = {}
+        self._every_s = every_s
+        self._said: dict[tuple[str, Reason], tuple[float, int]] = {}
+
+    def take(self, topic: str, reason: Reason, detail: str, now_s: float) -> str | None:
+        """Count a problem.
+
+        Args:
+            topic: where the message came.
+            reason: why it was not used.
+            detail: what was found, what was expected, what to do.
+            now_s: on any clock that does not go back, s.
+
+        Returns:
+            The line to say now, None while one of its kind was said a short time ago.
+        """
+        kind = (topic, reason)
+        self.counts[kind] += 1
+        self.first.setdefault(kind, detail)
+        before_s, before = self._said.get(kind, (-math.inf, 0))
+        if now_s - before_s < self._every_s:
+            return None
+        times = self.counts[kind] - before
+        self._said[kind] = (now_s, self.counts[kind])
+        return f"{topic}: {detail}" + (f" ({times} times)" if times > 1 else "")
+
+    def lines(self) -> list[str]:
+        """One line of every kind, with its count."""
+        return [
+            f"{topic}: {self.first[topic, reason]}" + (f" ({times} times)" if times > 1 else "")
+            for (topic, reason), times in self.counts.items()
+        ]
