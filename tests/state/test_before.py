@@ -5,16 +5,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import lzma
+import os
+import re
+import shutil
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import adaptive_contact
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.learn.state import FORMAT as SNAPSHOT_FORMAT
 from adaptive_contact.model import load_baseline
@@ -34,6 +40,7 @@ from adaptive_contact.wire import LearnerStatus, ServoSample, decode, learner_ke
 from .conftest import Desk
 
 HERE = Path(__file__).parent / "before"
+ROOT = Path(adaptive_contact.__file__).parents[1]
 SAVED = json.loads((HERE / "status.json").read_text())
 
 
@@ -57,46 +64,66 @@ def files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.suffix != ""}
 
 
+@contextlib.contextmanager
+def serving(folder: Path, log: Path, package: Path = ROOT) -> Iterator[Link]:
+    """A link to `serve` of a version of the package, which is asked to end and then has ended."""
+    command = [
+        *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
+        *("--config", str(folder / "robot.toml"), "--baseline", str(folder / "baseline.json")),
+        *("--state", str(folder / "state")),
+    ]
+    paths = os.pathsep.join([str(package), *(path for path in sys.path if path)])
+    with (
+        log.open("w") as stderr,
+        subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
+            env={**os.environ, "PYTHONPATH": paths},
+            cwd=folder,  # what `-m` finds in the current folder comes before any path
+        ) as serve,
+    ):
+        try:
+            assert serve.stdout is not None
+            endpoint = serve.stdout.readline().split("listening on ")[1].split(";")[0]
+            with Link.open(client_settings([endpoint], wait=False)) as link:
+                yield link
+            serve.terminate()
+            assert serve.wait(10) == 0
+        finally:
+            serve.kill()
+
+
+def fed(link: Link, first: int, count: int) -> None:
+    """Samples of a leg that stands, so many ticks after the one that it was saved at."""
+    publisher = link.publisher(servo_key("rf"), reliable=True)
+    for after in range(first, first + count):
+        publisher.put(
+            ServoSample(
+                t_ns=SAVED["t_ns"] + after * 20_000_000,
+                seq=SAVED["seq"] + after,
+                measured=[0.0, -0.4, 1.0],
+                desired=[0.0, -0.4, 1.0],
+            )
+        )
+
+
 @pytest.mark.e2e
 def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) -> None:
     """The whole service: what it counts goes on, and so does the number that its source counts."""
-    command = [
-        *(sys.executable, "-m", "adaptive_contact", "serve", "--listen", "127.0.0.1:0"),
-        *("--config", str(before / "robot.toml"), "--baseline", str(before / "baseline.json")),
-        *("--state", str(before / "state")),
-    ]
     (old,) = (before / "state").rglob("*.state")
     content = old.read_bytes()
     log = before / "log"
-    with log.open("w") as stderr:
-        serve = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
-    try:
-        assert serve.stdout is not None
-        endpoint = serve.stdout.readline().split("listening on ")[1].split(";")[0]
-        with Link.open(client_settings([endpoint], wait=False)) as link:
-            told = spoken(link, lambda status: True)
-            assert (told.ticks, told.contacts) == (SAVED["ticks"], SAVED["contacts"])
-            assert told.model_version == SAVED["model_version"]
-            assert told.buffer.swings == SAVED["swings"]
-            assert told.drift.level == pytest.approx(SAVED["drift_level"])
-            publisher = link.publisher(servo_key("rf"), reliable=True)
-            for step in range(1, 6):  # 7 were lost while the service was replaced
-                publisher.put(
-                    ServoSample(
-                        t_ns=SAVED["t_ns"] + (7 + step) * 20_000_000,
-                        seq=SAVED["seq"] + 7 + step,
-                        measured=[0.0, -0.4, 1.0],
-                        desired=[0.0, -0.4, 1.0],
-                    )
-                )
-            after = spoken(link, lambda status: status.ticks == SAVED["ticks"] + 5)
-            assert after.missed == 7
-        serve.terminate()
-        assert serve.wait(10) == 0
-    finally:
-        serve.kill()
-        serve.wait(5)
-        serve.stdout.close()
+    with serving(before, log) as link:
+        told = spoken(link, lambda status: True)
+        assert (told.ticks, told.contacts) == (SAVED["ticks"], SAVED["contacts"])
+        assert told.model_version == SAVED["model_version"]
+        assert told.buffer.swings == SAVED["swings"]
+        assert told.drift.level == pytest.approx(SAVED["drift_level"])
+        fed(link, 8, 5)  # 7 were lost while the service was replaced
+        after = spoken(link, lambda status: status.ticks == SAVED["ticks"] + 5)
+        assert after.missed == 7
     assert "state restored" in log.read_text()
     assert "state refused" not in log.read_text()
     # A step back: what was saved at the end is in the format that the version before reads, and
@@ -108,6 +135,70 @@ def test_serve_goes_on_from_what_the_version_before_has_learned(before: Path) ->
     assert old.read_bytes()[8:10] == content[8:10]
     assert record.body["follower"]["format"] == first.body["follower"]["format"]
     assert old.with_suffix(".before").read_bytes() == content
+
+
+def version_with(folder: Path, module: str, number: int) -> Path:
+    """A copy of the package whose `module` writes format `number`: a version yet to come."""
+    copied = folder / f"{module.replace('/', '-')}-{number}"
+    shutil.copytree(
+        ROOT / "adaptive_contact",
+        copied / "adaptive_contact",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
+    source = copied / "adaptive_contact" / f"{module}.py"
+    text, times = re.subn(
+        r"(?m)^FORMAT: Final = \d+$", f"FORMAT: Final = {number}", source.read_text()
+    )
+    assert times == 1
+    source.write_text(text)
+    return copied
+
+
+@pytest.mark.e2e
+@pytest.mark.parametrize(
+    ("module", "number"),
+    [("learn/state", SNAPSHOT_FORMAT + 1), ("service/state/format", FORMAT + 1)],
+)
+def test_a_step_back_from_a_version_with_another_format_goes_on_from_its_own_state(
+    before: Path, module: str, number: int
+) -> None:
+    """This version, a later one and this one again, each as a process on one folder."""
+    later = version_with(before, module, number)
+    logs = [before / f"log-{i}" for i in range(3)]
+
+    with serving(before, logs[0]) as link:
+        fed(link, 1, 5)
+        spoken(link, lambda status: status.ticks == SAVED["ticks"] + 5)
+    own = files(before / "state")
+
+    with serving(before, logs[1], later) as link:  # from the baseline, with counts of its own
+        fed(link, 6, 3)
+        upgraded = spoken(link, lambda status: status.ticks > 0)
+        assert spoken(link, lambda status: status.ticks == 3).contacts <= 1
+        assert upgraded.model_version != SAVED["model_version"] or upgraded.buffer.swings == 0
+    assert files(before / "state").items() >= own.items()
+    assert len(files(before / "state")) > len(own)
+
+    with serving(before, logs[2]) as link:
+        back = spoken(link, lambda status: True)
+        assert (back.ticks, back.contacts) == (SAVED["ticks"] + 5, SAVED["contacts"])
+        assert back.buffer.swings == SAVED["swings"]
+        fed(link, 9, 2)  # the 3 that the later version had are missed here
+        assert spoken(link, lambda status: status.ticks == SAVED["ticks"] + 7).missed == 3
+
+    said = [[line for line in log.read_text().splitlines() if "state " in line] for log in logs]
+    for lines, line in zip(
+        said,
+        (
+            "state restored",
+            "state of other settings, another baseline or another version is left",
+            "state restored",
+        ),
+        strict=True,
+    ):
+        assert len(lines) == 1, lines
+        assert line in lines[0]
+        assert "leg=rf" in re.sub(r"\x1b\[[0-9;]*m", "", lines[0])
 
 
 def spoken(link: Link, test: Any) -> LearnerStatus:
