@@ -135,7 +135,7 @@ def learn(
     for leg in robot.legs:
         if leg.chain is None:
             raise ConfigurationError(
-                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
+                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; "
                 "measure its links and fill them in"
             )
     gathered = gather(more or [], robot, refuse=False)

@@ -27,7 +27,7 @@ _CAPTIONS: Final = {
     "and what R² does not show. Violet: the λ picked on held-out swings; dashed: λ = 5; grey: some "
     "state has lost all its terms.",
     "paper-collision": "Figure 5 of the paper: one collision (the one drawn in the table). The "
-    "predicted error is the reading less what was foretold a tick before; the rule looks at the "
+    "predicted error is the reading less what was predicted a tick before; the rule looks at the "
     "change of its size.",
     "paper-roc": "Thresholds swept, on the headline's touches; circles: the aim of one false alarm "
     "per hour. Star: the default detector as it runs, squares: played at other aims; cross: the "
