@@ -160,7 +160,7 @@ def learn(
                 err=True,
             )
         scripts = swings_of(robot, plans, amplitude, seed, home) if drive else None
-        does = "swinging all legs" if drive else "looking on"
+        does = "swinging all legs" if drive else "observing"
         own = "" if drive else ": swing every leg in free air meanwhile"
         say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
         samples = collect(
