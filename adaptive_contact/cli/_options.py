@@ -254,7 +254,7 @@ InsecureOption = Annotated[
     bool,
     typer.Option(
         "--insecure",
-        help="Listen beyond loopback although nobody has to authenticate.",
+        help="Listen beyond loopback without authentication of clients.",
         rich_help_panel=_NETWORK,
     ),
 ]

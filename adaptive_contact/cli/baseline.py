@@ -1,4 +1,4 @@
-"""``adaptive-contact sim baseline``: learn the shipped baseline anew."""
+"""``adaptive-contact sim baseline``: learn the shipped baseline again."""
 
 from __future__ import annotations
 

@@ -302,7 +302,7 @@ def foxglove(
             )
             if host not in ("127.0.0.1", "localhost", "::1"):
                 say(
-                    "adaptive-contact bridge foxglove: whoever reaches this address sees "
+                    "adaptive-contact bridge foxglove: everybody who can reach this address sees "
                     "everything; where others listen, leave --host out and use ssh -L",
                     err=True,
                 )

@@ -112,11 +112,11 @@ class SwingJudge:
 
     @property
     def phase_unknown_note(self) -> str | None:
-        """One line for a person when swings cannot be told at all."""
+        """One line for a person when swings cannot be found at all."""
         if not self._place.leg["untold"] or self.measures:
             return None
         return (
-            "samples carry no phase and robot.toml no lengths_m: swings cannot be told, contacts "
+            "samples carry no phase and robot.toml no lengths_m: swings cannot be found, contacts "
             "are not reported"
         )
 

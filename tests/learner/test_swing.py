@@ -113,7 +113,7 @@ def test_samples_without_phase_are_told_of_while_they_come(robot: Robot) -> None
             watch.follow(ServoSample(t_ns=k, seq=k, measured=[0.0], desired=[0.0], phase=phase))
 
     feed(1, None)
-    assert "swings cannot be told" in str(watch.judge.phase_unknown_note)
+    assert "swings cannot be found" in str(watch.judge.phase_unknown_note)
     feed(RECENT_TICKS, "swing")
     assert watch.judge.phase_unknown_note is None
 
