@@ -13,12 +13,10 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact_sim.elements import LEGS
-
 __all__ = ["DESCENT", "GAITS", "Gait", "GaitName", "Swings", "quintic"]
 
 Array = NDArray[np.float64]
-GaitName = Literal["tripod", "ripple", "wave"]
+GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
 
 # Parts of a swing, as shares of it: rising until, falling from, moving forward between.
 RISE: Final = 0.32
@@ -31,7 +29,7 @@ class Gait(NamedTuple):
 
     Attributes:
         share: of the cycle that a leg swings.
-        offsets: per leg, in the order of :data:`~adaptive_contact_sim.elements.LEGS`.
+        offsets: per leg, in the order of the robot's legs.
     """
 
     share: float
@@ -45,6 +43,9 @@ GAITS: Final[dict[GaitName, Gait]] = {
     # Metachronal on each side, rear to front, sides half a cycle apart: two legs in the air.
     "ripple": Gait(0.31, (2 / 3, 1 / 3, 0.0, 1 / 6, 5 / 6, 1 / 2)),
     "wave": Gait(0.155, (4 / 6, 5 / 6, 0.0, 1 / 6, 2 / 6, 3 / 6)),
+    # Four legs: fl, fr, rl, rr.  Diagonal pairs; and one at a time, rear to front on each side.
+    "trot": Gait(0.38, (0.0, 0.5, 0.5, 0.0)),
+    "walk": Gait(0.22, (0.75, 0.25, 0.0, 0.5)),
 }
 
 
@@ -56,13 +57,13 @@ def quintic(x: Array) -> Array:
 
 @dataclass(eq=False)
 class Swings:
-    """The six legs' present or last swing, in the body's frame.
+    """The legs' present or last swing, in the body's frame.
 
     Attributes:
-        start_m, target_m: (6, 3) where it began, and where it goes; the target's height is where
+        start_m, target_m: (L, 3) where it began, and where it goes; the target's height is where
             the descent would end.
-        top_m: (6,) height of the transfer.
-        began_step: (6,) physics step at which it began.
+        top_m: (L,) height of the transfer.
+        began_step: (L,) physics step at which it began.
     """
 
     start_m: Array
@@ -72,8 +73,8 @@ class Swings:
 
     @classmethod
     def at(cls, feet_m: Array) -> Swings:
-        """No swing yet: feet (6, 3) m where they are."""
-        n = len(LEGS)
+        """No swing yet: feet (L, 3) m where they are."""
+        n = len(feet_m)
         return cls(
             feet_m.copy(),
             feet_m.copy(),
@@ -82,7 +83,7 @@ class Swings:
         )
 
     def feet(self, progress: Array) -> Array:
-        """Foot points at a progress (6,) of 0 to 1 through the swing: (6, 3) m."""
+        """Foot points at a progress (L,) of 0 to 1 through the swing: (L, 3) m."""
         forward = quintic((progress - TRANSFER[0]) / (TRANSFER[1] - TRANSFER[0]))
         feet = self.start_m + forward[:, None] * (self.target_m - self.start_m)
         rising = quintic(progress / RISE)

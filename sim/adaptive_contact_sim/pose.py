@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
 from adaptive_contact_sim.workspace import WORKSPACES
@@ -27,11 +27,9 @@ __all__ = ["PoseMotion", "PoseSettings", "Workspace"]
 
 Array = NDArray[np.float64]
 Path = Literal["cartesian", "joint"]
-Workspace = Literal["paper", "whole"]
+Workspace = Literal["paper", "whole", "hung"]
 
 PERIOD_S: Final = 0.02
-# Standing: feet under the knees, body high enough for the lower subspace to hang free.
-_STANDING_M: Final = (0.115, 0.0, -0.165)
 # A leg taking its turn: ticks for lifting off or setting down, and how high.
 _TURN_TICKS: Final = 40
 _TURN_LIFT_M: Final = 0.05
@@ -59,7 +57,7 @@ class PoseSettings:
         segment_ticks: length of an ascent or a descent.
         hold_ticks: rest after a descent, marked stance.
         path: ``cartesian`` or ``joint``, what is straight.
-        workspace: ``paper`` or ``whole``.
+        workspace: ``paper`` or ``whole``; ``hung``, of a leg that hangs on a stand.
         approach: ``descent``; ``slow`` (2 to 10 cm/s); ``forward`` (a level swing against a
             post); ``graze`` (along a steep face).
         react_ms: how long the command goes on after a touch; None for the whole segment.
@@ -77,11 +75,8 @@ class PoseSettings:
     obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)
 
     def __post_init__(self) -> None:
-        unknown = [leg for leg in self.legs if leg not in LEGS]
-        if not self.legs or unknown:
-            raise ConfigurationError(
-                f"legs to move are {list(self.legs)}; expected some of {', '.join(LEGS)}"
-            )
+        if not self.legs:
+            raise ConfigurationError("there is no leg to move; expected one or more")
         if self.workspace not in WORKSPACES:
             raise ConfigurationError(
                 f"no workspace '{self.workspace}'; workspaces are {', '.join(WORKSPACES)}"
@@ -106,7 +101,7 @@ class _Plan:
     """What the moving leg does next: goals, tick by tick, and where it is in them."""
 
     leg: int
-    joints: Array  # (n, 3) rad
+    joints: Array  # (n, J) rad
     points: Array  # (n, 3) m, leg frame
     ascent: int  # ticks of ascent
     swing: int  # ticks of swing; the rest is hold
@@ -124,25 +119,29 @@ class PoseMotion:
         geometry: the legs.
         course: obstacles.
         rng: of the points.
+        legs: all of the robot's.
     """
 
     def __init__(
         self,
         settings: PoseSettings,
-        geometry: LegGeometry,
+        geometry: Geometry,
         course: ObstacleCourse,
         rng: np.random.Generator,
+        legs: tuple[str, ...] = LEGS,
     ) -> None:
         self.settings = settings
         self._geometry = geometry
         self._course = course
         self._rng = rng
-        self._standing = geometry.joints(np.tile(np.array(_STANDING_M), (len(LEGS), 1)))
+        self._legs = legs
+        self._stand_m = geometry.standing_m
+        self._standing = geometry.joints(np.tile(self._stand_m, (len(legs), 1)))
         self._goals = self._standing.copy()
         self._lower, self._upper = WORKSPACES[settings.workspace]
         self._turn = 0
         self._trials_left = settings.trials_per_turn
-        self._point = np.array(_STANDING_M)
+        self._point = self._stand_m
         self._side = 1.0
         self._plan = self._step_up()
         # Always one plan ahead, so that a preview reaches past the end of a trial.
@@ -150,13 +149,13 @@ class PoseMotion:
 
     @property
     def start_joints(self) -> Array:
-        """(6, 3) rad, where the robot stands at first."""
+        """(L, J) rad, where the robot stands at first."""
         return self._standing
 
     @property
     def start_height_m(self) -> float:
         """Height of the body over flat ground at first."""
-        return -_STANDING_M[2]
+        return -float(self._stand_m[2])
 
     @property
     def leg(self) -> int:
@@ -187,13 +186,13 @@ class PoseMotion:
             swinging = False
         self._goals = goal
         plan.tick += 1
-        phase: list[Literal["swing", "stance"]] = ["stance"] * len(LEGS)
+        phase: list[Literal["swing", "stance"]] = ["stance"] * len(self._legs)
         if swinging:
             phase[leg] = "swing"
         return Goal(goal, tuple(phase))
 
     def preview(self, ticks: int) -> Array:
-        """(6, ticks, 3) rad, goals planned after this tick; the last repeats where none are."""
+        """(L, ticks, J) rad, goals planned after this tick; the last repeats where none are."""
         ahead = np.repeat(self._goals[:, None, :], ticks, axis=1)
         plan, upcoming = self._plan, self._upcoming
         own = plan.joints[plan.tick :]
@@ -277,7 +276,7 @@ class PoseMotion:
         if len(self.settings.legs) == 1:
             self._trials_left = self.settings.trials_per_turn - 1
             return self._trial()
-        standing = np.array(_STANDING_M)
+        standing = self._stand_m
         if not np.array_equal(self._point, standing):
             return self._step_down()
         self._turn += 1
@@ -286,7 +285,7 @@ class PoseMotion:
 
     def _turning(self) -> int:
         """Index of the leg whose turn it is, for plans being made."""
-        return LEGS.index(self.settings.legs[self._turn % len(self.settings.legs)])
+        return self._legs.index(self.settings.legs[self._turn % len(self.settings.legs)])
 
     def _trial(self) -> _Plan:
         """One ascent, one descent, one hold."""
@@ -330,7 +329,7 @@ class PoseMotion:
         )
 
     def _line(self, start: Array, end: Array, ticks: int, path: Path) -> tuple[Array, Array]:
-        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, 3) rad."""
+        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, J) rad."""
         share = (np.arange(1, ticks + 1) / ticks)[:, None]
         if path == "joint":
             first, last = self._geometry.joints(start), self._geometry.joints(end)
@@ -345,14 +344,14 @@ class PoseMotion:
             end = self._lower.draw(self._rng)
             if self._geometry.reachable(end):
                 break
-        points = _arc(np.array(_STANDING_M), end)
+        points = _arc(self._stand_m, end)
         self._point = end
         return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
     def _step_down(self) -> _Plan:
         """From wherever the leg is back to standing; no swing to be judged."""
-        points = _arc(self._point, np.array(_STANDING_M))
-        self._point = np.array(_STANDING_M)
+        points = _arc(self._point, self._stand_m)
+        self._point = self._stand_m
         return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
 
