@@ -195,7 +195,9 @@ class DriftSchedule:
             self._courses = [c for c in self._courses if c.joints.size]
             self._courses.append(course)
             self._advance(t_s)
-        return {name: value.reshape(len(self._layout.legs), -1) for name, value in self._values.items()}
+        return {
+            name: value.reshape(len(self._layout.legs), -1) for name, value in self._values.items()
+        }
 
     def holds(self) -> dict[str, dict[str, dict[str, float]]]:
         """What holds now, kind by leg by joint, nominal values left out."""

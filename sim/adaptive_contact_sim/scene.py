@@ -112,7 +112,7 @@ def build(
             )
     spec.compiler.discardvisual = not looks
     model = spec.compile()
-    terrain.finish(model)
+    terrain.finish(model, f"{layout.legs[0]}_foot")
     return model
 
 

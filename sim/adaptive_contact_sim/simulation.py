@@ -92,7 +92,6 @@ class SimulationSettings:
                 f"servo spread is {self.servo_spread}; expected 0 to 0.5 (0.12 is typical)"
             )
 
-
     @classmethod
     def of(cls, robot: str, mode: Literal["walk", "pose"]) -> SimulationSettings:
         """What a robot does where nothing else is asked for.

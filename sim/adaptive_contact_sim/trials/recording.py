@@ -29,7 +29,6 @@ from adaptive_contact.score import (
 )
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.drift import Injection
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
@@ -65,9 +64,9 @@ class LegRecord:
     """One leg's stream, row k being control tick k.
 
     Attributes:
-        measured: (n, 3) rad, read at the start of tick k.
-        desired: (n, 3) rad, written right after.
-        valid: (n, 3) readings known to be good.
+        measured: (n, J) rad, read at the start of tick k.
+        desired: (n, J) rad, written right after.
+        valid: (n, J) readings known to be good.
         swing: (n,) the phase of tick k.
         truth: changes of its true contact.
     """
@@ -142,19 +141,20 @@ def record(spec: RecordingSpec) -> Recording:
     settings = spec.settings
     sim = Simulation(settings)
     n = round(spec.seconds / settings.period_s)
-    rows = [LEGS.index(leg) for leg in spec.legs]
-    measured = np.zeros((n, len(rows), 3))
+    layout = sim.layout
+    rows = [layout.legs.index(leg) for leg in spec.legs]
+    measured = np.zeros((n, len(rows), len(layout.joints)))
     desired = np.zeros_like(measured)
     valid = np.ones(measured.shape, dtype=np.bool_)
     swing = np.zeros((n, len(rows)), dtype=np.bool_)
-    changes: list[list[dict[str, Any]]] = [[] for _ in LEGS]
+    changes: list[list[dict[str, Any]]] = [[] for _ in layout.legs]
     with stagehand(sim, spec.staging, spec.legs[0]) as hand:
         for k in range(n):
             hand.before_tick()
             sim.advance()
-            measured[k] = sim.reading.angle_rad.reshape(len(LEGS), -1)[rows]
-            desired[k] = sim.desired.reshape(len(LEGS), -1)[rows]
-            valid[k] = sim.reading.valid.reshape(len(LEGS), -1)[rows]
+            measured[k] = sim.reading.angle_rad.reshape(len(layout.legs), -1)[rows]
+            desired[k] = sim.desired.reshape(len(layout.legs), -1)[rows]
+            valid[k] = sim.reading.valid.reshape(len(layout.legs), -1)[rows]
             swing[k] = [sim.phase[row] == "swing" for row in rows]
             for change in sim.changes:
                 touch = change.touch
