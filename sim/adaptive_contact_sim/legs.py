@@ -47,18 +47,15 @@ _NEAR_M: Final = 1e-3
 
 
 class Geometry(Protocol):
-    """What a controller knows of its legs.
-
-    Attributes:
-        mounts_m: (L, 3) of the legs' first joints in the body's frame.
-        rotations: (L, 3, 3) from a leg's frame to the body's.
-    """
+    """What a controller knows of its legs."""
 
     @property
-    def mounts_m(self) -> Array: ...
+    def mounts_m(self) -> Array:
+        """(L, 3) m, where the legs' first joints are in the body's frame."""
 
     @property
-    def rotations(self) -> Array: ...
+    def rotations(self) -> Array:
+        """(L, 3, 3) from a leg's frame to the body's."""
 
     @property
     def outer_foot_m(self) -> float:

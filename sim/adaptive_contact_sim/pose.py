@@ -85,6 +85,10 @@ class PoseSettings:
             raise ConfigurationError(
                 f"no approach '{self.approach}'; approaches are {', '.join(get_args(Approach))}"
             )
+        if self.workspace == "hung" and self.approach not in ("descent", "slow"):
+            raise ConfigurationError(
+                f"approach '{self.approach}' is not of a leg that hangs; expected descent or slow"
+            )
         if self.path not in ("cartesian", "joint"):
             raise ConfigurationError(f"path is '{self.path}'; expected cartesian or joint")
         if not 4 <= self.segment_ticks <= 500 or not 1 <= self.hold_ticks <= 500:

@@ -177,7 +177,8 @@ def describe(settings: SimulationSettings) -> str:
         what = f"{' '.join(motion.legs)} in pose together"
     else:
         turn = "as planned" if motion.phase == "planned" else f"stop on {motion.stop_on}"
-        what = f"{motion.gait} walk on {settings.terrain.kind} ground, {turn}"
+        gait = "walk" if motion.gait == "walk" else f"{motion.gait} walk"
+        what = f"{gait} on {settings.terrain.kind} ground, {turn}"
     drifts = f", {len(settings.drift)} drifts" if settings.drift else ""
     return f"{what}, seed {settings.seed}{drifts}"
 

@@ -79,12 +79,20 @@ class SimulationSettings:
     robot: str = "hexapod"
 
     def __post_init__(self) -> None:
-        legs = simulated_robot(self.robot).layout.legs
+        robot = simulated_robot(self.robot)
+        legs = robot.layout.legs
         moves = () if isinstance(self.motion, WalkSettings) else self.motion.legs
         if any(leg not in legs for leg in moves):
             raise ConfigurationError(
                 f"legs to move are {list(moves)}; expected some of {', '.join(legs)}"
             )
+        if isinstance(self.motion, PoseSettings):
+            found, own = self.motion.workspace, robot.pose and robot.pose.workspace
+            if own is None or (found == "hung") != (own == "hung"):
+                raise ConfigurationError(
+                    f"robot '{self.robot}' does not move in workspace '{found}'; expected "
+                    f"{own or 'a walk'}"
+                )
         if not 0 <= self.preview_ticks <= 50:
             raise ConfigurationError(f"preview of {self.preview_ticks} ticks; expected 0 to 50")
         if not 0.0 <= self.servo_spread <= 0.5:
