@@ -28,7 +28,15 @@ except ImportError:  # there is none for this computer: pyproject.toml names tho
     numba = None
     _numba_config = None  # type: ignore[assignment]
 
-__all__ = ["CACHE_VARIABLE", "cache_folder", "compiled", "compiles", "is_cached", "records"]
+__all__ = [
+    "CACHE_VARIABLE",
+    "borrow",
+    "cache_folder",
+    "compiled",
+    "compiles",
+    "is_cached",
+    "records",
+]
 
 _config: Any = _numba_config  # its settings are made at import, and have no types
 
@@ -97,6 +105,39 @@ def compiled(function: Callable[..., Any]) -> Any:
         _config.CACHE_DIR = before
 
 
+def _borrowing() -> Any:
+    """An array without its count of references, which every slice would raise and lower."""
+    from numba import extending
+    from numba.core import cgutils as generate
+    from numba.np import arrayobj
+
+    arrays: Any = arrayobj  # these three have no types
+    cgutils: Any = generate
+    intrinsic: Any = extending.intrinsic
+
+    def borrow(_context: Any, array: Any) -> Any:
+        def make(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            of_kind = arrays.make_array(array)
+            given, found = of_kind(context, builder, values[0]), of_kind(context, builder)
+            arrays.populate_array(
+                found,
+                data=given.data,
+                shape=cgutils.unpack_tuple(builder, given.shape),
+                strides=cgutils.unpack_tuple(builder, given.strides),
+                itemsize=given.itemsize,
+                meminfo=None,
+            )
+            return found._getvalue()
+
+        return array(array), make
+
+    return intrinsic(borrow)
+
+
+# Returns an array for as long as the caller holds it: slices of it cost nothing.
+borrow: Any = _borrowing() if compiles() else lambda array: array
+
+
 def _expanded(name: str | None) -> Path | None:
     """An absolute path, or None: a user without a home has none of its own."""
     if not name:
@@ -126,7 +167,7 @@ def _digest() -> str:
     """Of what the machine code is made from: sources, numba, Python."""
     found = hashlib.sha256(f"{getattr(numba, '__version__', None)} {sys.version}".encode())
     here = Path(__file__).parent
-    for package in _SOURCES:
-        for source in sorted((here / package).glob("*.py")):
-            found.update(source.read_bytes())
+    sources = [path for package in _SOURCES for path in sorted((here / package).glob("*.py"))]
+    for source in [Path(__file__), *sources]:
+        found.update(source.read_bytes())
     return found.hexdigest()[:16]

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from adaptive_contact.compiled import compiled
+from adaptive_contact.compiled import borrow, compiled
 from adaptive_contact.detect.clock import PAUSE, follow_clock, restart_clock, vote_late
 from adaptive_contact.detect.contact_state import let_go, swing_tick
 from adaptive_contact.detect.echo import (
@@ -44,7 +44,7 @@ from adaptive_contact.detect.history import (
     restart_history,
     take,
 )
-from adaptive_contact.detect.layout import DEPTH
+from adaptive_contact.detect.layout import DEPTH, SLOT
 from adaptive_contact.detect.regressors import predict, regressors
 from adaptive_contact.detect.statistic import context_of, leverage, model_doubt, onset, statistic
 from adaptive_contact.detect.swing import (
@@ -59,6 +59,12 @@ from adaptive_contact.detect.swing import (
     place_foot,
 )
 from adaptive_contact.detect.swing_rows import begin_labels, break_off, enter_row, note_hole
+
+
+@compiled
+def vector(array, places, row, slot):
+    """Return one leg's vector, of those of a kind."""
+    return array[row, places[slot, 0] : places[slot, 1]]
 
 
 @compiled
@@ -132,74 +138,127 @@ def follow_source(
 
 @compiled
 def judge_tick(
-    legs, accepted, restart, lost, t_ns, seq, phase, measured, desired, valid, has_valid,
-    preview_in, ring, seam, echo_commands, echo_runs, echo_off, echoing, phase_before, parts,
-    command, before, links, turns, low, lengths_ticks, last_desired, last_measured,
-    last_read, path, asked, commanded, foot, start, heights, window, lags, preview, history,
-    increment, theta, thetas, began_window, reach, believed, last, doubts, stale, refused,
-    values, counts, kind, first, entry, weight, knee, law, xi0, coefficients, whiten, limits,
-    limits_awaited, sigma, unit, index, per_scale, root, sizes, domain, rows, row_thetas,
-    row_targets, row_asides, free_ring, scores, bools, floats, room, now, sums,
+    legs, floats, ints, bools, places, preview_in, ring, echo_commands, echo_runs, parts, links,
+    path, lags, preview, history, thetas, kind, first, entry, weight, knee, law, xi0, coefficients,
+    whiten, index, per_scale, root, domain, rows, row_thetas, row_targets, row_asides, free_ring,
+    some, room, now, sums,
 ):  # fmt: skip
     """Judge a sample of every leg that has one: the first half of a tick, up to its events.
 
     Arguments are arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg;
-    ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`.  Scratch that passes between
-    steps: ``floats[6]`` the repaired reading, ``floats[2]`` the reciprocal deviations of this tick,
-    ``floats[3]`` the gradient of the foot's height.
+    ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`, ``floats``, ``ints`` and
+    ``bools`` its vectors.  Scratch that passes between steps: ``room[6]`` the repaired reading,
+    ``room[2]`` the reciprocal deviations of this tick, ``room[3]`` the gradient of the foot's
+    height.
     """
-    joints = measured.shape[1]
+    legs, rows, floats, ints, bools = (
+        borrow(legs), borrow(rows), borrow(floats), borrow(ints), borrow(bools),
+    )  # fmt: skip
+    preview_in, ring, links, path, parts = (
+        borrow(preview_in), borrow(ring), borrow(links), borrow(path), borrow(parts),
+    )  # fmt: skip
+    echo_commands, echo_runs, history, thetas, free_ring = (
+        borrow(echo_commands), borrow(echo_runs), borrow(history), borrow(thetas),
+        borrow(free_ring),
+    )  # fmt: skip
+    xi0, coefficients, whiten, index, per_scale, root, domain = (
+        borrow(xi0), borrow(coefficients), borrow(whiten), borrow(index), borrow(per_scale),
+        borrow(root), borrow(domain),
+    )  # fmt: skip
+    row_thetas, row_targets, row_asides, some, room, now, sums = (
+        borrow(row_thetas), borrow(row_targets), borrow(row_asides), borrow(some), borrow(room),
+        borrow(now), borrow(sums),
+    )  # fmt: skip
+    joints = links.shape[1]
     table = (kind, first, entry, weight, knee, law)
+    predicting = sums.reshape(2 * joints)
     for i in range(len(legs)):
-        if not accepted[i]:
+        if not legs[i].accepted:
             continue
         leg = legs[i]
         leg.found = 0
-        leg.t_ns, leg.seq = t_ns[i], seq[i]
+        leg.unfinished = True
+        measured = vector(floats, places, i, SLOT.measured)
+        desired = vector(floats, places, i, SLOT.desired)
+        seam = vector(floats, places, i, SLOT.seam)
+        command = vector(floats, places, i, SLOT.command)
+        before = vector(floats, places, i, SLOT.before)
+        phase_before = vector(floats, places, i, SLOT.phase_before)
+        low = vector(floats, places, i, SLOT.low)
+        last_desired = vector(floats, places, i, SLOT.last_desired)
+        last_measured = vector(floats, places, i, SLOT.last_measured)
+        last_read = vector(floats, places, i, SLOT.last_read)
+        asked = vector(floats, places, i, SLOT.asked)
+        commanded = vector(floats, places, i, SLOT.commanded)
+        foot = vector(floats, places, i, SLOT.foot)
+        start = vector(floats, places, i, SLOT.start)
+        heights = vector(floats, places, i, SLOT.heights)
+        window = vector(floats, places, i, SLOT.window)
+        began_window = vector(floats, places, i, SLOT.began_window)
+        increment = vector(floats, places, i, SLOT.increment)
+        theta = vector(floats, places, i, SLOT.theta)
+        reach = vector(floats, places, i, SLOT.reach)
+        believed = vector(floats, places, i, SLOT.believed)
+        last = vector(floats, places, i, SLOT.last)
+        values = vector(floats, places, i, SLOT.values)
+        sigma = vector(floats, places, i, SLOT.sigma)
+        unit = vector(floats, places, i, SLOT.unit)
+        limits = vector(floats, places, i, SLOT.limits)
+        limits_awaited = vector(floats, places, i, SLOT.limits_awaited)
+        scores = vector(floats, places, i, SLOT.scores)
+        lengths_ticks = vector(ints, places, i, SLOT.lengths_ticks)
+        counts = vector(ints, places, i, SLOT.counts)
+        echo_off = vector(ints, places, i, SLOT.echo_off)
+        stale = vector(ints, places, i, SLOT.stale)
+        turns = vector(ints, places, i, SLOT.turns)
+        valid = vector(bools, places, i, SLOT.valid)
+        echoing = vector(bools, places, i, SLOT.echoing)
+        doubts = vector(bools, places, i, SLOT.doubts)
+        refused = vector(bools, places, i, SLOT.refused)
         # The sample, as it connects to the stream.
-        unwrap(leg, measured[i], desired[i], preview_in[i], seam[i], restart[i])
-        if restart[i]:
+        unwrap(leg, measured, desired, preview_in[i], seam, leg.restart)
+        if leg.restart:
             restart_clock(leg)
-        missed = follow_clock(leg, t_ns[i], seq[i], ring[i])
+        missed = follow_clock(leg, leg.t_ns, leg.seq, ring[i])
         leg.missed = missed
         leg.accepted_n += 1
         leg.total_n += 1
         if leg.late != 1:
             leg.lateness = 0.0
-        if restart[i]:
-            restart_leg(leg, command[i], before[i], desired[i], doubts[i])
+        if leg.restart:
+            restart_leg(leg, command, before, desired, doubts)
             leg.began_ns, leg.began_n, leg.began_count = leg.at_ns, leg.total_n, 1
         elif missed and leg.known:
             if missed != PAUSE and missed < leg.length:
                 note_hole(leg, rows[i])
                 bridge(
-                    leg, desired[i] if lost[i] else command[i], missed, window[i], lags, preview,
-                    history[i], increment[i], theta[i], thetas[i], reach[i], believed[i],
-                    last[i], doubts[i], stale[i], refused[i], values[i], counts[i],
-                    table, xi0[i], coefficients[i], room, bools, floats,
+                    leg, desired if leg.lost else command, missed, window, lags, preview,
+                    history[i], increment, theta, thetas[i], reach, believed,
+                    last, doubts, stale, refused, values, counts,
+                    table, xi0[i], coefficients[i], predicting, some, room,
                 )  # fmt: skip
             else:
-                restart_history(leg, doubts[i])
+                restart_history(leg, doubts)
                 break_off(leg)
                 leg.loaded, leg.calm = True, 0
-        if restart[i] or missed:
+        if leg.restart or missed:
             leg.echo_n = 0
             begin_echo(echo_runs[i])
-            if restart[i]:
+            if leg.restart:
                 restart_phase(leg, parts[i])
-        take_command(leg, desired[i], echo_commands[i])
+        take_command(leg, desired, echo_commands[i])
         height = 0.0
-        if leg.has_lengths and phase[i] != UNKNOWN:
-            place_foot(desired[i], links[i], turns[i], now)
+        if leg.has_lengths and leg.phase != UNKNOWN:
+            place_foot(desired, links[i], turns, now)
             height = now[2]
-        take_phase(leg, phase[i], desired[i], height, phase_before[i], parts[i])
+        take_phase(leg, leg.phase, desired, height, phase_before, parts[i])
         # The swing, by the command.
         awaited = leg.known and not (leg.loaded or leg.contact)
         whole = leg.whole
         ends = follow_command(
-            leg, phase[i], measured[i], desired[i], seq[i], links[i], turns[i], low[i],
-            lengths_ticks[i], last_desired[i], last_measured[i], last_read[i], path[i], asked[i],
-            commanded[i], foot[i], start[i], now, awaited,
+            leg, leg.phase, measured, desired, leg.seq, links[i], turns, low,
+            lengths_ticks, last_desired, last_measured, last_read, path[i], asked,
+            commanded, foot, start, now, awaited,
         )  # fmt: skip
         if (ends or leg.ticks == 0) and leg.open and leg.known:
             leg.open = False
@@ -225,10 +284,10 @@ def judge_tick(
             leg.began_full = leg.known and leg.filled >= leg.length and preview == 0
             if leg.known:
                 leg.usable = 0
-                began_window[i] = window[i]
+                began_window[:] = window
         follow_source(
-            leg, measured[i], valid[i], has_valid[i], echo_commands[i], echo_runs[i], echo_off[i],
-            echoing[i], doubts[i],
+            leg, measured, valid, leg.has_valid, echo_commands[i], echo_runs[i], echo_off,
+            echoing, doubts,
         )  # fmt: skip
         void = leg.misread or leg.cause != NONE
         leg.release_pending |= leg.reported and (void or leg.withholds)
@@ -238,19 +297,19 @@ def judge_tick(
             continue
         # The reading.
         repair(
-            leg, measured[i], valid[i], has_valid[i], now_reading(floats), window[i], lags, preview,
-            history[i], increment[i], reach[i], believed[i], last[i], doubts[i], stale[i],
-            refused[i], values[i], counts[i], table, xi0[i], coefficients[i], theta[i], room,
-            bools, floats,
+            leg, measured, valid, leg.has_valid, now_reading(room), window, lags, preview,
+            history[i], increment, reach, believed, last, doubts, stale,
+            refused, values, counts, table, xi0[i], coefficients[i], theta, predicting,
+            some, room,
         )  # fmt: skip
-        take(leg, floats[6], window[i], lags, history[i], increment[i])
-        can = judged(leg, theta[i], thetas[i])
+        take(leg, room[6], window, lags, history[i], increment)
+        can = judged(leg, theta, thetas[i])
         follow_foot(
-            leg, floats[6], links[i], turns[i], lengths_ticks[i], last_measured[i], heights[i],
-            asked[i], commanded[i], foot[i], start[i], now,
+            leg, room[6], links[i], turns, lengths_ticks, last_measured, heights,
+            asked, commanded, foot, start, now,
         )  # fmt: skip
         if leg.rate_off:
-            restart_history(leg, doubts[i])
+            restart_history(leg, doubts)
             break_off(leg)
             leg.found |= RATE_OFF
             continue
@@ -263,40 +322,40 @@ def judge_tick(
         if leg.ticks < 2:
             continue
         # The residual, against its variance.
-        leg.context = context_of(leg, command[i], before[i])
+        leg.context = context_of(leg, command, before)
         for j in range(joints):
-            unit[i, j] = leg.variance_scale
+            unit[j] = leg.variance_scale
             if leg.inflated:
-                doubt = model_doubt(theta[i], index[i], per_scale[i], root[i], sizes[i], j)
-                unit[i, j] *= 1.0 + doubt
-            unit[i, j] *= leg.inflation
+                doubt = model_doubt(theta, index[i], per_scale[i], root[i], leg.root_n, j)
+                unit[j] *= 1.0 + doubt
+            unit[j] *= leg.inflation
         if leg.clock_left or leg.stretch:
             if leg.stretch:
                 leg.clock_most, leg.clock_left = abs(leg.stretch), UNSURE_TICKS + 1
             leg.clock_left -= 1
             if leg.stretch and not (leg.loaded or leg.contact or leg.after):
-                vote_late(leg, history[i, 0, 0], history[i, 1, 0], sigma[i])
+                vote_late(leg, history[i, 0, 0], history[i, 1, 0], sigma)
             if leg.late < 0:
                 for j in range(joints):
-                    by = leg.clock_most * history[i, 1, 0, j] / sigma[i, j]
-                    unit[i, j] += by * by
+                    by = leg.clock_most * history[i, 1, 0, j] / sigma[j]
+                    unit[j] += by * by
         for j in range(joints):
-            floats[2, j] = 1.0 / math.sqrt(unit[i, j])
+            room[2, j] = 1.0 / math.sqrt(unit[j])
         against = leg.after > 0 and leg.has_lengths
         if against:
-            height_gradient(last_measured[i], links[i], turns[i], floats[3])
-        of_tick = limits_awaited[i] if leg.after else limits[i]
+            height_gradient(last_measured, links[i], turns, room[3])
+        of_tick = limits_awaited if leg.after else limits
         leg.distance = statistic(
-            leg, history[i], whiten[i], floats[2], of_tick, scores[i], sums, floats[3], against
+            leg, history[i], whiten[i], room[2], of_tick, scores, sums, room[3], against
         )
         # Free, loaded, or contact.
-        past_lift = descending(leg, lengths_ticks[i])
+        past_lift = descending(leg, lengths_ticks)
         topped = leg.topped and not leg.broken if leg.gated else not leg.broken
         loaded = leg.loaded
-        score, onset_ns = scores[i, 0], leg.at_ns
+        score, onset_ns = scores[0], leg.at_ns
         for width in range(1, DEPTH):
-            if scores[i, width] > score:
-                score = scores[i, width]
+            if scores[width] > score:
+                score = scores[width]
         if leg.after:
             leg.quiet = leg.quiet + 1 if leg.sure and not leg.bad and score < QUIET_SCORE else 0
         if score > 1.0:
@@ -308,11 +367,11 @@ def judge_tick(
                 for width in range(min(leg.thetas_n, DEPTH)):
                     if leg.has_domain:
                         spread += leverage(thetas[i, width], domain[i])
-                    within = scores[i, width] / (1.0 + spread / (width + 1))
+                    within = scores[width] / (1.0 + spread / (width + 1))
                     if within > score:
                         score, widest = within, width + 1
                 onset_ns = onset(leg, history[i], widest)
-        swing_tick(leg, score, leg.distance / limits[i, 0], onset_ns, past_lift and topped)
+        swing_tick(leg, score, leg.distance / limits[0], onset_ns, past_lift and topped)
         free = not (loaded or leg.contact)
         if loaded and not leg.loaded:
             leg.usable = 0
@@ -327,16 +386,16 @@ def judge_tick(
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
-                    history[i], leg.distance, scores[i, 0] * of_tick[0], free, past_lift,
-                    whiten[i], unit[i], last_measured[i], links[i], turns[i], floats[0],
-                    floats[1],
+                    history[i], leg.distance, scores[0] * of_tick[0], free, past_lift,
+                    whiten[i], unit, last_measured, links[i], turns, room[0],
+                    room[1],
                 )  # fmt: skip
                 if leg.topped and not leg.broken and not leg.top_seen:
                     leg.top_seen = True
                     leg.found |= TOPPED
     found = 0
     for i in range(len(legs)):
-        if accepted[i]:
+        if legs[i].accepted:
             found |= legs[i].found
     return found
 
@@ -382,34 +441,50 @@ def bridge(
 
 @compiled
 def finish_tick(
-    legs, accepted, desired, preview_in, preview_n, command, before, window, lags, preview,
-    increment, theta, kind, first, entry, weight, knee, law, xi0, coefficients, room,
+    legs, floats, places, preview_in, lags, preview, kind, first, entry, weight, knee, law, xi0,
+    coefficients, room,
 ):  # fmt: skip
-    """Put commands in force and predict the next tick: the second half."""
-    joints = desired.shape[1]
+    """Put commands in force and predict the next tick: the second half.
+
+    Returns:
+        Rows held back of the leg that has most.
+    """
+    legs, floats, preview_in = borrow(legs), borrow(floats), borrow(preview_in)
+    xi0, coefficients = borrow(xi0), borrow(coefficients)
+    joints = coefficients.shape[2]
+    predicting = borrow(room).reshape(2 * joints)
+    most = 0
     for i in range(len(legs)):
-        if not accepted[i]:
+        if not legs[i].unfinished:
             continue
         leg = legs[i]
+        leg.unfinished = False
+        most = max(most, leg.row_n)
+        desired = vector(floats, places, i, SLOT.desired)
+        command = vector(floats, places, i, SLOT.command)
+        before = vector(floats, places, i, SLOT.before)
+        window = vector(floats, places, i, SLOT.window)
+        theta = vector(floats, places, i, SLOT.theta)
+        increment = vector(floats, places, i, SLOT.increment)
         for j in range(joints):
-            before[i, j] = command[i, j]
-            command[i, j] = desired[i, j]
+            before[j] = command[j]
+            command[j] = desired[j]
         if leg.has_lengths:
             leg.descent = not leg.commanded_up
         if not leg.known:
             continue
-        full = push_command(leg, desired[i], window[i], lags, preview)
+        full = push_command(leg, desired, window, lags, preview)
         ready = full
         if preview:
-            ready = full and preview_n[i] >= preview
-            if preview_n[i] >= preview:
+            ready = full and leg.preview_n >= preview
+            if leg.preview_n >= preview:
+                begin = len(window) - preview * joints
                 for k in range(preview):
                     for j in range(joints):
-                        window[i, len(window[i]) - preview * joints + k * joints + j] = preview_in[
-                            i, k, j
-                        ]
+                        window[begin + k * joints + j] = preview_in[i, k, j]
             leg.lacking = RECENT_TICKS if full and not ready else max(leg.lacking - 1, 0)
         leg.predicted = False
         if ready and leg.ticks:
-            regressors(window[i], kind, first, entry, weight, knee, law, xi0[i], theta[i], room)
-            leg.predicted = predict(theta[i], coefficients[i], increment[i])
+            regressors(window, kind, first, entry, weight, knee, law, xi0[i], theta, predicting)
+            leg.predicted = predict(theta, coefficients[i], increment)
+    return most

@@ -12,18 +12,7 @@ from numpy.typing import NDArray
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
 from adaptive_contact.detect.echo import COMMANDS, LAGS
-from adaptive_contact.detect.layout import (
-    ASKED,
-    DEPTH,
-    HEIGHTS,
-    LOW_TICKS,
-    PATH_TICKS,
-    RING,
-    ROW,
-    SWINGS,
-    VALUES,
-    new_legs,
-)
+from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, new_legs, vectors
 from adaptive_contact.detect.regressors import term_table
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
@@ -51,17 +40,41 @@ class LegBatch:
 
     Attributes:
         legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
-        window: measured positions, then commands, then preview, newest first, rad.
+        vectors: of floats, of integers and of booleans; each has a name there, and so it has here.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
-        theta, thetas: (p,) and (3, p), regressors of the next tick and of the last ones.
-        unit: (J,) variance of this tick's residuals over the baseline's.
-        limits, limits_awaited: (windows,) thresholds, in a swing and after the turn to stance.
+        thetas: (3, p), regressors of the last ticks.
         domain: (p, p) matrix whose product with regressors has the leverage as squared length.
-        index, per_scale, root, sizes: covariance of the coefficients while it is inflated.
+        index, per_scale, root: covariance of the coefficients while it is inflated.
         rows, row_thetas, row_targets, row_asides: rows of the swing until it is resolved.
-        scores: (windows,) test ratios of this tick.
         free_ring: residuals of the newest free ticks, rad.
     """
+
+    # Those of the scalars that a sample brings.
+    accepted: NDArray[np.bool_]
+    restart: NDArray[np.bool_]
+    lost: NDArray[np.int64]
+    t_ns: NDArray[np.int64]
+    seq: NDArray[np.int64]
+    phase: NDArray[np.int32]
+    has_valid: NDArray[np.bool_]
+    preview_n: NDArray[np.int32]
+    # Those of the vectors that swings' judgements read.
+    measured: Array
+    desired: Array
+    valid: NDArray[np.bool_]
+    echoing: NDArray[np.bool_]
+    asked: Array
+    start: Array
+    heights: Array
+    lengths_ticks: NDArray[np.int64]
+    turns: NDArray[np.int64]
+    window: Array
+    began_window: Array
+    sigma: Array
+    unit: Array
+    limits: Array
+    limits_awaited: Array
+    scores: Array
 
     def __init__(
         self, legs: Sequence[Leg], library: Library, quantum_rad: Sequence[float], period_ns: int,
@@ -71,70 +84,47 @@ class LegBatch:
         shape = library.window
         self.described = tuple(legs)
         self.library, self.count = library, rows
-        self.open = np.zeros(rows, dtype=np.bool_)
         self.table = term_table(library)
         self.lags = shape.past_measured + 1
         self.preview = shape.preview
         depth = self.lags + shape.past_desired + 1 + shape.preview
-        q, p, n = len(self.table.kind), library.size, library.size
+        q, p = len(self.table.kind), library.size
         f, b, i = np.float64, np.bool_, np.int64
 
         def zeros(*shape: int, dtype: Any = f) -> Any:
             return np.zeros((rows, *shape), dtype=dtype)
 
         self.legs = legs_ = new_legs(rows)
-        # A tick's samples.
-        self.accepted, self.restart = zeros(dtype=b), zeros(dtype=b)
-        self.lost, self.t_ns, self.seq = zeros(dtype=i), zeros(dtype=i), zeros(dtype=i)
-        self.phase = zeros(dtype=np.int8)
-        self.measured, self.desired = zeros(joints), zeros(joints)
-        self.valid, self.has_valid = zeros(joints, dtype=b), zeros(dtype=b)
-        self.preview_in, self.preview_n = zeros(shape.preview, joints), zeros(dtype=i)
-        # Stream and clock.
+        lengths = {"J": joints, "p": p, "w": depth * joints}
+        self.vectors, self.places, views = vectors(rows, lengths)
+        for name, view in views.items():
+            setattr(self, name, view)
+        self.unit[:] = 1.0
+        for name in _OF_SAMPLES:  # to write to one costs a quarter of what it does by leg
+            setattr(self, name, legs_[name])
+        self.preview_in = zeros(shape.preview, joints)
+        # Stream, source and swing.
         self.ring = zeros(RING, 3, dtype=i)
-        self.seam, self.command, self.before = zeros(joints), zeros(joints), zeros(joints)
-        # Source.
         self.echo_commands = zeros(COMMANDS, joints)
         self.echo_runs = zeros(joints, LAGS, 5)
         self.echo_runs[..., 4] = -1.0
-        self.echo_off, self.echoing = zeros(joints, dtype=i), zeros(joints, dtype=b)
-        self.phase_before, self.parts = zeros(joints), zeros(3, 4)
-        # Swing.
-        self.links, self.turns = zeros(joints, 6), zeros(joints, dtype=np.int8)
-        self.low, self.lengths_ticks = zeros(LOW_TICKS), zeros(SWINGS, dtype=i)
-        self.last_desired, self.last_measured = zeros(joints), zeros(joints)
-        self.last_read = zeros(joints)
-        self.path, self.asked = zeros(PATH_TICKS, joints), zeros(ASKED)
-        self.commanded, self.foot, self.start = zeros(3), zeros(3), zeros(3)
-        self.heights = zeros(HEIGHTS)
+        self.parts = zeros(3, 4)
+        self.links, self.path = zeros(joints, 6), zeros(PATH_TICKS, joints)
         # History.
-        self.window = zeros(depth * joints)
-        self.history = zeros(2, DEPTH, joints)
-        self.increment = zeros(joints)
-        self.theta, self.thetas = zeros(p), zeros(DEPTH, p)
-        self.began_window = zeros(depth * joints)
-        self.reach, self.believed, self.last = zeros(joints), zeros(joints), zeros(joints)
-        self.doubts = zeros(joints, dtype=b)
-        self.stale, self.refused = zeros(joints, dtype=i), zeros(joints, dtype=b)
-        self.values, self.counts = zeros(VALUES + 1), zeros(VALUES + 1, dtype=i)
+        self.history, self.thetas = zeros(2, DEPTH, joints), zeros(DEPTH, p)
         # What is known of free motion.
         self.xi0, self.coefficients = zeros(q, joints), zeros(p, joints)
         self.whiten = zeros(CONTEXTS, DEPTH, joints, joints)
-        self.limits, self.limits_awaited = zeros(DEPTH), zeros(DEPTH)
-        self.sigma, self.unit = zeros(joints), np.ones((rows, joints))
-        self.index = zeros(joints, n, dtype=i)
-        self.per_scale, self.root = zeros(joints, n), zeros(joints, n, n)
-        self.sizes = zeros(dtype=i)
+        self.index = zeros(joints, p, dtype=i)
+        self.per_scale, self.root = zeros(joints, p), zeros(joints, p, p)
         self.domain = zeros(p, p)
         # Labels.
         self.rows = np.zeros((rows, capacity), dtype=ROW)
         self.row_thetas, self.row_targets = zeros(capacity, p), zeros(capacity, joints)
         self.row_asides = zeros(capacity, joints)
         self.free_ring = zeros(STATUS_TICKS, joints)
-        self.scores = zeros(DEPTH)
         # Scratch.
-        self.bools = np.zeros((6, joints), dtype=b)
-        self.floats, self.room = np.zeros((9, joints)), np.zeros(2 * joints)
+        self.some, self.room = np.zeros((6, joints), dtype=b), np.zeros((9, joints))
         self.now, self.sums = np.zeros(3), np.zeros((2, joints))
         for row, leg in enumerate(legs):
             legs_[row]["quantum"] = quantum_rad[row]
@@ -153,33 +143,24 @@ class LegBatch:
 
     def judge(self) -> int:
         """Run the first half of a tick; returns the flags of all legs, in one."""
-        self.open |= self.accepted
+        floats, ints, bools = self.vectors
         found: int = judge_tick(
-            records(self.legs), self.accepted, self.restart, self.lost, self.t_ns, self.seq,
-            self.phase, self.measured, self.desired, self.valid, self.has_valid, self.preview_in,
-            self.ring, self.seam, self.echo_commands, self.echo_runs, self.echo_off,
-            self.echoing, self.phase_before, self.parts, self.command, self.before, self.links,
-            self.turns, self.low, self.lengths_ticks, self.last_desired, self.last_measured,
-            self.last_read, self.path, self.asked, self.commanded, self.foot, self.start,
-            self.heights, self.window, self.lags, self.preview, self.history, self.increment,
-            self.theta, self.thetas, self.began_window, self.reach, self.believed, self.last,
-            self.doubts, self.stale, self.refused, self.values, self.counts, *self.table,
-            self.xi0, self.coefficients, self.whiten, self.limits, self.limits_awaited,
-            self.sigma, self.unit, self.index, self.per_scale, self.root, self.sizes,
-            self.domain, records(self.rows), self.row_thetas, self.row_targets, self.row_asides,
-            self.free_ring, self.scores, self.bools, self.floats, self.room, self.now, self.sums,
+            records(self.legs), floats, ints, bools, self.places, self.preview_in, self.ring,
+            self.echo_commands, self.echo_runs, self.parts, self.links, self.path, self.lags,
+            self.preview, self.history, self.thetas, *self.table, self.xi0, self.coefficients,
+            self.whiten, self.index, self.per_scale, self.root, self.domain, records(self.rows),
+            self.row_thetas, self.row_targets, self.row_asides, self.free_ring, self.some,
+            self.room, self.now, self.sums,
         )  # fmt: skip
         return found
 
     def finish(self) -> None:
         """Run the second half of a tick."""
-        finish_tick(
-            records(self.legs), self.open, self.desired, self.preview_in, self.preview_n,
-            self.command, self.before, self.window, self.lags, self.preview, self.increment,
-            self.theta, *self.table, self.xi0, self.coefficients, self.room,
+        most = finish_tick(
+            records(self.legs), self.vectors[0], self.places, self.preview_in, self.lags,
+            self.preview, *self.table, self.xi0, self.coefficients, self.sums,
         )  # fmt: skip
-        self.open[:] = False
-        if self.legs["row_n"].max() + 2 > self.rows.shape[1]:
+        if most + 2 > self.rows.shape[1]:
             self.grow()
 
     @classmethod
@@ -228,19 +209,23 @@ class LegBatch:
         leg = self.legs[row]
         for name in ("filled", "impossible", "unsure", "refused", "reach_ticks", "values_n"):
             leg[name] = 0
-        for name in ("usable", "thetas_n"):
+        for name in ("usable", "thetas_n", "root_n"):
             leg[name] = 0
         leg["predicted"] = leg["bad"] = leg["seen"] = False
         leg["sound"], leg["inflation"] = True, 1.0
 
 
 _OF_ROWS: Final = ("rows", "row_thetas", "row_targets", "row_asides")
-_SCRATCH: Final = ("bools", "floats", "room", "now", "sums")
+_OF_SAMPLES: Final = (
+    "accepted", "restart", "lost", "t_ns", "seq", "phase", "has_valid", "preview_n",
+)  # fmt: skip
+# Scratch, and what is adopted by other names.
+_SCRATCH: Final = ("some", "room", "now", "sums", "places", *_OF_SAMPLES)
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "believed",
     "last", "doubts", "stale", "refused", "values", "counts", "xi0", "coefficients", "index",
-    "per_scale", "root", "sizes", "domain",
+    "per_scale", "root", "domain",
 )  # fmt: skip
 
 
@@ -296,7 +281,7 @@ class LegPlace:
 
     def drop_tick(self) -> None:
         """Drop the present tick."""
-        self.batch.accepted[self.row] = self.batch.open[self.row] = False
+        self.leg["accepted"] = self.leg["unfinished"] = False
         self.leg["found"] = 0
 
     def restart_swing(self) -> None:
@@ -347,7 +332,7 @@ class LegPlace:
                 batch.domain[row, : len(reach), : len(reach)] = reach
         if free.covariance is not None:
             terms, per_scale, root = free.covariance
-            n = batch.sizes[row] = terms.shape[1]
+            n = leg["root_n"] = terms.shape[1]
             batch.index[row, :, :n], batch.per_scale[row, :, :n] = terms, per_scale
             batch.root[row, :, :n, :n] = root
         if free.coefficients is not None:

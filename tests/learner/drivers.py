@@ -105,12 +105,12 @@ class Readings:
         flags = np.ones(3, dtype=bool) if valid is None else np.array(valid)
         repair(
             leg, np.asarray(reading, dtype=float), flags, valid is not None and not all(valid),
-            b.floats[6], b.window[0], b.lags, b.preview, b.history[0], b.increment[0], b.reach[0],
+            b.room[6], b.window[0], b.lags, b.preview, b.history[0], b.increment[0], b.reach[0],
             b.believed[0], b.last[0], b.doubts[0], b.stale[0], b.refused[0], b.values[0],
-            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.theta[0], b.room, b.bools,
-            b.floats,
+            b.counts[0], tuple(b.table), b.xi0[0], b.coefficients[0], b.theta[0],
+            b.sums.reshape(-1), b.some, b.room,
         )  # fmt: skip
-        take(leg, b.floats[6], b.window[0], b.lags, b.history[0], b.increment[0])
+        take(leg, b.room[6], b.window[0], b.lags, b.history[0], b.increment[0])
         judged(leg, b.theta[0], b.thetas[0])
 
     def restart(self) -> None:
@@ -167,7 +167,7 @@ class Labels:
         enter_row(
             leg, b.rows[0], b.row_thetas[0], b.row_targets[0], b.row_asides[0], b.theta[0],
             b.history[0], row.nis * joints, row.value, row.calm, descending, b.whiten[0],
-            b.unit[0], b.last_measured[0], b.links[0], b.turns[0], b.floats[0], b.floats[1],
+            b.unit[0], b.last_measured[0], b.links[0], b.turns[0], b.room[0], b.room[1],
         )  # fmt: skip
         if int(leg["row_n"]) > before:
             self._seen = [*self._seen[:before], row]

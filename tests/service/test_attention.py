@@ -40,6 +40,7 @@ def look(of: View, *statuses: LearnerStatus) -> list[tuple[str, list[str], str, 
 
 def notes_of_the_page() -> list[str]:
     table = OPERATING.read_text("utf-8").split("### What the note of a leg asks for")[1]
+    table = table.split("\n#")[0]  # other tables of the page follow
     rows = [line for line in table.splitlines() if line.startswith("| `")]
     assert len(rows) > 10
     return [note for row in rows for note in re.findall(r"`([^`]+)`", row.split(" | ")[0])]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+import zenoh
 
 from adaptive_contact import wire
 from adaptive_contact.service.state import StateFacts
@@ -92,3 +94,48 @@ def test_the_subscriber_in_python_works(
         if not reader.is_alive():
             break
     assert re.match(r"rf (touches|lets go) \d+$", first[0])
+
+
+@pytest.mark.e2e
+def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_service(
+    serve: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
+) -> None:
+    part = TEXT.split("## A safe subscriber")[1]
+    (code,) = re.findall(r"```python\n(.*?)```", part, re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    served = serve()
+    config = zenoh.Config.from_json5(
+        f'{{mode: "client", connect: {{endpoints: ["{served.endpoint}"]}}}}'
+    )
+    client = join(served.endpoint)
+    publisher = client.publisher(servo_key("rf"))
+    with zenoh.open(config) as session:
+        contacts = names["Contacts"](session)
+        assert contacts.service.wait(10)
+        assert contacts.look("rf", 0) == "free"
+        # Contacts go on until the first has arrived: it is only then known that all is declared.
+        for seq in range(1000):
+            publisher.put(sample(seq, contact=True))
+            if contacts.look("rf", 0) == "contact":
+                break
+            threading.Event().wait(0.02)
+        began_ns = contacts.events["rf"]["t_ns"]
+        assert contacts.look("rf", began_ns) == "contact"
+        assert contacts.look("rf", began_ns + 1) == "free"
+        assert contacts.look("lf", 0) == "free"
+        # Who joins late gets the contact that stands, however old, and may refuse it.
+        late = names["Contacts"](session)
+        assert late.service.wait(10)
+        until("contact", late.look, "rf", began_ns)
+        assert late.look("rf", began_ns + 1) == "free"
+        served.stop()
+        until("unwatched", contacts.look, "rf", began_ns)
+
+
+def until(wanted: str, look: Callable[..., str], *args: Any) -> None:
+    """Look until the answer is the one wanted."""
+    deadline = time.monotonic() + 20
+    while look(*args) != wanted:
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.02)

@@ -81,6 +81,9 @@ class Client:
         channel = self.wait_channel(topic)["id"]
         number = len(self._subscribed) + 1
         self._subscribed[number] = topic
+        self._ask(number, channel)
+
+    def _ask(self, number: int, channel: int) -> None:
         wanted = [{"id": number, "channelId": channel}]
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
@@ -95,6 +98,11 @@ class Client:
             said = json.loads(received)
             if said["op"] == "advertise":
                 self.channels |= {channel["topic"]: channel for channel in said["channels"]}
+            elif said["op"] == "status":
+                # On a busy computer the SDK advertises a channel before it knows it itself.
+                for number, topic in self._subscribed.items():
+                    if str(self.channels[topic]["id"]) in said["message"]:
+                        self._ask(number, self.channels[topic]["id"])
             return None
         opcode, number, time_ns = struct.unpack_from("<BIQ", received)
         assert opcode == 1, "message data"
