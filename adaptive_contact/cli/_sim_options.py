@@ -142,17 +142,23 @@ class RunOptions:
         False
     )
 
-    def base(self, kind: type[M]) -> tuple[Scenario, M]:
+    def base(self, kind: type[M], gait: str | None = None) -> tuple[Scenario, M]:
         """The scenario to start from, and its motion; without one, the defaults of that motion.
+
+        Args:
+            kind: of motion.
+            gait: of a walk without a scenario: a robot's gaits may have defaults of their own.
 
         Raises:
             ConfigurationError: the scenario cannot be used, or is of another motion.
         """
         from adaptive_contact_sim import PoseSettings, Scenario, SimulationSettings, load_scenario
+        from adaptive_contact_sim.gait import GAITS
 
         mode: Literal["pose", "walk"] = "pose" if kind is PoseSettings else "walk"
         if self.scenario is None:
-            start = SimulationSettings.of(self.robot or "hexapod", mode)
+            known = next((name for name in GAITS if name == gait), None)
+            start = SimulationSettings.of(self.robot or "hexapod", mode, known)
             scenario = Scenario("default", "", None, start)
         else:
             scenario = load_scenario(self.scenario)

@@ -123,7 +123,7 @@ def walk(
     with needs_simulator():
         from adaptive_contact_sim import WalkSettings
 
-    base, motion = run.base(WalkSettings)
+    base, motion = run.base(WalkSettings, gait)
     changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms, phase=phase)
     settings = dataclasses.replace(
         base.settings,

@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DESCENT", "GAITS", "Gait", "GaitName", "Swings", "quintic"]
+__all__ = ["DESCENT", "GAITS", "Gait", "GaitName", "Sway", "Swings", "quintic"]
 
 Array = NDArray[np.float64]
 GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
@@ -22,6 +22,11 @@ GaitName = Literal["tripod", "ripple", "wave", "trot", "walk"]
 RISE: Final = 0.32
 DESCENT: Final = 0.42
 TRANSFER: Final = (0.05, 0.65)
+# Points of a cycle at which the body's shift is computed, and how many of its harmonics count:
+# servos do not follow faster ones.
+_POINTS: Final = 240
+_HARMONICS: Final = 6
+_GRAVITY_M_S2: Final = 9.81
 
 
 class Gait(NamedTuple):
@@ -47,6 +52,48 @@ GAITS: Final[dict[GaitName, Gait]] = {
     "trot": Gait(0.38, (0.0, 0.5, 0.5, 0.0)),
     "walk": Gait(0.22, (0.75, 0.25, 0.0, 0.5)),
 }
+
+
+class Sway:
+    r"""Shift of the body over the feet that stand, a function of the gait's clock.
+
+    The wanted centre of pressure :math:`z` is the centroid of the standing feet.  A body of
+    constant height :math:`h` has its own at :math:`c - (h/g)\,\ddot c`, so that each harmonic of
+    the cycle's angular frequency :math:`\omega` obeys
+
+    .. math:: c_k = z_k / (1 + (h/g)\,k^2\omega^2)
+
+    and servos that lag by :math:`\tau` are given :math:`(1 + i k \omega \tau)\,c_k`.  A gait whose
+    standing feet always have the same centroid, such as a trot, has no shift.
+
+    Args:
+        gait: which legs stand when.
+        feet_m: (L, 3) neutral feet in the body's frame.
+        height_m: of the body over its feet.
+        cycle_s: nominal time of a cycle.
+        lag_s: of the servos.
+
+    Reference:
+        S. Kajita et al., Biped walking pattern generation by using preview control of
+        zero-moment point, ICRA 2003 (the cart-table model).
+    """
+
+    def __init__(
+        self, gait: Gait, feet_m: Array, *, height_m: float, cycle_s: float, lag_s: float
+    ) -> None:
+        clock = np.arange(_POINTS)[:, None] / _POINTS
+        stands = (clock + np.array(gait.offsets)) % 1.0 >= gait.share
+        pressure = stands @ feet_m[:, :2] / stands.sum(axis=1, keepdims=True)
+        harmonics = np.fft.rfft(pressure - feet_m[:, :2].mean(axis=0), axis=0) / _POINTS
+        k = np.arange(1, _HARMONICS + 1)
+        omega = 2.0 * np.pi * k / cycle_s
+        body = harmonics[1 : _HARMONICS + 1].T / (1.0 + height_m / _GRAVITY_M_S2 * omega**2)
+        self._turns = 2j * np.pi * k
+        self._coefficients = 2.0 * body * (1.0 + 1j * omega * lag_s)
+
+    def at(self, clock: float) -> Array:
+        """(2,) m, x and y, the body's command at a clock of 0 to 1."""
+        return np.asarray((self._coefficients * np.exp(self._turns * clock)).real.sum(axis=1))
 
 
 def quintic(x: Array) -> Array:

@@ -65,18 +65,25 @@ class Geometry(Protocol):
     def standing_m(self) -> Array:
         """(3,) m, a foot at rest in its leg's frame."""
 
+    @property
+    def middle_rad(self) -> Array:
+        """(J,) rad, the first leg's posture at rest."""
+
     def neutral(self, reach_m: float, height_m: float) -> Array:
         """(L, 3) m in the legs' frames: feet so far out, the body so high over them."""
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
         """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
 
-    def joints(self, points_m: Array, near_rad: Array | None = None) -> Array:
+    def joints(
+        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
+    ) -> Array:
         """(..., J) rad within limits, the nearest to foot points (..., 3) m in the legs' frames.
 
         Args:
             points_m: one per leg, or any number where all legs are alike.
             near_rad: a posture not far from it, where one is known: it saves time.
+            rest_rad: what joints beyond three follow instead of the posture at rest.
         """
 
     def feet(self, joints_rad: Array) -> Array:
@@ -181,6 +188,11 @@ class LegGeometry(_Mounted):
         """(3,) m, a foot at rest in its leg's frame."""
         return np.array(_STANDING_M)
 
+    @property
+    def middle_rad(self) -> Array:
+        """(3,) rad, a leg's posture at rest."""
+        return self.joints(self.standing_m)
+
     def neutral(self, reach_m: float, height_m: float) -> Array:
         """(6, 3) m in the legs' frames: feet so far from their coxa axes, the body so high."""
         return np.tile([reach_m, 0.0, -height_m], (len(LEGS), 1))
@@ -192,12 +204,15 @@ class LegGeometry(_Mounted):
             inside = (joints >= self.lower_rad) & (joints <= self.upper_rad)
         return np.asarray(inside.all(axis=-1))
 
-    def joints(self, points_m: Array, near_rad: Array | None = None) -> Array:
+    def joints(
+        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
+    ) -> Array:
         """Joint angles for foot points, the nearest that can be reached.
 
         Args:
             points_m: (..., 3) m in the legs' frames.
             near_rad: of no use to a closed form.
+            rest_rad: nor is this.
 
         Returns:
             (..., 3) rad, within limits.
@@ -265,23 +280,31 @@ class ChainLegs(_Mounted):
         side = np.where(feet[:, 1] < 0.0, -1.0, 1.0)
         return np.stack([np.zeros(len(side)), side * reach_m, np.full(len(side), -height_m)], 1)
 
+    @property
+    def middle_rad(self) -> Array:
+        """(J,) rad, the first leg's posture at rest."""
+        return np.asarray(self.rest_rad[0])
+
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
         """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
         off = np.linalg.norm(self.feet(self.joints(points_m)) - points_m, axis=-1)
         return np.asarray(off < _NEAR_M)
 
-    def joints(self, points_m: Array, near_rad: Array | None = None) -> Array:
+    def joints(
+        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
+    ) -> Array:
         """Joint angles for foot points, as near as a posture within the limits comes."""
-        shape = np.broadcast_shapes(points_m.shape[:-1], self.rest_rad.shape[:-1])
-        start = self.rest_rad if near_rad is None else near_rad
-        q = np.broadcast_to(start, (*shape, self.rest_rad.shape[-1])).copy()
+        rest = self.rest_rad if rest_rad is None else rest_rad
+        shape = np.broadcast_shapes(points_m.shape[:-1], rest.shape[:-1])
+        start = rest if near_rad is None else near_rad
+        q = np.broadcast_to(start, (*shape, rest.shape[-1])).copy()
         damping = _DAMPING_M**2 * np.eye(3)
         for _ in range(_ROUNDS):
             foot, jacobian = self._linearized(q)
             error = points_m - foot
             back = np.zeros_like(q)
             if self._redundant:
-                back = _REST_SHARE * (self.rest_rad - q)
+                back = _REST_SHARE * (rest - q)
             elif float(np.abs(error).max()) < _EXACT_M:
                 break
             error = error - np.matmul(jacobian, back[..., None])[..., 0]

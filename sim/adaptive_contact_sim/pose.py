@@ -42,6 +42,8 @@ _SLOW_M_S: Final = (0.02, 0.10)
 
 # Where the two subspaces touch each other, an ascent still has to be one.
 _LEAST_RISE_M: Final = 0.04
+# How near to its points a leg whose posture varies comes, or another trial is drawn.
+_NEAR_M: Final = 1e-3
 # Draws of a trial after which its ascent may bend: there are places, low and close to the body,
 # that no straight line leaves.  A straight one is found in a handful of draws elsewhere.
 _STRAIGHT_TRIES: Final = 200
@@ -62,6 +64,8 @@ class PoseSettings:
             post); ``graze`` (along a steep face).
         react_ms: how long the command goes on after a touch; None for the whole segment.
         obstacles: what is in the way.
+        vary_rad: per joint, how far from the leg's posture at rest is what joints beyond three
+            follow, drawn anew for each end of a trial; empty leaves it where it is.
     """
 
     legs: tuple[str, ...] = ("rf",)
@@ -73,6 +77,7 @@ class PoseSettings:
     approach: Approach = "descent"
     react_ms: float | None = None
     obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)
+    vary_rad: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.legs:
@@ -96,6 +101,10 @@ class PoseSettings:
                 f"segments of {self.segment_ticks} ticks with holds of {self.hold_ticks}; expected "
                 "4 to 500, and 1 to 500"
             )
+        if not all(0.0 <= width <= math.pi for width in self.vary_rad):
+            raise ConfigurationError(
+                f"postures vary by {list(self.vary_rad)} rad; expected 0 to pi of each joint"
+            )
         if self.trials_per_turn < 1:
             raise ConfigurationError(f"{self.trials_per_turn} trials per turn; expected at least 1")
 
@@ -109,6 +118,7 @@ class _Plan:
     points: Array  # (n, 3) m, leg frame
     ascent: int  # ticks of ascent
     swing: int  # ticks of swing; the rest is hold
+    rest: Array | None = None  # (J,) rad, what joints beyond three follow at the top
     obstacle: float | None = None  # share of the descent at which to touch
     tick: int = 0
     touched_step: int | None = None
@@ -147,6 +157,15 @@ class PoseMotion:
         self._trials_left = settings.trials_per_turn
         self._point = self._stand_m
         self._side = 1.0
+        # What joints beyond three follow where the last plan ends; None for the posture at rest.
+        self._rest: Array | None = None
+        if settings.vary_rad:
+            self._rest = geometry.middle_rad
+            if len(settings.vary_rad) != len(self._rest):
+                raise ConfigurationError(
+                    f"postures vary by {list(settings.vary_rad)} rad; expected one figure for each "
+                    f"of {len(self._rest)} joints"
+                )
         self._plan = self._step_up()
         # Always one plan ahead, so that a preview reaches past the end of a trial.
         self._upcoming = self._next_plan()
@@ -263,8 +282,9 @@ class PoseMotion:
             # The leg stopped short of where this plan was to start.
             start = self._geometry.feet(last.frozen)
             if plan.ascent:
+                rests = None if plan.rest is None else (last.frozen, plan.rest)
                 points, joints = self._line(
-                    start, plan.points[plan.ascent - 1], plan.ascent, self.settings.path
+                    start, plan.points[plan.ascent - 1], plan.ascent, self.settings.path, rests
                 )
                 plan.points[: plan.ascent], plan.joints[: plan.ascent] = points, joints
             else:
@@ -317,10 +337,18 @@ class PoseMotion:
                 down = round(drop / self._rng.uniform(*_SLOW_M_S) / PERIOD_S)
             elif top[2] - end[2] < _LEAST_RISE_M:
                 continue
-            up_points, up = self._line(self._point, top, n, path)
-            down_points, fall = self._line(top, end, down, self.settings.path)
-            if self._geometry.reachable(np.concatenate([up_points, down_points])).all():
+            rest = below = up_rests = down_rests = None
+            if self._rest is not None:
+                rest, below = self._draw_rest(), self._draw_rest()
+                up_rests, down_rests = (self._rest, rest), (rest, below)
+            up_points, up = self._line(self._point, top, n, path, up_rests)
+            down_points, fall = self._line(top, end, down, self.settings.path, down_rests)
+            points, joints = np.concatenate([up_points, down_points]), np.concatenate([up, fall])
+            if rest is None and self._geometry.reachable(points).all():
                 break
+            if rest is not None and np.abs(self._geometry.feet(joints) - points).max() < _NEAR_M:
+                break
+        self._rest = below
         hold = self.settings.hold_ticks
         self._point = end
         return _Plan(
@@ -329,18 +357,44 @@ class PoseMotion:
             points=np.concatenate([up_points, down_points, np.repeat(end[None], hold, axis=0)]),
             ascent=n,
             swing=n + down,
+            rest=rest,
             obstacle=self._course.share() if self._course.wanted() else None,
         )
 
-    def _line(self, start: Array, end: Array, ticks: int, path: Path) -> tuple[Array, Array]:
-        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, J) rad."""
+    def _draw_rest(self) -> Array:
+        """(J,) rad, a posture for joints beyond three to follow."""
+        widths = np.array(self.settings.vary_rad)
+        return np.asarray(self._geometry.middle_rad + self._rng.uniform(-widths, widths))
+
+    def _line(
+        self,
+        start: Array,
+        end: Array,
+        ticks: int,
+        path: Path,
+        rests: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, J) rad.
+
+        Args:
+            start: (3,) m.
+            end: (3,) m.
+            ticks: from one to the other.
+            path: what is straight.
+            rests: (J,) rad, what joints beyond three follow at either end.
+        """
         share = (np.arange(1, ticks + 1) / ticks)[:, None]
         if path == "joint":
-            first, last = self._geometry.joints(start), self._geometry.joints(end)
+            ends = (None, None) if rests is None else rests
+            first = self._geometry.joints(start, rest_rad=ends[0]).reshape(-1)
+            last = self._geometry.joints(end, rest_rad=ends[1]).reshape(-1)
             joints = first + share * (last - first)
             return self._geometry.feet(joints), joints
         points = start + share * (end - start)
-        return points, self._geometry.joints(points)
+        if rests is None:
+            return points, self._geometry.joints(points)
+        rest = rests[0] + share * (rests[1] - rests[0])
+        return points, self._geometry.joints(points, rest_rad=rest)
 
     def _step_up(self) -> _Plan:
         """From standing to the lower subspace; no swing to be judged."""

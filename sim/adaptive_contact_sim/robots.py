@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
@@ -18,6 +18,7 @@ import numpy as np
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.elements import HEXAPOD, Layout
+from adaptive_contact_sim.gait import GaitName
 from adaptive_contact_sim.legs import ChainLegs, Geometry, LegGeometry
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
@@ -39,6 +40,7 @@ class SimulatedRobot:
         rest: (L, J) rad, a posture in the middle of what the legs do; empty where a closed form
             needs none.
         walk: how it walks; None where it cannot.
+        walks: of gaits with settings of their own, how it walks in those.
         pose: how single legs move; None where they cannot.
         relief_m: of rough ground, lowest to highest, that it walks over.
     """
@@ -49,6 +51,7 @@ class SimulatedRobot:
     servo: ServoKind
     rest: tuple[tuple[float, ...], ...] = ()
     walk: WalkSettings | None = None
+    walks: tuple[WalkSettings, ...] = ()
     pose: PoseSettings | None = None
     relief_m: float = 0.035
 
@@ -56,6 +59,13 @@ class SimulatedRobot:
     def description(self) -> Robot:
         """Its ``robot.toml``."""
         return _description(self.name)
+
+    def walking(self, gait: GaitName | None = None) -> WalkSettings | None:
+        """How it walks in a gait, its usual one where None; None where it cannot walk."""
+        if self.walk is None or gait is None:
+            return self.walk
+        own = next((walk for walk in self.walks if walk.gait == gait), self.walk)
+        return replace(own, gait=gait)
 
     def geometry(self) -> Geometry:
         """Its legs, for controllers."""
@@ -101,6 +111,24 @@ _MOVES: Final = (
             preload_m=0.006,
             lag_s=0.1,
         ),
+        walks=(
+            # Slow swings: servos that lag press a foot down by what its command is ahead of it,
+            # and of four stiff legs one that presses lifts two others off.
+            WalkSettings(
+                gait="walk",
+                stride_m=0.05,
+                swing_s=0.6,
+                body_height_m=0.155,
+                clearance_m=0.035,
+                depth_m=(0.01, 0.014),
+                reach_m=0.075,
+                react_ms=20.0,
+                preload_m=0.006,
+                lag_s=0.1,
+                sway=0.6,
+                land_m=0.001,
+            ),
+        ),
         relief_m=0.025,
     ),
     SimulatedRobot(
@@ -120,6 +148,7 @@ _MOVES: Final = (
             hold_ticks=6,
             workspace="hung",
             obstacles=ObstacleSettings(shapes=("plate",), where=(0.2, 0.6)),
+            vary_rad=(0.7, 0.4, 0.3, 0.3, 0.4),
         ),
     ),
 )

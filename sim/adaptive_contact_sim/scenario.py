@@ -17,6 +17,7 @@ import msgspec
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.drift_spec import drift_from
+from adaptive_contact_sim.gait import GAITS
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import MotionSettings, SimulationSettings
 
@@ -106,7 +107,11 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
     if not isinstance(robot, str):
         raise ConfigurationError(f"{source}: robot is {robot!r}; expected a name")
     try:
-        base = SimulationSettings.of(robot, "pose" if mode == "pose" else "walk")
+        # A gait that is none is told by what reads the table.
+        gait = own.get("gait") if isinstance(own, dict) else None
+        base = SimulationSettings.of(
+            robot, "pose" if mode == "pose" else "walk", gait if gait in GAITS else None
+        )
     except ConfigurationError as error:
         raise ConfigurationError(f"{source}: {error}") from error
     motion: MotionSettings = _settings(own, base.motion, where)

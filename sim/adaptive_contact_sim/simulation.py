@@ -19,6 +19,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import ContactTruth, Drift, Phase, ServoSample
 from adaptive_contact_sim.drift import DriftSchedule, Injection
 from adaptive_contact_sim.encoder import Encoder, EncoderSettings, Reading
+from adaptive_contact_sim.gait import GaitName
 from adaptive_contact_sim.motion import Goal, Motion, World
 from adaptive_contact_sim.obstacles import ObstacleCourse
 from adaptive_contact_sim.plant import Plant
@@ -101,14 +102,16 @@ class SimulationSettings:
             )
 
     @classmethod
-    def of(cls, robot: str, mode: Literal["walk", "pose"]) -> SimulationSettings:
-        """What a robot does where nothing else is asked for.
+    def of(
+        cls, robot: str, mode: Literal["walk", "pose"], gait: GaitName | None = None
+    ) -> SimulationSettings:
+        """What a robot does where nothing else is asked for, in its usual gait or the one given.
 
         Raises:
             ConfigurationError: there is no such robot, or it does not walk, or has no pose.
         """
         known = simulated_robot(robot)
-        motion = known.walk if mode == "walk" else known.pose
+        motion = known.walking(gait) if mode == "walk" else known.pose
         if motion is None:
             other = "pose" if mode == "walk" else "walk"
             raise ConfigurationError(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
-from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Swings
+from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 
@@ -74,8 +74,12 @@ class WalkSettings:
             command reaches the expected ground; nothing stops a descent).
         preload_m: how far a foot that has come down presses below where it stands: enough for the
             servos to take its share of the weight at once.
+        land_m: the same at the touch, where a gait leaves three other feet standing: the load comes
+            when the next foot lifts, and one that presses earlier lifts its neighbours off; None
+            leaves it to the preload.
         lag_s: by which the feet of a moving stance are set down further back: servos that lag
             leave them ahead of their commands, and two feet carry no weight beside their line.
+        sway: share of the shift that takes the body over the feet that stand, 0 for none.
     """
 
     gait: GaitName = "tripod"
@@ -91,6 +95,8 @@ class WalkSettings:
     phase: PhaseOf = "touch"
     preload_m: float = 0.012
     lag_s: float = 0.0
+    sway: float = 0.0
+    land_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.gait not in GAITS:
@@ -115,6 +121,8 @@ class WalkSettings:
             ("reach", self.reach_m, 0.0, 0.3, "m"),
             ("variability", self.variability, 0.0, 0.4, ""),
             ("preload", self.preload_m, 0.0, 0.03, "m"),
+            ("lag", self.lag_s, 0.0, 0.5, "s"),
+            ("sway", self.sway, 0.0, 1.5, ""),
             ("reaction time", self.react_ms, 0.0, 1000.0, "ms"),
         )
         for name, value, low, high, unit in ranges:
@@ -197,10 +205,24 @@ class WalkMotion:
         self._own_before = self._own_clock()
         self._descent_tick = np.zeros(self._legs, dtype=np.int64)
         self._planned = settings.phase == "planned"
+        # Three feet stand while one swings: none has to carry before it is needed.
+        self._land_m = settings.land_m if self._legs * (1.0 - gait.share) >= 3.0 else None
         self._floor_m = self._feet[
             :, 2
         ].copy()  # expected where the swing goes, in the body's frame
         self._settled_tick = np.zeros(self._legs, dtype=np.int64)  # from then on the foot stands
+        # Feet are planned as if the body did not sway; their goals and readings are moved by it.
+        self._sway: Sway | None = None
+        self._swayed_m = np.zeros(3)
+        self._sway_share = 0.0  # grows over the first cycle
+        if settings.sway:
+            self._sway = Sway(
+                gait,
+                self._neutral,
+                height_m=settings.body_height_m,
+                cycle_s=self._nominal_cycle_s,
+                lag_s=settings.lag_s,
+            )
         self._twist = np.zeros(3)  # vx, vy m/s, wz rad/s
         self._waypoint = self._draw_waypoint()
 
@@ -218,12 +240,17 @@ class WalkMotion:
         """Goals for this tick."""
         self._steer(world)
         measured = self._geometry.to_body(self._geometry.feet(world.measured_rad))
+        if self._sway is not None:
+            measured += self._swayed_m
         self._lift_off(world, measured)
         self._stand(world, measured)
-        self._swing(world)
-        goal = self._goal_rad = self._geometry.joints(
-            self._geometry.to_leg(self._feet), self._goal_rad
-        )
+        self._swing(world, measured)
+        feet = self._feet
+        if self._sway is not None:
+            self._sway_share = min(1.0, self._sway_share + self._rate * self._period_s)
+            self._swayed_m = self._sway_at(self._clock)
+            feet = feet - self._swayed_m
+        goal = self._goal_rad = self._geometry.joints(self._geometry.to_leg(feet), self._goal_rad)
         phase: tuple[Phase, ...] = tuple("swing" if s else "stance" for s in self._swinging)
         return Goal(goal, phase)
 
@@ -238,6 +265,9 @@ class WalkMotion:
                 down = progress > DESCENT
                 points[down, 2] = np.maximum(points[down, 2], self._floor_m[down])
             ahead[self._swinging, k] = points[self._swinging]
+            if self._sway is not None:
+                clock = self._clock + (k + 1) * self._rate * self._period_s
+                ahead[:, k] -= self._sway_at(clock)
         return np.stack(
             [self._geometry.joints(self._geometry.to_leg(ahead[:, k])) for k in range(ticks)],
             axis=1,
@@ -268,6 +298,12 @@ class WalkMotion:
         """Velocity (L, 2) m/s of the body at points of it; the ground's there is the opposite."""
         vx, vy, wz = self._twist
         return np.stack([vx - wz * points[:, 1], vy + wz * points[:, 0]], axis=1)
+
+    def _sway_at(self, clock: float) -> Array:
+        """(3,) m, how far the body's command is from where it would not sway."""
+        assert self._sway is not None
+        shift = self.settings.sway * self._sway_share * self._sway.at(clock)
+        return np.array([shift[0], shift[1], 0.0])
 
     # -- the gait's clock ----------------------------------------------------------------------
 
@@ -346,7 +382,7 @@ class WalkMotion:
 
     # -- swing ---------------------------------------------------------------------------------
 
-    def _swing(self, world: World) -> None:
+    def _swing(self, world: World, measured: Array) -> None:
         """Move swing feet along their way; land those that touch, or that are at its end."""
         if not self._swinging.any():
             return
@@ -364,6 +400,9 @@ class WalkMotion:
                 self._descent_tick[leg] = world.tick + 1
             if descending and self._told(world, int(leg)):
                 self._swinging[leg] = False
+                if self._land_m is not None:
+                    lowest = measured[leg, 2] - self._land_m
+                    self._feet[leg, 2] = max(self._feet[leg, 2], lowest)
                 continue
             self._feet[leg] = points[leg]
             if progress[leg] >= 1.0:

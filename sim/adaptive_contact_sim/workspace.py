@@ -46,7 +46,7 @@ WORKSPACES: Final = {
     ),
     # Of a leg that hangs down 0.38 m: under its hip, to the front, to the back and to the sides.
     "hung": (
-        Space((-math.radians(35), math.radians(35)), (-0.09, 0.09), (-0.355, -0.315)),
-        Space((-math.radians(35), math.radians(35)), (-0.09, 0.09), (-0.285, -0.235)),
+        Space((-math.radians(60), math.radians(60)), (-0.09, 0.09), (-0.355, -0.315)),
+        Space((-math.radians(60), math.radians(60)), (-0.09, 0.09), (-0.285, -0.235)),
     ),
 }

@@ -12,6 +12,7 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.drift_spec import parse_drift
+from adaptive_contact_sim.gait import GAITS, Sway
 from adaptive_contact_sim.legs import ChainLegs, LegGeometry
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
@@ -22,29 +23,52 @@ from adaptive_contact_sim.walk import WalkSettings
 
 
 def quadruped(gait: str, ground: str, seconds: float) -> Run:
-    base = SimulationSettings.of("quadruped12", "walk")
-    assert isinstance(base.motion, WalkSettings)
+    base = SimulationSettings.of("quadruped12", "walk", gait)  # type: ignore[arg-type]
     settings = dataclasses.replace(
-        base,
-        motion=dataclasses.replace(base.motion, gait=gait),
-        terrain=dataclasses.replace(base.terrain, kind=ground),
-        seed=11,
+        base, terrain=dataclasses.replace(base.terrain, kind=ground), seed=11
     )
     return record_arrays(settings, seconds)
 
 
-@pytest.mark.parametrize(("gait", "ground"), [("trot", "rough"), ("walk", "rough")])
-def test_the_quadruped_walks_and_touches(gait: str, ground: str) -> None:
-    run = quadruped(gait, ground, 12.0)
+@pytest.mark.parametrize(("gait", "swings", "pace"), [("trot", 50, 0.05), ("walk", 20, 0.02)])
+def test_the_quadruped_walks_and_touches(gait: str, swings: int, pace: float) -> None:
+    seconds = {"trot": 12.0, "walk": 20.0}[gait]
+    run = quadruped(gait, "rough", seconds)
     way = np.linalg.norm(np.diff(run.position_m[::50, :2], axis=0), axis=1).sum()
-    assert way > {"trot": 0.05, "walk": 0.02}[gait] * 12.0
+    assert way > pace * seconds
     assert run.position_m[:, 2].min() > 0.12
     assert np.degrees(np.arccos(run.rotation[:, 2, 2].clip(-1, 1))).max() < 20.0
-    swings = found = 0
+    begun = found = touches = 0
     for stream in run.legs.values():
-        swings += int((np.diff(stream.swing.astype(int)) == 1).sum())
+        begun += int((np.diff(stream.swing.astype(int)) == 1).sum())
         found += sum(stream.swing[o.tick] and o.part == "foot" for o in stream.onsets)
-    assert found > 0.6 * swings > 20
+        touches += len([o for o in stream.onsets if o.tick > 100])
+    assert begun > swings
+    assert found > 0.6 * begun
+    assert touches < 1.6 * begun  # few legs come off the ground in their stance
+
+
+def test_sway_of_a_gait() -> None:
+    feet = np.array([[0.1, 0.12, 0.0], [0.1, -0.12, 0.0], [-0.1, 0.12, 0.0], [-0.1, -0.12, 0.0]])
+    gait = GAITS["walk"]
+    clock = np.linspace(0.0, 1.0, 2000, endpoint=False)
+    sway = Sway(gait, feet, height_m=0.155, cycle_s=2.7, lag_s=0.0)
+    body = np.array([sway.at(c) for c in clock])
+    assert np.abs(body.mean(axis=0)).max() < 1e-12  # about the middle of the feet
+    # The centre of pressure of a body that moves so, from its acceleration, is the standing feet's.
+    speed = np.gradient(body, 2.7 / 2000, axis=0, edge_order=2)
+    pressure = body - 0.155 / 9.81 * np.gradient(speed, 2.7 / 2000, axis=0, edge_order=2)
+    for leg, offset in enumerate(gait.offsets):
+        middle = (clock + offset) % 1.0
+        at = np.abs(middle - gait.share / 2).argmin()
+        wanted = np.delete(feet[:, :2], leg, axis=0).mean(axis=0)
+        assert np.abs(pressure[at] - wanted).max() < 0.012
+    # A servo of first order, x' = (u - x) / lag, that is given the shift with a lag follows it.
+    lagging = Sway(gait, feet, height_m=0.155, cycle_s=2.7, lag_s=0.1)
+    command = np.array([lagging.at(c) for c in clock])
+    assert np.abs(body + 0.1 * speed - command)[2:-2].max() < 1e-4
+    trot = Sway(GAITS["trot"], feet, height_m=0.155, cycle_s=0.7, lag_s=0.1)
+    assert max(np.abs(trot.at(c)).max() for c in clock[::50]) < 1e-12
 
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
@@ -100,6 +124,19 @@ def test_inverse_of_a_chain_finds_the_closed_form() -> None:
         assert np.abs(chains.joints(one) - hexapod.joints(one)).max() < 1e-4
     assert chains.reachable(points[0]).all()
     assert not chains.reachable(points[0] + 1.0).any()
+
+
+def test_the_leg_on_a_stand_uses_all_its_joints() -> None:
+    run = record_arrays(dataclasses.replace(SimulationSettings.of("leg5", "pose"), seed=4), 30.0)
+    leg = run.legs["leg"]
+    low, high = np.quantile(leg.angle, (0.02, 0.98), axis=0)
+    assert (high - low > (0.7, 0.4, 0.4, 0.4, 0.4)).all()
+    # No two joints move as one: each has most of its motion to itself.
+    speed = np.diff(leg.angle, axis=0)
+    for k in range(5):
+        others = np.delete(speed, k, axis=1)
+        left = speed[:, k] - others @ np.linalg.lstsq(others, speed[:, k], rcond=None)[0]
+        assert left.std() > 0.1 * speed[:, k].std()
 
 
 def test_a_redundant_chain_stays_near_its_rest() -> None:
@@ -159,9 +196,7 @@ def test_a_scenario_names_its_robot() -> None:
     scenario = parse_scenario(
         'mode = "walk"\nrobot = "quadruped12"\n[walk]\ngait = "walk"', name="x"
     )
-    known = ROBOTS["quadruped12"].walk
-    assert known is not None
-    assert scenario.settings.motion == dataclasses.replace(known, gait="walk")
+    assert scenario.settings.motion == ROBOTS["quadruped12"].walks[0]
     assert scenario.settings.period_s == 0.01
     with pytest.raises(ConfigurationError, match="x: no robot 'cat' is simulated"):
         parse_scenario('mode = "walk"\nrobot = "cat"', name="x", source="x")
