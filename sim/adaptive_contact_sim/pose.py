@@ -385,9 +385,11 @@ class PoseMotion:
         """
         share = (np.arange(1, ticks + 1) / ticks)[:, None]
         if path == "joint":
-            ends = (None, None) if rests is None else rests
-            first = self._geometry.joints(start, rest_rad=ends[0]).reshape(-1)
-            last = self._geometry.joints(end, rest_rad=ends[1]).reshape(-1)
+            if rests is None:
+                first, last = self._geometry.joints(start), self._geometry.joints(end)
+            else:
+                ends = np.stack([start, end])
+                first, last = self._geometry.joints(ends, rest_rad=np.stack(rests))
             joints = first + share * (last - first)
             return self._geometry.feet(joints), joints
         points = start + share * (end - start)

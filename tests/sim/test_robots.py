@@ -126,8 +126,11 @@ def test_inverse_of_a_chain_finds_the_closed_form() -> None:
     assert not chains.reachable(points[0] + 1.0).any()
 
 
-def test_the_leg_on_a_stand_uses_all_its_joints() -> None:
-    run = record_arrays(dataclasses.replace(SimulationSettings.of("leg5", "pose"), seed=4), 30.0)
+@pytest.mark.parametrize("path", ["cartesian", "joint"])
+def test_the_leg_on_a_stand_uses_all_its_joints(path: str) -> None:
+    base = SimulationSettings.of("leg5", "pose")
+    motion = dataclasses.replace(base.motion, path=path)  # type: ignore[call-arg]
+    run = record_arrays(dataclasses.replace(base, motion=motion, seed=4), 30.0)
     leg = run.legs["leg"]
     low, high = np.quantile(leg.angle, (0.02, 0.98), axis=0)
     assert (high - low > (0.7, 0.4, 0.4, 0.4, 0.4)).all()

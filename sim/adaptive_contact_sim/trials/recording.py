@@ -32,6 +32,7 @@ from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
@@ -242,12 +243,15 @@ def file_of(spec: RecordingSpec, folder: Path) -> Path:
 
 def key_of(spec: RecordingSpec) -> str:
     """Hash of everything that decides a recording."""
-    return name_of(FORMAT, simulator_fingerprint(), _unseen_code(), spec)
+    return name_of(FORMAT, simulator_fingerprint(spec.settings.robot), _unseen_code(), spec)
 
 
 @functools.cache
-def simulator_fingerprint() -> str:
-    """Hash of what the simulator does in a second of pose, one leg and a tripod, and of a walk."""
+def simulator_fingerprint(robot: str = "hexapod") -> str:
+    """Hash of what the simulator does in a second of all that a robot does.
+
+    Of the hexapod that is a pose of one leg and of a tripod, and a walk; others do one of both.
+    """
     from adaptive_contact.wire import Drift
 
     drift = (
@@ -263,7 +267,13 @@ def simulator_fingerprint() -> str:
     together = PoseGroupSettings(tuple(replace(alone, legs=(leg,)) for leg in tripod))
     group = replace(pose, motion=together)
     digest = hashlib.sha256()
-    runs = ((pose, ("rf",)), (replace(pose, drift=()), ("rf",)), (walk, ("rf",)), (group, tripod))
+    runs: list[tuple[SimulationSettings, tuple[str, ...]]] = [
+        *((pose, ("rf",)), (replace(pose, drift=()), ("rf",)), (walk, ("rf",)), (group, tripod))
+    ]
+    if robot != walk.robot:
+        known = simulated_robot(robot)
+        own = SimulationSettings.of(robot, "pose" if known.walk is None else "walk")
+        runs = [(replace(own, seed=7, drift=drift), known.layout.legs)]
     for settings, legs in runs:
         recording = record(RecordingSpec(settings, 1.5, legs))
         for name in legs:
