@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
 from adaptive_contact.cli._options import (
     ConfigOption,
     Network,
@@ -20,7 +21,6 @@ from adaptive_contact.cli._options import (
     stoppable,
 )
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.cli.bridge import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
 from adaptive_contact.files import holds_content
 

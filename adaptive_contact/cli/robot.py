@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from adaptive_contact.cli._bus import DeviceOption
 from adaptive_contact.cli._options import Commands, flatten
 from adaptive_contact.cli._robot_check import check
 from adaptive_contact.cli._robot_learning import learn
-from adaptive_contact.cli.bridge import DeviceOption
 
 __all__ = ["Wishes", "app"]
 

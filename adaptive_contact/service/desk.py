@@ -201,17 +201,17 @@ class Desk:
         try:
             return self.learner.model_report
         except Exception as fault:  # of one leg, which must not end the others' service
-            self._begin_anew(fault)
+            self._restart_leg(fault)
             return self.learner.model_report
 
     def _told(self) -> LearnerStatus:
         try:
             return self.learner.status
         except Exception as fault:  # of one leg, as in `report`
-            self._begin_anew(fault)
+            self._restart_leg(fault)
             return self.learner.status
 
-    def _begin_anew(self, fault: Exception) -> None:
+    def _restart_leg(self, fault: Exception) -> None:
         self.learner.reset_after_fault(fault)
         self._faults(self.leg, fault)
 

@@ -221,7 +221,7 @@ def is_loopback(locator: str) -> bool:
 
 
 def is_multicast(locator: str) -> bool:
-    """Tell whether whoever is in a multicast group hears an endpoint, and is heard there.
+    """Tell whether members of a multicast group reach an endpoint, and it reaches them.
 
     Zenoh looks up what is no plain address, ``0xe00000e1`` or a name, and so does this.
     """

@@ -214,7 +214,7 @@ def _rejects(leg: LegView) -> Text:
 
 
 def _lost(leg: LegView) -> Text:
-    """Samples missed; what a source lost while it began anew, no number tells."""
+    """Samples missed; no number tells what a source lost while it restarted."""
     words = f"{leg.missed}"
     if leg.restarts:
         words += f", {leg.restarts} {'restart' if leg.restarts == 1 else 'restarts'}"
