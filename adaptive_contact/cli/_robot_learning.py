@@ -138,7 +138,7 @@ def learn(
                 f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; "
                 "measure its links and fill them in"
             )
-    gathered = gather(more or [], robot, refuse=False)
+    gathered = gather(more or [], robot)
     if live:
         from adaptive_contact.cli._robot_live import collect_live
 
@@ -172,8 +172,7 @@ def learn(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
-    # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
-    check_streams(robot, samples, {}, refuse=False)
+    check_streams(robot, samples, {})
     check_conventions(robot, gathered, bridge=not live)
     say_note("fitting the legs' models to what was read")
     try:

@@ -144,7 +144,8 @@ class Desk:
         self._tell_news(self._told_of, status, now_ns)
         self._told_of = status
         self.model_version = status.model_version
-        changed = status.status != self._published
+        # Until it is known what passed while the service was down, counts would not add up.
+        changed = status.status != self._published and not self._admission.resuming
         if not (changed or anyway) and now_ns - self._published_ns < _STATUS_PERIOD_NS:
             return None
         self._status.put(status)
