@@ -33,8 +33,8 @@ PERIOD_S: Final = 0.02
 # A leg taking its turn: ticks for lifting off or setting down, and how high.
 _TURN_TICKS: Final = 40
 _TURN_LIFT_M: Final = 0.05
-# An obstacle comes when the foot is this clear of it, m: above it, or (forward) before it.
-_CLEARANCE_M: Final = {False: 0.008, True: 0.03}
+# A post comes when the foot is this far before it, m.
+_BEFORE_POST_M: Final = 0.03
 _WAIT_TICKS: Final = 5
 _STUCK_TICKS: Final = 8
 _SLOW_M_S: Final = (0.02, 0.10)
@@ -64,6 +64,8 @@ class PoseSettings:
             post); ``graze`` (along a steep face).
         react_ms: how long the command goes on after a touch; None for the whole segment.
         obstacles: what is in the way.
+        clear_m: how far above an obstacle the foot is when it comes, at least: more than a sole
+            that is tilted reaches below the foot's point.
         vary_rad: per joint, how far from the leg's posture at rest is what joints beyond three
             follow, drawn anew for each end of a trial; empty leaves it where it is.
     """
@@ -77,6 +79,7 @@ class PoseSettings:
     approach: Approach = "descent"
     react_ms: float | None = None
     obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)
+    clear_m: float = 0.008
     vary_rad: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
@@ -100,6 +103,10 @@ class PoseSettings:
             raise ConfigurationError(
                 f"segments of {self.segment_ticks} ticks with holds of {self.hold_ticks}; expected "
                 "4 to 500, and 1 to 500"
+            )
+        if not 0.0 < self.clear_m <= 0.1:
+            raise ConfigurationError(
+                f"obstacles come {self.clear_m:g} m below a foot; expected above 0, to 0.1 m"
             )
         if not all(0.0 <= width <= math.pi for width in self.vary_rad):
             raise ConfigurationError(
@@ -259,7 +266,8 @@ class PoseMotion:
         place = mount + turn @ point
         forward = self.settings.approach == "forward"
         ahead = turn @ motion / np.linalg.norm(motion) if forward else np.array([0.0, 0.0, -1.0])
-        if float((place - world.feet_m[leg]) @ ahead) < _CLEARANCE_M[forward]:
+        clear = _BEFORE_POST_M if forward else self.settings.clear_m
+        if float((place - world.feet_m[leg]) @ ahead) < clear:
             if plan.tick - plan.ascent >= _WAIT_TICKS:
                 plan.obstacle = None
             return

@@ -37,6 +37,7 @@ class TickRecorder:
             path,
             {
                 "source": "adaptive-contact sim",
+                "robot": sim.robot.description.name,
                 "motion": repr(settings.motion),
                 "terrain": repr(sim.terrain.settings),
                 "encoder": repr(settings.encoder),

@@ -22,7 +22,7 @@ __all__ = ["other_robots"]
 
 QUADRUPED: Final = "quadruped12"
 LEG: Final = "leg5"
-# Share of descents onto a plate; about half of the swings touch one in time.
+# Share of descents under which a plate is to come; it does under about half of them.
 _PLATES: Final = 0.65
 _OFFSETS: Final = {QUADRUPED: 600, LEG: 700}  # of seeds
 _RUBS: Final = What("friction", 4.0)
