@@ -1,8 +1,8 @@
 r"""Makes a prior for a leg whose recording does not determine all terms.
 
 Motions that leave combinations of terms unexcited are fitted as well by coefficients that no servo
-has, and the next motion shows it.  What is known of any leg then takes the place of what the motions
-did not tell:
+has, and the next motion shows it.  What is known of any leg then takes the place of what the
+motions did not tell:
 
 - A command acts through the servo's law, which saturates.  Terms that grow with the command without
   bound are left out: a fit to steps of half a degree foretells ten for one of seventeen.
