@@ -16,6 +16,7 @@ time share posture and motion, and any of these fits explains them.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
@@ -24,8 +25,9 @@ from numpy.typing import NDArray
 from adaptive_contact.fit.sparse_regression import Prior
 from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.library import Library
+from adaptive_contact.model.training_domain import BEYOND_DEVIATIONS, Domain
 
-__all__ = ["STRENGTHS", "shrinkage"]
+__all__ = ["STRENGTHS", "doubtful_domain", "shrinkage"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -64,6 +66,25 @@ def shrinkage(factor: Factor, library: Library, strength: float) -> Prior:
     for joint, (alike, _) in enumerate(own):
         mean[alike, joint] = shared
     return Prior(mean, rows * max(factor.rows, 1.0))
+
+
+def doubtful_domain(factor: Factor, library: Library, prior: Prior, doubt: float) -> Domain:
+    """Make the domain of a fit that holds on to a prior.
+
+    Args:
+        factor: the data.
+        library: its terms.
+        prior: of the coefficients.
+        doubt: times that the leverage of the motion counts, beyond that of the position.
+    """
+    scale = factor.scale()
+    rows = prior.rows.min(axis=1)  # a domain is of all joints
+    # What is left out is known to be nothing.
+    weight = np.where(np.isfinite(rows), np.sqrt(rows), 1.0 / BEYOND_DEVIATIONS)
+    whole = Factor.merged([factor], factor.terms, factor.outputs)
+    whole.add(np.diag(weight * scale), np.zeros((factor.terms, factor.outputs)))
+    plain = Domain.of(whole, scale)
+    return dataclasses.replace(plain, doubt=np.where(library.moves, doubt, 1.0))
 
 
 def _columns(library: Library, joint: int) -> tuple[Ints, Ints]:

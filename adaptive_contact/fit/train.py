@@ -15,17 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
-from adaptive_contact.fit.shrinkage import STRENGTHS, shrinkage
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
-from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
 from adaptive_contact.model.noise import MIN_TICKS, WINDOWS, context, fit_noise, lagged
 from adaptive_contact.model.tail import fit_tail
-from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
@@ -48,12 +46,6 @@ SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 FEW_TICKS: Final = 200
 # Ticks in a row over which a slow leg is judged.
 SPANS: Final = (2, 4, 8, 16)
-# The sparsest model whose held-out error is within this of the best is taken.
-TOLERANCE: Final = 1.005
-# Mean over folds and joints of the logarithm by which errors fall when the fit holds on to what is
-# known of any leg.  0.26 to 0.71 on half the motions of an arm, at most 0.055 on 65 swings of a
-# walking hexapod, whose legs are excited in all terms (decision 43).
-LEAST_GAIN: Final = 0.1
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
 
@@ -137,23 +129,6 @@ class _Rows:
     position: Ints  # (n,) tick, with gaps of at least 3 between swings
     judged: Mask  # (n,) what a detector would judge: not the first ticks of a swing
     swings: int
-
-
-@dataclasses.dataclass(frozen=True)
-class _Sweep:
-    """What came of fits with several λ.
-
-    Attributes:
-        threshold: λ that was chosen.
-        settings: of a fit with it.
-        errors: λ to (J,) held-out root mean square, over what could be known there.
-        residual: (n, J) held out, at the λ that was chosen, over what could be known there.
-    """
-
-    threshold: float
-    settings: Callable[[Factor], FitSettings]
-    errors: dict[float, Array]
-    residual: Array
 
 
 def learn(
@@ -267,30 +242,28 @@ def learn_leg(
         position=rows.position[keep],
         judged=rows.judged[keep],
     )
-    held = _HeldOut(rows, _folds(rows, neighbours=first))
+    held = HeldOut(rows.theta, rows.target, _folds(rows, neighbours=first))
     naive = _rms(rows.target)
     still: Mask = naive < quantum_rad  # the readings of such joints may be constant
     rounding = quantum_rad / 12**0.5
     plain = _checked(leg, fit_sparse(held.whole, FitSettings()), still)
-    unit = tuple(np.maximum(plain.rms, rounding).tolist())
-    sweep = SWEEP if threshold is None else (threshold,)
-
-    def swept(strength: float | None) -> _Sweep | None:
-        return _sweep(held, library, sweep, unit, strength, still, rounding)
-
-    best = swept(None)
+    manner = Manner(library, tuple(np.maximum(plain.rms, rounding).tolist()))
+    lambdas = SWEEP if threshold is None else (threshold,)
+    best = swept(held, manner, lambdas, still, rounding)
     if best is None:
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    if not first:
-        strength = _strength(held, library, best, still, rounding)
-        best = (None if strength is None else swept(strength)) or best
-    fit = _checked(leg, fit_sparse(held.whole, best.settings(held.whole)), still)
+    strength = None if first else strength_of(held, best, still, rounding)
+    if strength is not None:
+        best = swept(held, manner.holding(held, strength), lambdas, still, rounding) or best
+    manner = best.manner
+    fit = manner.fit(held.whole, best.threshold)
+    fit = _checked(leg, fit, still)
     model = LegModel(library, fit.coefficients)
 
     # Noise and statistic from the ticks, and the windows, that a detector would judge.
-    residual = best.residual[rows.judged]
+    residual = best.certain[rows.judged]
     position, where = rows.position[rows.judged], rows.where[rows.judged]
     histories = _histories(residual, position)
     noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if first else MIN_TICKS)
@@ -312,7 +285,7 @@ def learn_leg(
         spans=_spans(best.residual, rows),
     )
     scale = held.whole.scale()
-    known = LegBaseline(model, noise, scale, len(rows.target), Domain.of(held.whole, scale))
+    known = LegBaseline(model, noise, scale, len(rows.target), manner.domain(held.whole))
     return known, figures, values
 
 
@@ -399,126 +372,6 @@ def _folds(rows: _Rows, *, neighbours: bool) -> Ints:
             inside = np.flatnonzero(rows.swing == swing)
             part[inside] += np.arange(len(inside)) * pieces // max(len(inside), 1)
     return np.asarray(part % MOST_FOLDS)
-
-
-class _HeldOut:
-    """The rows dealt into folds, each to be predicted by a model of the others."""
-
-    def __init__(self, rows: _Rows, fold: Ints) -> None:
-        self.rows = rows
-        p, joints = rows.theta.shape[1], rows.target.shape[1]
-        masks = [fold == f for f in range(int(fold.max(initial=0)) + 1)]
-        factors = []
-        for mask in masks:
-            factors.append(Factor(p, joints))
-            factors[-1].add(rows.theta[mask], rows.target[mask])
-        self.whole = Factor.merged(factors, p, joints)
-        self.inside = [mask for mask in masks if mask.any()]
-        self._others = [
-            Factor.merged((o for k, o in enumerate(factors) if k != f), p, joints)
-            for f, mask in enumerate(masks)
-            if mask.any()
-        ]
-        # In a short recording the swings held out hold motions that no other swing has: there the
-        # model of the others fails and the model of all does not, and neither noise nor tail may
-        # be read off it.
-        self.spread = np.empty(len(rows.target))
-        for inside, others in zip(self.inside, self._others, strict=True):
-            leverage = Domain.of(others, others.scale()).leverage(rows.theta[inside])
-            self.spread[inside] = np.sqrt(1.0 + leverage)
-
-    def residual(self, settings: Callable[[Factor], FitSettings], still: Mask) -> Array | None:
-        """Compute (n, J) of every row by a model of the others; None if λ empties a moving joint.
-
-        Args:
-            settings: of a fit to some of the rows.
-            still: (J,) joints that stand.
-        """
-        residual = np.empty_like(self.rows.target)
-        for inside, others in zip(self.inside, self._others, strict=True):
-            fit = fit_sparse(others, settings(others))
-            if not fit.usable(still):
-                # A short recording may lie in one fold; then there is nothing to hold out.
-                fit = fit_sparse(self.whole, settings(self.whole))
-                if not fit.usable(still):
-                    return None
-            residual[inside] = self.rows.target[inside] - self.rows.theta[inside] @ fit.coefficients
-        return residual
-
-    def log_ratio(self, first: Array, second: Array, least: float) -> Array:
-        """Compute (folds, J) logarithms of how many times as large the first residuals are."""
-        return np.array(
-            [
-                [
-                    0.5 * np.log((a @ a / len(a) + least**2) / (b @ b / len(b) + least**2))
-                    for a, b in zip(first[inside].T, second[inside].T, strict=True)
-                ]
-                for inside in self.inside
-            ]
-        )
-
-
-def _sweep(
-    held: _HeldOut,
-    library: Library,
-    sweep: Sequence[float],
-    unit: tuple[float, ...],
-    strength: float | None,
-    still: Mask,
-    rounding: float,
-) -> _Sweep | None:
-    """Choose λ by held-out error; None where every one empties a joint that moves."""
-
-    def settings(value: float) -> Callable[[Factor], FitSettings]:
-        return lambda factor: FitSettings(
-            threshold=value,
-            unit=unit,
-            prior=None if strength is None else shrinkage(factor, library, strength),
-        )
-
-    errors: dict[float, Array] = {}
-    residuals: dict[float, Array] = {}
-    for value in sweep:
-        residual = held.residual(settings(value), still)
-        if residual is not None:
-            residuals[value] = residual / held.spread[:, None]
-            errors[value] = _rms(residuals[value])
-    if not errors:
-        return None
-    best = np.maximum(np.min(list(errors.values()), axis=0), rounding)
-    # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
-    # there for joints whose best lie apart.
-    near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
-    chosen = max(near, default=min(errors))
-    return _Sweep(chosen, settings(chosen), errors, residuals[chosen])
-
-
-def _strength(
-    held: _HeldOut, library: Library, plain: _Sweep, still: Mask, rounding: float
-) -> float | None:
-    """Tell how firmly to hold on to what is known of any leg; None where the data tell enough."""
-    without = held.residual(plain.settings, still) if library.groups else None
-    if without is None:
-        return None
-    gains: dict[float, Array] = {}
-    for strength in STRENGTHS:
-
-        def settings(factor: Factor, strength: float = strength) -> FitSettings:
-            return FitSettings(prior=shrinkage(factor, library, strength))
-
-        with_it = held.residual(settings, still)
-        if with_it is not None:
-            gains[strength] = held.log_ratio(without, with_it, rounding).mean(axis=1)
-    best = max(gains.values(), key=lambda gain: float(gain.mean()), default=None)
-    if best is None or best.mean() < LEAST_GAIN:
-        return None
-
-    def as_good(gain: Array) -> bool:
-        """Whether it is within a standard error of the best, fold by fold."""
-        behind = best - gain
-        return bool(behind.mean() <= behind.std(ddof=1) / len(behind) ** 0.5)
-
-    return max(s for s, gain in gains.items() if gain is best or as_good(gain))
 
 
 def _spans(residual: Array, rows: _Rows) -> dict[int, tuple[Array, Array]]:

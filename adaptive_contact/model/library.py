@@ -287,6 +287,14 @@ class Library:
             for form, first in zip(forms + ahead, firsts, strict=True)
         )
 
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(p,) terms that tell how the leg moves; the others, where it stands."""
+        of_motion = np.zeros(self.size, dtype=bool)
+        for group in self.groups:
+            of_motion[group.first : group.first + len(self.joints)] = group.alike
+        return of_motion
+
     def _servo_names(self) -> list[str]:
         turned = [f"{of} {angle.name}" for of in ("cos", "sin") for angle in self.gravity]
         behind = 1 + len(self.joints) * sum(not g.form.startswith("u_") for g in self.groups)
