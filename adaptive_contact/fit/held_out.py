@@ -8,6 +8,7 @@ motions of their own, the one thing that a model can be asked is what it says of
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -32,6 +33,8 @@ TOLERANCE: Final = 1.005
 # known of any leg.  0.26 to 0.71 on half the motions of an arm, at most 0.055 on 65 swings of a
 # walking hexapod, whose legs are excited in all terms (decision 43).
 LEAST_GAIN: Final = 0.1
+# Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
+KEPT_GAIN: Final = 0.9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,8 +142,8 @@ class HeldOut:
             spread[inside] = np.sqrt(1.0 + leverage)
         return spread
 
-    def gain(self, before: Array, after: Array, least: float) -> Array:
-        """Compute (folds,) mean over joints of the logarithm by which residuals fell.
+    def gain(self, before: Array, after: Array, least: float) -> float:
+        """Compute by what logarithm residuals fell, in the mean over folds and joints.
 
         Args:
             before: (n, J) residuals.
@@ -152,7 +155,7 @@ class HeldOut:
             squares = [np.square(residual[inside]).mean(axis=0) for inside, _ in self._parts]
             return 0.5 * np.log(np.array(squares) + least**2)
 
-        return np.asarray((sizes(before) - sizes(after)).mean(axis=1))
+        return float((sizes(before) - sizes(after)).mean())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,9 +207,14 @@ def swept(
     # there for joints whose best lie apart.
     near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
     chosen = max(near, default=min(errors))
+    if manner.strength is None:
+        return Sweep(manner, chosen, errors, residuals[chosen], residuals[chosen])
+    # Of motions that no other is like, each joint has another best λ: here the mean decides.
+    first = residuals[chosen]
+    gains = {v: held.gain(first, r, rounding) for v, r in residuals.items()}
+    least = max(gains.values()) - math.log(TOLERANCE)
+    chosen = max(value for value, gain in gains.items() if gain >= least)
     residual = residuals[chosen]
-    if manner.doubt == 1.0:
-        return Sweep(manner, chosen, errors, residual, residual)
     certain = residual * spread / held.spread(manner)[:, None]
     return Sweep(manner, chosen, errors, residual, certain)
 
@@ -226,19 +234,13 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
     if not plain.manner.library.groups:
         return None  # of its terms nothing is known
     without = held.residual(plain.manner, plain.threshold, still)
-    gains: dict[float, Array] = {}
+    gains: dict[float, float] = {}
     for strength in STRENGTHS:
         manner = dataclasses.replace(plain.manner, strength=strength)
         with_it = held.residual(manner, 0.0, still)
         if without is not None and with_it is not None:
             gains[strength] = held.gain(without, with_it, rounding)
-    best = max(gains.values(), key=lambda gain: float(gain.mean()), default=None)
-    if best is None or best.mean() < LEAST_GAIN:
+    best = max(gains.values(), default=0.0)
+    if best < LEAST_GAIN:
         return None
-
-    def as_good(gain: Array) -> bool:
-        """Whether it is within a standard error of the best, fold by fold."""
-        behind = best - gain
-        return bool(behind.mean() <= behind.std() / max(len(behind) - 1, 1) ** 0.5)
-
-    return max(strength for strength, gain in gains.items() if as_good(gain))
+    return max(strength for strength, gain in gains.items() if gain >= KEPT_GAIN * best)
