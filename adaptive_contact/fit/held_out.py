@@ -29,10 +29,13 @@ Ints = NDArray[np.int64]
 
 # The sparsest model whose held-out error is within this of the best is taken.
 TOLERANCE: Final = 1.005
-# Mean over folds and joints of the logarithm by which errors fall when the fit holds on to what is
-# known of any leg.  0.26 to 0.71 on half the motions of an arm, at most 0.055 on 65 swings of a
-# walking hexapod, whose legs are excited in all terms (decision 43).
+# By what logarithm held-out errors must fall, where the prior is to be held on to: 0.13 to 0.9 on
+# half the motions of an arm, at most 0.055 on 65 swings of a walking hexapod (decision 43).
 LEAST_GAIN: Final = 0.1
+# Mean leverage of held-out rows from which on any gain will do, as what the other folds do not tell
+# is more than the noise: 20 to 800 on most of an arm's motions, 0.05 to 2.7 on those 65 swings, 0.01
+# to 0.1 on ten minutes of walking.
+UNDETERMINED: Final = 10.0
 # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
 KEPT_GAIN: Final = 0.9
 
@@ -241,6 +244,7 @@ def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> fl
         if without is not None and with_it is not None:
             gains[strength] = held.gain(without, with_it, rounding)
     best = max(gains.values(), default=0.0)
-    if best < LEAST_GAIN:
+    beyond = float((np.square(held.spread(plain.manner)) - 1.0).mean())
+    if best < (0.0 if beyond > UNDETERMINED else LEAST_GAIN):
         return None
     return max(strength for strength, gain in gains.items() if gain >= KEPT_GAIN * best)
