@@ -33,8 +33,8 @@ TOLERANCE: Final = 1.005
 # half the motions of an arm, at most 0.055 on 65 swings of a walking hexapod (decision 43).
 LEAST_GAIN: Final = 0.1
 # Mean leverage of held-out rows from which on any gain will do, as what the other folds do not tell
-# is more than the noise: 20 to 800 on most of an arm's motions, 0.05 to 2.7 on those 65 swings, 0.01
-# to 0.1 on ten minutes of walking.
+# is more than the noise: 20 to 800 on most of an arm's motions, 0.05 to 2.7 on those 65 swings,
+# 0.01 to 0.1 on ten minutes of walking.
 UNDETERMINED: Final = 10.0
 # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
 KEPT_GAIN: Final = 0.9

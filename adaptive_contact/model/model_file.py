@@ -134,7 +134,7 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     covariance: list[list[list[list[float]]]]
     ticks: list[float]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
-    doubt: float | None = None  # of terms that tell how the leg moves
+    doubt: float | msgspec.UnsetType = msgspec.UNSET  # of terms that tell how the leg moves
 
 
 class _LibraryFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -326,7 +326,7 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         covariance=known.noise.covariance.tolist(),
         ticks=known.noise.ticks.tolist(),
         domain=None if known.domain is None else _rows_of(known.domain.triangle),
-        doubt=None if doubt is None else float(doubt.max()),
+        doubt=msgspec.UNSET if doubt is None else float(doubt.max()),
     )
 
 
@@ -347,7 +347,7 @@ def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
         raise IdentificationError(
             f"its domain is no triangle of {p} rows; fit a new one"
         ) from error
-    if entry.doubt is None:
+    if entry.doubt is msgspec.UNSET:
         return Domain(triangle, scale)
     return Domain(triangle, scale, doubt=np.where(library.moves, entry.doubt, 1.0))
 
