@@ -254,7 +254,7 @@ InsecureOption = Annotated[
     bool,
     typer.Option(
         "--insecure",
-        help="Listen beyond loopback although nobody has to authenticate.",
+        help="Listen beyond loopback without authentication of clients.",
         rich_help_panel=_NETWORK,
     ),
 ]
@@ -281,7 +281,7 @@ ConfigOption = Annotated[
     typer.Option(
         "--config",
         metavar="ROBOT.TOML",
-        help="Description of the robot; without it, the shipped hexapod.",
+        help="Description of the robot, or a shipped one's name; without it, the hexapod.",
         show_default=False,
     ),
 ]
@@ -381,26 +381,37 @@ def say_damage(recording: Recording) -> None:
 
 
 def recorded_robot(config: Path | None, recordings: Sequence[Path]) -> Robot:
-    """The robot that recordings are taken for; said where it is the shipped one.
+    """The robot that recordings are taken for; said where it is a shipped one.
 
     Raises:
         ConfigurationError: a recording is of another robot, by its own word.
     """
     from adaptive_contact.robot import load_robot, shipped_robot
+    from adaptive_contact.robot.load import recorded_as
     from adaptive_contact.service.recording import is_bag, read_recording
 
     if config is not None:
         return load_robot(config)
-    robot = shipped_robot()
+    robot: Robot | None = None
     for path in recordings:
         if is_bag(path):
             read_recording(path)  # says that a bag needs a --config
-        name = read_recording(path).about.get("robot", robot.name)
-        if name != robot.name:
+        name = read_recording(path).about.get("robot")
+        if name is None:
+            continue
+        known = recorded_as(name)
+        if known is None:
             raise ConfigurationError(
-                f"{path}: recorded from robot '{name}', and without --config the shipped "
-                f"'{robot.name}' is meant; give the --config of '{name}'"
+                f"{path}: recorded from robot '{name}', which does not ship; give the --config of "
+                f"'{name}'"
             )
+        if robot is not None and known != robot:
+            raise ConfigurationError(
+                f"{path}: recorded from robot '{name}', and others from '{robot.name}'; give "
+                "recordings of one robot"
+            )
+        robot = known
+    robot = robot or shipped_robot()
     say_note(
         f"no --config: taken for the shipped robot '{robot.name}' "
         f"({', '.join(robot.leg_ids)}; {robot.period_s * 1e3:g} ms)"

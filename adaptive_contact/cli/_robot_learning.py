@@ -135,7 +135,7 @@ def learn(
     for leg in robot.legs:
         if leg.chain is None:
             raise ConfigurationError(
-                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
+                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; "
                 "measure its links and fill them in"
             )
     gathered = gather(more or [], robot)
@@ -160,7 +160,7 @@ def learn(
                 err=True,
             )
         scripts = swings_of(robot, plans, amplitude, seed, home) if drive else None
-        does = "swinging all legs" if drive else "looking on"
+        does = "swinging all legs" if drive else "observing"
         own = "" if drive else ": swing every leg in free air meanwhile"
         say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
         samples = collect(

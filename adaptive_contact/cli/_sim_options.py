@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 import typer
 
@@ -75,6 +75,15 @@ class RunOptions:
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Of the run. [0]", rich_help_panel=_RUN)
     ] = None
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="NAME",
+            help="Which robot: hexapod, quadruped12, leg5. [hexapod]",
+            rich_help_panel=_ROBOT,
+        ),
+    ] = None
     robot_seed: Annotated[
         int | None,
         typer.Option(
@@ -108,7 +117,7 @@ class RunOptions:
     preview: Annotated[
         int | None,
         typer.Option(
-            "--preview", help="Goals told ahead in samples, ticks.", rich_help_panel=_ROBOT
+            "--preview", help="Future goals in each sample, ticks.", rich_help_panel=_ROBOT
         ),
     ] = None
     offline: Annotated[
@@ -133,20 +142,31 @@ class RunOptions:
         False
     )
 
-    def base(self, kind: type[M]) -> tuple[Scenario, M]:
+    def base(self, kind: type[M], gait: str | None = None) -> tuple[Scenario, M]:
         """The scenario to start from, and its motion; without one, the defaults of that motion.
+
+        Args:
+            kind: of motion.
+            gait: of a walk without a scenario: a robot's gaits may have defaults of their own.
 
         Raises:
             ConfigurationError: the scenario cannot be used, or is of another motion.
         """
-        from adaptive_contact_sim import PoseSettings, load_scenario, parse_scenario
+        from adaptive_contact_sim import PoseSettings, Scenario, SimulationSettings, load_scenario
+        from adaptive_contact_sim.gait import GAITS
 
-        mode = "pose" if kind is PoseSettings else "walk"
-        scenario = (
-            parse_scenario(f'mode = "{mode}"', name="default")
-            if self.scenario is None
-            else load_scenario(self.scenario)
-        )
+        mode: Literal["pose", "walk"] = "pose" if kind is PoseSettings else "walk"
+        if self.scenario is None:
+            known = next((name for name in GAITS if name == gait), None)
+            start = SimulationSettings.of(self.robot or "hexapod", mode, known)
+            scenario = Scenario("default", "", None, start)
+        else:
+            scenario = load_scenario(self.scenario)
+            if self.robot not in (None, scenario.settings.robot):
+                raise ConfigurationError(
+                    f"scenario '{scenario.name}' is of robot '{scenario.settings.robot}', not "
+                    f"'{self.robot}'; leave out --robot"
+                )
         motion = scenario.settings.motion
         if not isinstance(motion, kind):
             found = "pose" if isinstance(motion, PoseSettings) else "walk"
@@ -170,13 +190,14 @@ class RunOptions:
         Raises:
             ConfigurationError: an option is out of range, or a drift cannot be read.
         """
-        from adaptive_contact_sim import RunPlan, parse_drift
+        from adaptive_contact_sim import RunPlan, parse_drift, simulated_robot
 
         encoder = given(dropped=self.dropped, repeated=self.repeated, bogus=self.bogus)
+        layout = simulated_robot(settings.robot).layout
         settings = dataclasses.replace(
             settings,
             encoder=dataclasses.replace(settings.encoder, **encoder),
-            drift=settings.drift + tuple(parse_drift(text) for text in self.drift or ()),
+            drift=settings.drift + tuple(parse_drift(text, layout) for text in self.drift or ()),
             **given(seed=self.seed, robot_seed=self.robot_seed, preview_ticks=self.preview),
         )
         wire = None if self.offline else network.client(json=json)

@@ -1,4 +1,4 @@
-"""``adaptive-contact sim baseline``: learn the shipped baseline anew."""
+"""``adaptive-contact sim baseline``: learn a shipped baseline again."""
 
 from __future__ import annotations
 
@@ -18,26 +18,32 @@ def baseline(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON).")
     ] = Path("baseline.json"),
+    robot: Annotated[
+        str,
+        typer.Option(
+            "--robot", metavar="NAME", help="Which robot: hexapod, quadruped12, leg5. [hexapod]"
+        ),
+    ] = "hexapod",
     processes: Annotated[
         int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
     ] = 2,
     json: JsonOption = False,
 ) -> None:
-    """Record the simulated robot and learn its baseline; the result depends on no clock."""
+    """Record a simulated robot and learn its baseline; the result depends on no clock."""
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.cli.fit import print_training
     from adaptive_contact.model import save_baseline
-    from adaptive_contact.robot import shipped_robot
 
     with needs_simulator():
+        from adaptive_contact_sim import simulated_robot
         from adaptive_contact_sim.training import learn_shipped
 
-    robot = shipped_robot()
+    description = simulated_robot(robot).description
     with threadpool_limits(1):
         training = learn_shipped(
             robot, processes=processes, progress=lambda line: say(line, err=True)
         )
     save_baseline(training.baseline, out)
-    print_training(training, robot, json=json)
+    print_training(training, description, json=json)
     say(f"baseline written to {out}", err=True)

@@ -37,6 +37,15 @@ def demo(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)
     ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            "--robot",
+            metavar="NAME",
+            help="Which walks: hexapod, quadruped12. [hexapod]",
+            show_default=False,
+        ),
+    ] = None,
     web: Annotated[
         bool,
         typer.Option(
@@ -60,7 +69,7 @@ def demo(
     from adaptive_contact.cli._console import table_console
 
     console = table_console()
-    settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed))
+    settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed, robot=robot))
     page_settings = web_settings(web, host, port, no_browser)
     try:
         if page_settings is None:

@@ -280,10 +280,12 @@ def _to_wire(
 def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseline | None:
     """What is learned of the robot already; the shipped ones go together."""
     from adaptive_contact.model.model_file import load_baseline, shipped_baseline
+    from adaptive_contact.robot.load import is_shipped
 
     if baseline is not None:
         return load_baseline(baseline)
-    return shipped_baseline(robot.name) if config is None else None
+    shipped = config is None or is_shipped(config)
+    return shipped_baseline(robot.name) if shipped else None
 
 
 def _warn(recording: Recording, counts: Counts) -> None:

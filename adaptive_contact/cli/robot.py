@@ -102,7 +102,7 @@ class Wishes:
             metavar="RAD",
             min=1e-6,
             max=0.2,
-            help="One step of a reading; told by the servos of --device.",
+            help="One step of a reading; read from the servos with --device.",
             show_default=False,
         ),
     ] = None

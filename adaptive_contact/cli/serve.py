@@ -180,6 +180,7 @@ def _leave(fault: BaseException | None) -> None:
 def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline | None, str | None]:
     """The robot, what is learned of it already, and where that comes from."""
     from adaptive_contact.robot import load_robot, shipped_robot
+    from adaptive_contact.robot.load import is_shipped
 
     robot = shipped_robot() if config is None else load_robot(config)
     if baseline is not None:
@@ -187,7 +188,7 @@ def _load(config: Path | None, baseline: Path | None) -> tuple[Robot, Baseline |
         from adaptive_contact.service.settings import shown_path
 
         return robot, load_baseline(baseline), shown_path(baseline)
-    if config is not None:
+    if config is not None and not is_shipped(config):
         return robot, None, None
     from adaptive_contact.model import shipped_baseline
 

@@ -65,12 +65,13 @@ def pose(
     make_stdout_optional()
     stop = stoppable()
     with needs_simulator():
-        from adaptive_contact_sim import LEGS, PoseSettings
+        from adaptive_contact_sim import PoseSettings, simulated_robot
 
     changes = given(approach=approach, workspace=workspace, path=path, react_ms=react_ms)
-    if leg is not None:
-        changes["legs"] = LEGS if leg == "all" else tuple(leg.split(","))
     base, motion = run.base(PoseSettings)
+    if leg is not None:
+        layout = simulated_robot(base.settings.robot).layout
+        changes["legs"] = layout.legs if leg == "all" else tuple(leg.split(","))
     changes["obstacles"] = dataclasses.replace(
         motion.obstacles, **given(probability=obstacles, soft=soft)
     )
@@ -83,7 +84,10 @@ def pose(
 def walk(
     *,
     gait: Annotated[
-        str | None, typer.Option("--gait", metavar="tripod|ripple|wave", help="[tripod]")
+        str | None,
+        typer.Option(
+            "--gait", metavar="GAIT", help="tripod, ripple, wave; trot, walk of a quadruped."
+        ),
     ] = None,
     terrain: Annotated[
         str | None,
@@ -119,7 +123,7 @@ def walk(
     with needs_simulator():
         from adaptive_contact_sim import WalkSettings
 
-    base, motion = run.base(WalkSettings)
+    base, motion = run.base(WalkSettings, gait)
     changes = given(gait=gait, stop_on=stop_on, react_ms=react_ms, phase=phase)
     settings = dataclasses.replace(
         base.settings,
@@ -160,7 +164,7 @@ def inject(
             from adaptive_contact_sim import drift_from
         fields = given(kind=kind, value=value, leg=leg, joint=joint, shape=shape)
         fields |= {"duration_s": duration, "seed": seed}
-        drift = drift_from(fields, where=f"drift '{kind}'").drift
+        drift = drift_from(fields, where=f"drift '{kind}'", layout=None).drift
     with Link.open(network.client(wait=False), on_wait=say_waiting) as link:
         replies = link.query(SIM_DRIFT, drift)
     if not replies:

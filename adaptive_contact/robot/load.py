@@ -33,7 +33,7 @@ from adaptive_contact.robot.description import (
     ServoLaw,
 )
 
-__all__ = ["load_robot", "parse_robot", "shipped_robot"]
+__all__ = ["is_shipped", "load_robot", "parse_robot", "recorded_as", "shipped_robot"]
 
 
 class _Head(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,7 +55,7 @@ def load_robot(path: str | Path) -> Robot:
     """Load and check a robot description.
 
     Args:
-        path: a ``robot.toml``.
+        path: a ``robot.toml``, or the name of a robot that ships.
 
     Returns:
         The robot.
@@ -64,11 +64,14 @@ def load_robot(path: str | Path) -> Robot:
         ConfigurationError: in one line, what is wrong in the file and what is expected there.
     """
     path = Path(path)
+    if is_shipped(path):
+        return shipped_robot(path.name)
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a robot.toml"
+            f"{path}: cannot be read ({error.strerror}); give the path of a robot.toml, or a "
+            f"shipped robot's name ({', '.join(_shipped_names())})"
         ) from error
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: is not UTF-8 text; expected a robot.toml") from error
@@ -84,12 +87,28 @@ def shipped_robot(name: str = "hexapod") -> Robot:
     models = resources.files("adaptive_contact_models")
     file = models.joinpath(name, "robot.toml")
     if not file.is_file():
-        ships = [entry.name for entry in models.iterdir() if _ships(entry)]
         raise ConfigurationError(
-            f"no robot '{name}' ships with adaptive-contact; there are {', '.join(sorted(ships))}, "
-            "others are described in a robot.toml"
+            f"no robot '{name}' ships with adaptive-contact; there are "
+            f"{', '.join(_shipped_names())}, others are described in a robot.toml"
         )
     return parse_robot(file.read_text(encoding="utf-8"), source=f"{name}/robot.toml")
+
+
+def is_shipped(path: str | Path) -> bool:
+    """Tell the name of a robot that ships from the path of a file."""
+    path = Path(path)
+    return str(path) in _shipped_names() and not path.is_file()
+
+
+def recorded_as(name: str) -> Robot | None:
+    """Load the shipped robot whose description says this name; None if there is none."""
+    robots = (shipped_robot(folder) for folder in _shipped_names())
+    return next((robot for robot in robots if robot.name == name), None)
+
+
+def _shipped_names() -> list[str]:
+    models = resources.files("adaptive_contact_models")
+    return sorted(entry.name for entry in models.iterdir() if _ships(entry))
 
 
 def _ships(folder: Traversable) -> bool:

@@ -24,4 +24,4 @@ class FaultLog:
         """A leg has begun anew."""
         times = self._brake.passes(leg, time.monotonic_ns())
         if times is not None:
-            _log.error("fault in learning, begun anew", leg=leg, times=times, exc_info=fault)
+            _log.error("fault in learning, leg restarted", leg=leg, times=times, exc_info=fault)

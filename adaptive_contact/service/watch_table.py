@@ -62,7 +62,7 @@ def headline(view: View) -> Text:
     unheard = sum(leg.unheard for leg in view.legs)
     if unheard:
         contacts = "contact" if unheard == 1 else "contacts"
-        line.append(f"  {unheard} {contacts} told and not heard here", style="bold red")
+        line.append(f"  {unheard} {contacts} reported but not received here", style="bold red")
     if service.stalls:
         line.append(f"  worker stood still {service.stalls} times", style="bold red")
     if service.rejects:

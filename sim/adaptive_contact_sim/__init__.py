@@ -17,6 +17,7 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.recorder import record_file
+from adaptive_contact_sim.robots import ROBOTS, SimulatedRobot, simulated_robot
 from adaptive_contact_sim.scenario import (
     Scenario,
     load_scenario,
@@ -33,6 +34,7 @@ __all__ = [
     "JOINTS",
     "KINDS",
     "LEGS",
+    "ROBOTS",
     "EncoderSettings",
     "Injection",
     "Kind",
@@ -46,6 +48,7 @@ __all__ = [
     "RunPlan",
     "Scenario",
     "ServoParameters",
+    "SimulatedRobot",
     "Simulation",
     "SimulationSettings",
     "Speed",
@@ -64,4 +67,5 @@ __all__ = [
     "record_file",
     "run",
     "shipped_scenarios",
+    "simulated_robot",
 ]

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact_sim.elements import JOINTS, LEGS, PARTS
 from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 
@@ -45,13 +44,13 @@ class LegArrays:
     """One leg's stream, row k being control tick k.
 
     Attributes:
-        measured: (n, 3) rad, read at the start of tick k.
-        desired: (n, 3) rad, written right after, in force until tick k + 1.
-        valid: (n, 3) readings known to be good.
+        measured: (n, J) rad, read at the start of tick k.
+        desired: (n, J) rad, written right after, in force until tick k + 1.
+        valid: (n, J) readings known to be good.
         swing: (n,) the phase of tick k.
         contact: (n,) whether the leg touches at the start of tick k.
         force_n: (n,) mean contact force over the 20 ms *after* the start of tick k.
-        angle: (n, 3) rad, the joints' true angles at the start of tick k.
+        angle: (n, J) rad, the joints' true angles at the start of tick k.
         onsets: contacts that began, in order.
         releases_ns: times at which contacts ended.
     """
@@ -101,15 +100,16 @@ def record_arrays(
         SimulationDivergedError: the physics blew up.
     """
     sim = Simulation(settings, parameters)
-    n, legs, joints = round(seconds / settings.period_s), len(LEGS), len(JOINTS)
+    layout = sim.layout
+    n, legs, joints = round(seconds / settings.period_s), len(layout.legs), len(layout.joints)
     measured = np.zeros((n, legs * joints))
     desired, angle = np.zeros_like(measured), np.zeros_like(measured)
     valid = np.ones((n, legs * joints), dtype=np.bool_)
     swing = np.zeros((n, legs), dtype=np.bool_)
     force = np.zeros((n, legs))
     position, rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
-    onsets: list[list[Onset]] = [[] for _ in LEGS]
-    releases: list[list[int]] = [[] for _ in LEGS]
+    onsets: list[list[Onset]] = [[] for _ in layout.legs]
+    releases: list[list[int]] = [[] for _ in layout.legs]
     for k in range(n):
         angle[k] = sim.plant.joint_angles
         position[k], rotation[k] = sim.plant.body_pose()
@@ -130,7 +130,7 @@ def record_arrays(
                     tick=max(change.step - 1, 0) // sim.plant.substeps,
                     force_n=change.force_n,
                     speed_m_s=None if touch is None else touch.speed_m_s,
-                    part=None if touch is None else PARTS[touch.part],
+                    part=None if touch is None else layout.parts[touch.part],
                     surface=None if touch is None else sim.surface_of(touch.other),
                     grazing=touch is not None and touch.grazing,
                 )
@@ -151,7 +151,7 @@ def record_arrays(
                 onsets=tuple(onsets[i]),
                 releases_ns=tuple(releases[i]),
             )
-            for i, leg in enumerate(LEGS)
+            for i, leg in enumerate(layout.legs)
         },
         position_m=position,
         rotation=rotation,

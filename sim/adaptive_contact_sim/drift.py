@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
-from adaptive_contact_sim.elements import JOINTS, LEGS, servo_indices
+from adaptive_contact_sim.elements import HEXAPOD, Layout
 
 __all__ = ["KINDS", "DriftSchedule", "Injection", "Kind", "check"]
 
@@ -51,7 +51,7 @@ KINDS: Final[dict[DriftKind, Kind]] = {
     "supply": Kind("V", 12.0, 7.0, 14.0, "9-12", "supply voltage"),
     "compliance": Kind("factor", 1.0, 0.125, 8.0, "1-4", "compliance slope, of 32 steps"),
     "winding": Kind("factor", 1.0, 0.7, 2.0, "1-1.16", "winding resistance, +0.4 %/K"),
-    "backlash": Kind("rad", 0.0, 0.0, 0.07, "0-0.026", "play of the gear"),
+    "backlash": Kind("rad", 0.0, 0.0, 0.07, "0-0.026", "backlash of the gear"),
     "offset": Kind("rad", 0.0, -0.2, 0.2, "+-0.015", "horn turned on its shaft"),
     "dropout": Kind("share", 0.0, 0.0, 0.5, "0.0003-0.03", "readings that do not come"),
 }
@@ -64,8 +64,8 @@ class Injection(NamedTuple):
     at_s: float = 0.0
 
 
-def check(drift: Drift) -> None:
-    """Check that a drift can be made.
+def check(drift: Drift, layout: Layout | None = None) -> None:
+    """Check that a drift can be made, of a robot where one is given.
 
     Raises:
         ConfigurationError: what was found, and what is expected.
@@ -73,7 +73,8 @@ def check(drift: Drift) -> None:
     if drift.kind not in KINDS:
         raise ConfigurationError(f"no drift '{drift.kind}'; kinds are {', '.join(KINDS)}")
     kind = KINDS[drift.kind]
-    servo_indices(drift.leg, drift.joint)
+    if layout is not None:
+        layout.servo_indices(drift.leg, drift.joint)
     if drift.kind == "mass" and drift.joint is not None:
         raise ConfigurationError("mass hangs at the foot, not at a joint; leave out the joint")
     if not kind.low <= drift.value <= kind.high:
@@ -98,10 +99,10 @@ def check(drift: Drift) -> None:
 class _Course:
     """A drift under way, on the joints it took."""
 
-    def __init__(self, injection: Injection, before: Array) -> None:
+    def __init__(self, injection: Injection, before: Array, layout: Layout) -> None:
         drift = injection.drift
         self.kind = drift.kind
-        self.joints = servo_indices(drift.leg, drift.joint)
+        self.joints = layout.servo_indices(drift.leg, drift.joint)
         self._start_s = injection.at_s
         self._drift = drift
         self._before = before[self.joints]
@@ -137,10 +138,18 @@ class DriftSchedule:
     Args:
         injections: known from the start.
         dropout: probability of dropped readings that the run has anyway.
+        layout: of the robot.
     """
 
-    def __init__(self, injections: Iterable[Injection] = (), *, dropout: float = 0.0) -> None:
-        size = len(LEGS) * len(JOINTS)
+    def __init__(
+        self,
+        injections: Iterable[Injection] = (),
+        *,
+        dropout: float = 0.0,
+        layout: Layout = HEXAPOD,
+    ) -> None:
+        size = layout.n_servos
+        self._layout = layout
         self._nominal: dict[str, float] = {name: kind.nominal for name, kind in KINDS.items()}
         self._nominal["dropout"] = dropout
         self._values: dict[str, Array] = {
@@ -158,7 +167,7 @@ class DriftSchedule:
         Raises:
             ConfigurationError: it cannot be made.
         """
-        check(injection.drift)
+        check(injection.drift, self._layout)
         if not 0.0 <= injection.at_s < float("inf"):
             raise ConfigurationError(f"a drift begins at {injection.at_s} s; expected 0 s or later")
         bisect.insort(self._pending, injection, key=lambda i: i.at_s)
@@ -171,7 +180,7 @@ class DriftSchedule:
         """Move on to a time, which never goes back.
 
         Returns:
-            Per kind, (6, 3) values now in force.
+            Per kind, (L, J) values now in force.
         """
         self._advance(t_s)
         while self._pending and self._pending[0].at_s <= t_s:
@@ -179,21 +188,24 @@ class DriftSchedule:
             self.begun.append(injection)
             # What was under way there goes on to this moment, and ends.
             self._advance(injection.at_s)
-            course = _Course(injection, self._values[injection.drift.kind])
+            course = _Course(injection, self._values[injection.drift.kind], self._layout)
             for other in self._courses:
                 if other.kind == course.kind:
                     other.release(course.joints)
             self._courses = [c for c in self._courses if c.joints.size]
             self._courses.append(course)
             self._advance(t_s)
-        return {name: value.reshape(len(LEGS), -1) for name, value in self._values.items()}
+        return {
+            name: value.reshape(len(self._layout.legs), -1) for name, value in self._values.items()
+        }
 
     def holds(self) -> dict[str, dict[str, dict[str, float]]]:
         """What holds now, kind by leg by joint, nominal values left out."""
         found: dict[str, dict[str, dict[str, float]]] = {}
         for name, values in self._values.items():
             for k in np.flatnonzero(np.abs(values - self._nominal[name]) > 1e-12):
-                leg, joint = LEGS[k // len(JOINTS)], JOINTS[k % len(JOINTS)]
+                a, b = divmod(int(k), len(self._layout.joints))
+                leg, joint = self._layout.legs[a], self._layout.joints[b]
                 found.setdefault(name, {}).setdefault(leg, {})[joint] = float(values[k])
         return found
 

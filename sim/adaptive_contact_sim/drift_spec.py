@@ -17,6 +17,7 @@ from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim.drift import KINDS, Injection, check
+from adaptive_contact_sim.elements import HEXAPOD, Layout
 
 __all__ = ["drift_from", "parse_drift"]
 
@@ -31,11 +32,12 @@ _KEYS: Final = {
 }
 
 
-def parse_drift(text: str) -> Injection:
+def parse_drift(text: str, layout: Layout = HEXAPOD) -> Injection:
     """Read one drift from its short form.
 
     Args:
         text: ``KIND:KEY=VALUE,...@TIME``.
+        layout: of the robot.
 
     Returns:
         The drift and when it begins.
@@ -60,16 +62,24 @@ def parse_drift(text: str) -> Injection:
         fields[key] = _number(key, value, text) if _KEYS[key] is not str else value
     if "duration" in fields:
         fields["duration_s"] = fields.pop("duration")
-    return drift_from(fields, at_s=_time(when, text) if at else 0.0, where=f"drift '{text}'")
+    begins_s = _time(when, text) if at else 0.0
+    return drift_from(fields, at_s=begins_s, where=f"drift '{text}'", layout=layout)
 
 
-def drift_from(fields: Mapping[str, Any], *, at_s: float | None = None, where: str) -> Injection:
+def drift_from(
+    fields: Mapping[str, Any],
+    *,
+    at_s: float | None = None,
+    where: str,
+    layout: Layout | None = HEXAPOD,
+) -> Injection:
     """Make a drift from named fields, as a table of a scenario file has them.
 
     Args:
         fields: of :class:`adaptive_contact.wire.Drift`, and ``at_s`` unless it is given apart.
         at_s: when it begins.
         where: what to name in errors.
+        layout: of the robot; None where only the simulator knows it.
 
     Raises:
         ConfigurationError: in one line, what was found and what is expected.
@@ -87,7 +97,7 @@ def drift_from(fields: Mapping[str, Any], *, at_s: float | None = None, where: s
         raise ConfigurationError(f"{where}: begins at {start!r}; expected seconds, 0 or later")
     try:
         drift = msgspec.convert({"v": 1, **table}, Drift, strict=True)
-        check(drift)
+        check(drift, layout)
     except msgspec.ValidationError as error:
         raise ConfigurationError(f"{where}: {error}; expected such as {_EXAMPLE}") from error
     except ConfigurationError as error:

@@ -1,8 +1,8 @@
 """The simulated robot's elements by name, resolved once to indices.
 
-Every array of the simulator is ordered like :data:`LEGS` and :data:`JOINTS`: index
-``3 * leg + joint`` for servos.  The model file names each element ``{leg}_{part}``; nothing else
-relies on the order of elements in the file.
+A :class:`Layout` names a robot's legs, their joints and their parts.  Every array of the simulator
+is ordered like it: index ``J * leg + joint`` for servos.  The model file names each element
+``{leg}_{part}``; nothing else relies on the order of elements in the file.
 """
 
 from __future__ import annotations
@@ -17,34 +17,56 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = ["JOINTS", "LEGS", "N_SERVOS", "PARTS", "Elements", "servo_indices"]
-
-LEGS: Final = ("lf", "lm", "lr", "rf", "rm", "rr")
-JOINTS: Final = ("coxa", "femur", "tibia")
-N_SERVOS: Final = len(LEGS) * len(JOINTS)
-# What of a leg may touch something, from the body outwards; each has a touch sensor.
-PARTS: Final = ("coxa", "femur", "tibia", "foot")
+__all__ = ["HEXAPOD", "JOINTS", "LEGS", "N_SERVOS", "PARTS", "Elements", "Layout"]
 
 IntArray = NDArray[np.intp]
 
 
-def servo_indices(leg: str | None, joint: str | None) -> IntArray:
-    """Indices of the servos meant by a leg and a joint, None standing for all.
+@dataclass(frozen=True)
+class Layout:
+    """Names of a robot's elements, in the order of the simulator's arrays.
 
-    Raises:
-        ConfigurationError: there is no such leg or joint.
+    Attributes:
+        legs: their ids.
+        joints: of every leg, from the body outwards.
+        parts: what of a leg may touch something, likewise; each has a touch sensor.
     """
-    if leg is not None and leg not in LEGS:
-        raise ConfigurationError(
-            f"no leg '{leg}'; the legs are {', '.join(LEGS)} (leave it out for all)"
-        )
-    if joint is not None and joint not in JOINTS:
-        raise ConfigurationError(
-            f"no joint '{joint}'; the joints are {', '.join(JOINTS)} (leave it out for all)"
-        )
-    legs = range(len(LEGS)) if leg is None else [LEGS.index(leg)]
-    joints = range(len(JOINTS)) if joint is None else [JOINTS.index(joint)]
-    return np.array([len(JOINTS) * a + b for a in legs for b in joints], dtype=np.intp)
+
+    legs: tuple[str, ...]
+    joints: tuple[str, ...]
+    parts: tuple[str, ...]
+
+    @property
+    def n_servos(self) -> int:
+        """Of all legs."""
+        return len(self.legs) * len(self.joints)
+
+    def servo_indices(self, leg: str | None, joint: str | None) -> IntArray:
+        """Indices of the servos meant by a leg and a joint, None standing for all.
+
+        Raises:
+            ConfigurationError: there is no such leg or joint.
+        """
+        if leg is not None and leg not in self.legs:
+            raise ConfigurationError(
+                f"no leg '{leg}'; the legs are {', '.join(self.legs)} (leave it out for all)"
+            )
+        if joint is not None and joint not in self.joints:
+            raise ConfigurationError(
+                f"no joint '{joint}'; the joints are {', '.join(self.joints)} "
+                "(leave it out for all)"
+            )
+        legs = range(len(self.legs)) if leg is None else [self.legs.index(leg)]
+        joints = range(len(self.joints)) if joint is None else [self.joints.index(joint)]
+        return np.array([len(self.joints) * a + b for a in legs for b in joints], dtype=np.intp)
+
+
+# The hexapod's, which experiments, scenarios and the virtual bus are made for.
+LEGS: Final = ("lf", "lm", "lr", "rf", "rm", "rr")
+JOINTS: Final = ("coxa", "femur", "tibia")
+N_SERVOS: Final = len(LEGS) * len(JOINTS)
+PARTS: Final = ("coxa", "femur", "tibia", "foot")
+HEXAPOD: Final = Layout(LEGS, JOINTS, PARTS)
 
 
 @dataclass(frozen=True)
@@ -52,22 +74,26 @@ class Elements:
     """Indices into a compiled model, by meaning.
 
     Attributes:
-        qpos, dof: slices of the 18 servo joints in ``qpos`` and ``qvel``.
-        ctrl: slice of the 18 motors in ``ctrl``.
-        touch: slice of the 6 x 4 touch sensors in ``sensordata``, part fastest.
-        body: id of the floating base.
-        foot_sites: (6,) ids of the foot points.
-        payloads: (6,) body ids of the masses at the foot ends.
+        layout: names, in the order of the indices.
+        qpos, dof: slices of the servo joints in ``qpos`` and ``qvel``.
+        ctrl: slice of the motors in ``ctrl``.
+        touch: slice of the touch sensors in ``sensordata``, part fastest.
+        body: id of the base.
+        floats: whether the base moves freely; otherwise it hangs on the world.
+        foot_sites: (L,) ids of the foot points.
+        payloads: (L,) body ids of the masses at the foot ends.
         geom_leg: (ngeom,) leg of a geom that collides, -1 for others.
-        geom_part: (ngeom,) index into :data:`PARTS`, -1 for others.
+        geom_part: (ngeom,) index into the layout's parts, -1 for others.
         leg_geoms: per leg, ids of its colliding geoms.
     """
 
+    layout: Layout
     qpos: slice
     dof: slice
     ctrl: slice
     touch: slice
     body: int
+    floats: bool
     foot_sites: IntArray
     payloads: IntArray
     geom_leg: IntArray
@@ -75,39 +101,43 @@ class Elements:
     leg_geoms: tuple[IntArray, ...]
 
     @classmethod
-    def resolve(cls, model: mujoco.MjModel) -> Elements:
+    def resolve(cls, model: mujoco.MjModel, layout: Layout = HEXAPOD) -> Elements:
         """Look up every element the simulator uses.
 
         Raises:
             ConfigurationError: the model file lacks one, or orders the servos otherwise.
         """
-        servos = [f"{leg}_{joint}" for leg in LEGS for joint in JOINTS]
+        legs, parts = layout.legs, layout.parts
+        servos = [f"{leg}_{joint}" for leg in legs for joint in layout.joints]
         joints = [_id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in servos]
         geom_leg = np.full(model.ngeom, -1, dtype=np.intp)
         geom_part = np.full(model.ngeom, -1, dtype=np.intp)
-        for i, leg in enumerate(LEGS):
-            for k, part in enumerate(PARTS):
+        for i, leg in enumerate(legs):
+            for k, part in enumerate(parts):
                 geom = _id(model, mujoco.mjtObj.mjOBJ_GEOM, f"{leg}_{part}")
                 geom_leg[geom], geom_part[geom] = i, k
+        body = _id(model, mujoco.mjtObj.mjOBJ_BODY, "body")
         return cls(
+            layout=layout,
             qpos=_run(int(model.jnt_qposadr[joint]) for joint in joints),
             dof=_run(int(model.jnt_dofadr[joint]) for joint in joints),
             ctrl=_run(_id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name) for name in servos),
             touch=_run(
                 int(model.sensor_adr[_id(model, mujoco.mjtObj.mjOBJ_SENSOR, f"{leg}_{part}_touch")])
-                for leg in LEGS
-                for part in PARTS
+                for leg in legs
+                for part in parts
             ),
-            body=_id(model, mujoco.mjtObj.mjOBJ_BODY, "body"),
+            body=body,
+            floats=bool(model.body_dofnum[body]),
             foot_sites=np.array(
-                [_id(model, mujoco.mjtObj.mjOBJ_SITE, f"{leg}_foot") for leg in LEGS]
+                [_id(model, mujoco.mjtObj.mjOBJ_SITE, f"{leg}_foot") for leg in legs]
             ),
             payloads=np.array(
-                [_id(model, mujoco.mjtObj.mjOBJ_BODY, f"{leg}_payload") for leg in LEGS]
+                [_id(model, mujoco.mjtObj.mjOBJ_BODY, f"{leg}_payload") for leg in legs]
             ),
             geom_leg=geom_leg,
             geom_part=geom_part,
-            leg_geoms=tuple(np.flatnonzero(geom_leg == i) for i in range(len(LEGS))),
+            leg_geoms=tuple(np.flatnonzero(geom_leg == i) for i in range(len(legs))),
         )
 
 
@@ -124,7 +154,7 @@ def _run(addresses: Iterable[int]) -> slice:
     found = [int(a) for a in addresses]
     if found != list(range(found[0], found[0] + len(found))):
         raise ConfigurationError(
-            f"the robot model orders its elements as {found}; expected leg by leg "
-            f"({', '.join(LEGS)}), from the body outwards"
+            f"the robot model orders its elements as {found}; expected leg by leg, "
+            "from the body outwards"
         )
     return slice(found[0], found[0] + len(found))

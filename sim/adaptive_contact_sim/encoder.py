@@ -1,4 +1,4 @@
-"""What the bus reports: 10-bit positions with noise, and now and then a bad reading.
+"""What the bus reports: positions in whole steps with noise, and now and then a bad reading.
 
 A reading is the joint's angle in the servo's own frame (the link's plus the horn's offset) with
 noise, rounded to whole steps.  Real buses add, about once in 3,000 reads or more: a reading that
@@ -57,7 +57,7 @@ class EncoderSettings:
 
 
 class Reading(NamedTuple):
-    """One tick's positions: (18,) rad, and (18,) whether each is known to be good."""
+    """One tick's positions: (S,) rad, and (S,) whether each is known to be good."""
 
     angle_rad: Array
     valid: BoolArray
@@ -72,29 +72,39 @@ class Encoder:
     Args:
         settings: noise and faults.
         rng: source of both.
+        servos: how many.
+        quantum_rad: their step.
     """
 
-    def __init__(self, settings: EncoderSettings, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        settings: EncoderSettings,
+        rng: np.random.Generator,
+        servos: int = N_SERVOS,
+        quantum_rad: float = QUANTUM_RAD,
+    ) -> None:
         self.settings = settings
-        self.dropped = np.full(N_SERVOS, settings.dropped)
+        self.dropped = np.full(servos, settings.dropped)
+        self._servos = servos
+        self._quantum_rad = quantum_rad
         self._rng = rng
-        self._last = np.zeros(N_SERVOS)
+        self._last = np.zeros(servos)
         self._started = False
 
     def read(self, angle_rad: Array) -> Reading:
         """Read positions.
 
         Args:
-            angle_rad: (18,) rad, in the servos' own frames.
+            angle_rad: (S,) rad, in the servos' own frames.
 
         Returns:
             What the bus reports.
         """
-        noise = self._rng.standard_normal(N_SERVOS)
-        chance = self._rng.random((3, N_SERVOS))
-        steps = np.rint(angle_rad / QUANTUM_RAD + self.settings.noise_steps * noise)
-        fresh = np.asarray(steps * QUANTUM_RAD)
-        valid = np.ones(N_SERVOS, dtype=np.bool_)
+        noise = self._rng.standard_normal(self._servos)
+        chance = self._rng.random((3, self._servos))
+        steps = np.rint(angle_rad / self._quantum_rad + self.settings.noise_steps * noise)
+        fresh = np.asarray(steps * self._quantum_rad)
+        valid = np.ones(self._servos, dtype=np.bool_)
         if not self._started:
             self._started = True
             self._last = fresh

@@ -43,7 +43,7 @@ class GearTrain:
     Args:
         servos: the servo bank; its damping, friction and armature are taken over for the joints
             with play.
-        position, velocity, torque, friction, damping, armature: (18,) views of the engine's
+        position, velocity, torque, friction, damping, armature: (S,) views of the engine's
             joint state, motor torques and joint constants.
         period_s: physics step.
     """
@@ -90,7 +90,7 @@ class GearTrain:
         the link's speed.
 
         Args:
-            backlash_rad: (18,) total play, 0 for none.
+            backlash_rad: (S,) total play, 0 for none.
 
         Returns:
             Whether the set of joints with play changed, and with it the joints' armature.

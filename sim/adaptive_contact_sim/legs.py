@@ -1,12 +1,23 @@
-"""The six legs' geometry as one block of arrays, for controllers.
+r"""The legs' geometry as one block of arrays, for controllers.
 
-Lengths, mounts and limits come from the shipped ``robot.toml``; forward and inverse kinematics are
-those of :mod:`adaptive_contact.robot`.  A controller never sees the engine's state through this.
+Lengths, mounts and limits come from the shipped ``robot.toml``.  A controller never sees the
+engine's state through this.  :class:`LegGeometry` is the hexapod's, with the closed forms of
+:mod:`adaptive_contact.robot`.  :class:`ChainLegs` takes any chains: with the Jacobian :math:`J` at
+the foot and the error :math:`e`, it steps by
+
+.. math:: \delta q = r + J^T (J J^T + \lambda^2 I)^{-1} (e - J r)
+
+where :math:`r` leads back to the posture at rest, which joints beyond three are free to follow.
+
+Reference:
+    C. Wampler, Manipulator inverse kinematic solutions based on damped least squares, IEEE SMC
+    16(1), 1986.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +26,107 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Robot, foot, inverse, shipped_robot
 from adaptive_contact_sim.elements import JOINTS, LEGS
 
-__all__ = ["LegGeometry"]
+__all__ = ["ChainLegs", "Geometry", "LegGeometry"]
 
 Array = NDArray[np.float64]
 
 # How near to the rim of its reach a foot is ever sent, m.
 _REACH_MARGIN_M = 0.002
+# Hexapod: neutral feet from the body's centre, as turning moves them.
+_OUTER_FOOT_M: Final = 0.22
+# Hexapod: a foot of a robot in pose, under its knee.
+_STANDING_M: Final = (0.115, 0.0, -0.165)
+# Damped least squares: damping, m; the largest step; when it is done, and when it is given up.
+_DAMPING_M: Final = 1e-3
+_STEP_RAD: Final = 0.4
+_EXACT_M: Final = 1e-6
+_ROUNDS: Final = 30
+# Of the way back to rest, the share that a round makes.
+_REST_SHARE: Final = 0.3
+_NEAR_M: Final = 1e-3
+
+
+class Geometry(Protocol):
+    """What a controller knows of its legs."""
+
+    @property
+    def mounts_m(self) -> Array:
+        """(L, 3) m, where the legs' first joints are in the body's frame."""
+
+    @property
+    def rotations(self) -> Array:
+        """(L, 3, 3) from a leg's frame to the body's."""
+
+    @property
+    def outer_foot_m(self) -> float:
+        """Neutral feet from the body's centre, as turning moves them."""
+
+    @property
+    def standing_m(self) -> Array:
+        """(3,) m, a foot at rest in its leg's frame."""
+
+    @property
+    def middle_rad(self) -> Array:
+        """(J,) rad, the first leg's posture at rest."""
+
+    def neutral(self, reach_m: float, height_m: float) -> Array:
+        """(L, 3) m in the legs' frames: feet so far out, the body so high over them."""
+
+    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+        """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
+
+    def joints(
+        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
+    ) -> Array:
+        """(..., J) rad within limits, the nearest to foot points (..., 3) m in the legs' frames.
+
+        Args:
+            points_m: one per leg, or any number where all legs are alike.
+            near_rad: a posture not far from it, where one is known: it saves time.
+            rest_rad: what joints beyond three follow instead of the posture at rest.
+        """
+
+    def feet(self, joints_rad: Array) -> Array:
+        """Foot points (..., 3) m in the legs' frames for joint angles (..., J) rad."""
+
+    def to_leg(self, points_m: Array) -> Array:
+        """From the body's frame to the legs': (L, 3) m, one point per leg."""
+
+    def to_body(self, points_m: Array) -> Array:
+        """From the legs' frames to the body's: (L, 3) m, one point per leg."""
+
+
+class _Mounted:
+    """Where legs sit on the body."""
+
+    mounts_m: Array
+    rotations: Array
+
+    def to_leg(self, points_m: Array) -> Array:
+        """From the body's frame to the legs': (L, 3) m, one point per leg."""
+        offset = points_m - self.mounts_m
+        return np.asarray(np.matmul(offset[:, None, :], self.rotations)[:, 0, :])
+
+    def to_body(self, points_m: Array) -> Array:
+        """From the legs' frames to the body's: (L, 3) m, one point per leg."""
+        turned = np.matmul(self.rotations, points_m[:, :, None])[:, :, 0]
+        return np.asarray(turned + self.mounts_m)
+
+
+def _mounts(robot: Robot) -> tuple[Array, Array]:
+    """(L, 3) m and (L, 3, 3), where the legs sit and how they are turned."""
+    yaw = np.array([leg.mount.yaw_rad for leg in robot.legs])
+    rotations = np.zeros((len(yaw), 3, 3))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(yaw)
+    rotations[:, 1, 0] = np.sin(yaw)
+    rotations[:, 0, 1] = -np.sin(yaw)
+    rotations[:, 2, 2] = 1.0
+    return np.array([leg.mount.xyz_m for leg in robot.legs]), rotations
 
 
 @dataclass(frozen=True, eq=False)
-class LegGeometry:
-    """Geometry of six equal legs.
+class LegGeometry(_Mounted):
+    """Geometry of the hexapod's six equal legs.
 
     Attributes:
         lengths_m: coxa, femur, tibia.
@@ -63,24 +164,38 @@ class LegGeometry:
                 f"{', '.join(JOINTS)}; give them for the simulator"
             )
         l0, l1, l2 = first.lengths_m
-        yaw = np.array([robot.leg(leg).mount.yaw_rad for leg in LEGS])
-        rotations = np.zeros((len(LEGS), 3, 3))
-        rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(yaw)
-        rotations[:, 1, 0] = np.sin(yaw)
-        rotations[:, 0, 1] = -np.sin(yaw)
-        rotations[:, 2, 2] = 1.0
+        mounts, rotations = _mounts(robot)
         lower = np.array(first.limits.lower_rad)
         upper = np.array(first.limits.upper_rad)
         nearest = np.sqrt(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(lower[2]))
         return cls(
             lengths_m=(l0, l1, l2),
-            mounts_m=np.array([robot.leg(leg).mount.xyz_m for leg in LEGS]),
+            mounts_m=mounts,
             rotations=rotations,
             lower_rad=lower,
             upper_rad=upper,
             nearest_m=float(nearest) + _REACH_MARGIN_M,
             farthest_m=l1 + l2 - _REACH_MARGIN_M,
         )
+
+    @property
+    def outer_foot_m(self) -> float:
+        """Neutral feet from the body's centre, as turning moves them."""
+        return _OUTER_FOOT_M
+
+    @property
+    def standing_m(self) -> Array:
+        """(3,) m, a foot at rest in its leg's frame."""
+        return np.array(_STANDING_M)
+
+    @property
+    def middle_rad(self) -> Array:
+        """(3,) rad, a leg's posture at rest."""
+        return self.joints(self.standing_m)
+
+    def neutral(self, reach_m: float, height_m: float) -> Array:
+        """(6, 3) m in the legs' frames: feet so far from their coxa axes, the body so high."""
+        return np.tile([reach_m, 0.0, -height_m], (len(LEGS), 1))
 
     def reachable(self, points_m: Array) -> NDArray[np.bool_]:
         """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
@@ -89,11 +204,15 @@ class LegGeometry:
             inside = (joints >= self.lower_rad) & (joints <= self.upper_rad)
         return np.asarray(inside.all(axis=-1))
 
-    def joints(self, points_m: Array) -> Array:
+    def joints(
+        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
+    ) -> Array:
         """Joint angles for foot points, the nearest that can be reached.
 
         Args:
             points_m: (..., 3) m in the legs' frames.
+            near_rad: of no use to a closed form.
+            rest_rad: nor is this.
 
         Returns:
             (..., 3) rad, within limits.
@@ -115,12 +234,113 @@ class LegGeometry:
         """Foot points (..., 3) m in the legs' frames for joint angles (..., 3) rad."""
         return foot(joints_rad, self.lengths_m, ("yaw", "pitch", "pitch"))
 
-    def to_leg(self, points_m: Array) -> Array:
-        """From the body's frame to the legs': (6, 3) m, one point per leg."""
-        offset = points_m - self.mounts_m
-        return np.asarray(np.matmul(offset[:, None, :], self.rotations)[:, 0, :])
 
-    def to_body(self, points_m: Array) -> Array:
-        """From the legs' frames to the body's: (6, 3) m, one point per leg."""
-        turned = np.matmul(self.rotations, points_m[:, :, None])[:, :, 0]
-        return np.asarray(turned + self.mounts_m)
+class ChainLegs(_Mounted):
+    """Geometry of legs that are any chains, each its own.
+
+    Args:
+        robot: their description, with a chain and limits of every leg.
+        rest_rad: (L, J) a posture in the middle of what they do: it chooses between the solutions
+            of a knee, and of joints beyond three.
+
+    Raises:
+        ConfigurationError: a leg lacks its geometry or its limits.
+    """
+
+    def __init__(self, robot: Robot, rest_rad: Array) -> None:
+        chains = [leg.chain for leg in robot.legs if leg.chain is not None]
+        limits = [leg.limits for leg in robot.legs if leg.limits is not None]
+        if len(chains) < len(robot.legs) or len(limits) < len(robot.legs):
+            raise ConfigurationError(
+                f"robot '{robot.name}' lacks geometry or limits of a leg; give them for the "
+                "simulator"
+            )
+        self.mounts_m, self.rotations = _mounts(robot)
+        self.rest_rad = np.asarray(rest_rad, dtype=np.float64)
+        self.lower_rad = np.array([limit.lower_rad for limit in limits])
+        self.upper_rad = np.array([limit.upper_rad for limit in limits])
+        self._axes = np.array([chain.vectors for chain in chains])
+        self._origins = np.array([chain.origins_m for chain in chains])
+        self._redundant = self._axes.shape[1] > 3
+
+    @property
+    def outer_foot_m(self) -> float:
+        """Feet at rest from the body's centre, as turning moves them."""
+        feet = self.to_body(self.feet(self.rest_rad))
+        return float(np.hypot(feet[:, 0], feet[:, 1]).max())
+
+    @property
+    def standing_m(self) -> Array:
+        """(3,) m, the first leg's foot at rest in its frame."""
+        return np.asarray(self.feet(self.rest_rad)[0])
+
+    def neutral(self, reach_m: float, height_m: float) -> Array:
+        """(L, 3) m in the legs' frames: feet so far beside their first joint, the body so high."""
+        feet = self.feet(self.rest_rad)
+        side = np.where(feet[:, 1] < 0.0, -1.0, 1.0)
+        return np.stack([np.zeros(len(side)), side * reach_m, np.full(len(side), -height_m)], 1)
+
+    @property
+    def middle_rad(self) -> Array:
+        """(J,) rad, the first leg's posture at rest."""
+        return np.asarray(self.rest_rad[0])
+
+    def reachable(self, points_m: Array) -> NDArray[np.bool_]:
+        """Tell which foot points (..., 3) m in the leg's frame lie within reach and limits."""
+        off = np.linalg.norm(self.feet(self.joints(points_m)) - points_m, axis=-1)
+        return np.asarray(off < _NEAR_M)
+
+    def joints(
+        self, points_m: Array, near_rad: Array | None = None, rest_rad: Array | None = None
+    ) -> Array:
+        """Joint angles for foot points, as near as a posture within the limits comes."""
+        rest = self.rest_rad if rest_rad is None else rest_rad
+        shape = np.broadcast_shapes(points_m.shape[:-1], rest.shape[:-1])
+        start = rest if near_rad is None else near_rad
+        q = np.broadcast_to(start, (*shape, rest.shape[-1])).copy()
+        damping = _DAMPING_M**2 * np.eye(3)
+        for _ in range(_ROUNDS):
+            foot, jacobian = self._linearized(q)
+            error = points_m - foot
+            back = np.zeros_like(q)
+            if self._redundant:
+                back = _REST_SHARE * (rest - q)
+            elif float(np.abs(error).max()) < _EXACT_M:
+                break
+            error = error - np.matmul(jacobian, back[..., None])[..., 0]
+            across = np.swapaxes(jacobian, -1, -2)
+            force = np.linalg.solve(np.matmul(jacobian, across) + damping, error[..., None])
+            step = back + np.matmul(across, force)[..., 0]
+            q = np.clip(q + np.clip(step, -_STEP_RAD, _STEP_RAD), self.lower_rad, self.upper_rad)
+            if float(np.abs(step).max()) < _EXACT_M:
+                break
+        return q
+
+    def feet(self, joints_rad: Array) -> Array:
+        """Foot points (..., 3) m in the legs' frames for joint angles (..., J) rad."""
+        return self._linearized(joints_rad)[0]
+
+    def _linearized(self, q: Array) -> tuple[Array, Array]:
+        """The foot (..., 3) m, and its Jacobian (..., 3, J) m per rad."""
+        turn: Array = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
+        place = np.zeros((*q.shape[:-1], 3))
+        places, axes = [], []
+        for i in range(q.shape[-1]):
+            axis = self._axes[..., i, :]
+            places.append(place)
+            axes.append(np.matmul(turn, axis[..., None])[..., 0])
+            turn = np.matmul(turn, _rotation(axis, q[..., i]))
+            place = place + np.matmul(turn, self._origins[..., i, :, None])[..., 0]
+        arms = place[..., None, :] - np.stack(places, axis=-2)
+        return place, np.swapaxes(np.cross(np.stack(axes, axis=-2), arms), -1, -2)
+
+
+def _rotation(axis: Array, angle: Array) -> Array:
+    """(..., 3, 3), a turn by (...) rad about (..., 3) unit vectors (Rodrigues)."""
+    axis = np.broadcast_to(axis, (*angle.shape, 3))
+    cross = np.zeros((*angle.shape, 3, 3))
+    cross[..., 0, 1], cross[..., 0, 2] = -axis[..., 2], axis[..., 1]
+    cross[..., 1, 0], cross[..., 1, 2] = axis[..., 2], -axis[..., 0]
+    cross[..., 2, 0], cross[..., 2, 1] = -axis[..., 1], axis[..., 0]
+    sin, cos = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+    return np.asarray(np.eye(3) + sin * cross + (1.0 - cos) * np.matmul(cross, cross))

@@ -24,7 +24,6 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.pace import Pace
 from adaptive_contact_sim.simulation import Simulation, Tick
 
@@ -95,8 +94,10 @@ def run_live(
         listen: pass the service's contact events on to the gait.
         on_tick: gets every tick, after it was published.
     """
-    servo = {leg: link.publisher(servo_key(leg)) for leg in LEGS}
-    truth = {leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in LEGS}
+    servo = {leg: link.publisher(servo_key(leg)) for leg in sim.layout.legs}
+    truth = {
+        leg: link.publisher(truth_key(leg), reliable=True, history=1) for leg in sim.layout.legs
+    }
     requests: queue.Queue[Request] = queue.Queue(_QUEUE)
     events: queue.Queue[Received] = queue.Queue(_QUEUE)
     declared = [link.queryable(SIM_DRIFT, lambda request: _offer(requests, request))]

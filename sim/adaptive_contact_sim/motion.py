@@ -22,10 +22,10 @@ class World:
     Attributes:
         tick: control ticks made so far.
         step, step_s: physics steps made so far, and their length.
-        measured_rad: (6, 3), what the servos reported this tick.
+        measured_rad: (L, J), what the servos reported this tick.
         position_m, rotation: (3,) and (3, 3), the body in the world.
         touch_step: per leg, the physics step at which it last came down; None in the air.
-        feet_m: (6, 3), the true feet in the world: for those who set the stage, not for gaits.
+        feet_m: (L, 3), the true feet in the world: for those who set the stage, not for gaits.
         told_tick: per leg, the tick at which someone else (the service) last said that it
             touches; None when taken back.
     """
@@ -42,7 +42,7 @@ class World:
 
 
 class Goal(NamedTuple):
-    """A controller's answer: (6, 3) rad, and each leg's phase."""
+    """A controller's answer: (L, J) rad, and each leg's phase."""
 
     joints_rad: Array
     phase: tuple[Phase, ...]
@@ -53,7 +53,7 @@ class Motion(Protocol):
 
     @property
     def start_joints(self) -> Array:
-        """(6, 3) rad, where the robot stands at first."""
+        """(L, J) rad, where the robot stands at first."""
 
     @property
     def start_height_m(self) -> float:
@@ -63,4 +63,4 @@ class Motion(Protocol):
         """Goals to be written in this tick."""
 
     def preview(self, ticks: int) -> Array:
-        """(6, ticks, 3) rad, goals now planned for the ticks after this one."""
+        """(L, ticks, J) rad, goals now planned for the ticks after this one."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.scene import OBSTACLE_TOP_M, OBSTACLES, PARKED_M, expose, obstacle_name
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
@@ -89,7 +88,9 @@ class ObstacleCourse:
         self.names = frozenset(obstacle_name(shape, owner) for shape in OBSTACLES)
         self._plant = plant
         self._rng = rng
-        self._inverse_mass = float(plant.model.body_invweight0[plant.model.body("lf_tibia").id, 0])
+        layout = plant.elements.layout
+        shin = plant.model.body(f"{layout.legs[0]}_{layout.joints[-1]}").id
+        self._inverse_mass = float(plant.model.body_invweight0[shin, 0])
         self.standing: str | None = None
         self.surface: Literal["hard", "soft"] = "hard"
 
@@ -97,7 +98,8 @@ class ObstacleCourse:
         """Let obstacles collide with this leg only; a leg's own never do otherwise."""
         if self.owner is not None:
             return
-        expose(self._plant.model, self._plant.elements, None if leg is None else LEGS[leg])
+        elements = self._plant.elements
+        expose(self._plant.model, elements, None if leg is None else elements.layout.legs[leg])
 
     def wanted(self) -> bool:
         """Draw whether the next descent meets an obstacle."""

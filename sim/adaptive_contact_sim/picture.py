@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.stage import Stage
 
 __all__ = ["EnginePainter", "Painter", "painter"]
@@ -96,7 +95,7 @@ class EnginePainter:
         self._camera.lookat[:] = stage.position_m
         self._camera.lookat[2] = _LOOK_AT_HEIGHT_M
         self._image = np.zeros((height, width, 3), dtype=np.uint8)
-        self._toes = [model.geom(f"{leg}_toe").id for leg in LEGS]
+        self._toes = [model.geom(f"{leg}_toe").id for leg in stage.elements.layout.legs]
         model.geom_matid[self._toes] = -1
 
     def paint(self, stage: Stage) -> Image:

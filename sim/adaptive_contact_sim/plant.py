@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
-from adaptive_contact_sim.elements import LEGS, PARTS, Elements
+from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.gear import GearTrain
-from adaptive_contact_sim.servo import ServoBank, ServoParameters
+from adaptive_contact_sim.servo import AX12A, ServoBank, ServoKind, ServoParameters
 
 __all__ = ["GRAZING_COSINE", "Plant", "Touch"]
 
@@ -61,6 +61,8 @@ class Plant:
         parameters: the servos.
         period_s: control tick; a whole number of physics steps.
         supply_resistance_ohm: of battery and wiring.
+        layout: names of the robot's elements.
+        kind: of servo.
 
     Attributes:
         steps: physics steps made so far.
@@ -77,6 +79,8 @@ class Plant:
         *,
         period_s: float = 0.02,
         supply_resistance_ohm: float = 0.1,
+        layout: Layout = HEXAPOD,
+        kind: ServoKind = AX12A,
     ) -> None:
         ratio = period_s / model.opt.timestep
         self.substeps = round(ratio)
@@ -88,7 +92,7 @@ class Plant:
         _silence_engine()
         self.model = model
         self.data = mujoco.MjData(model)
-        self.elements = Elements.resolve(model)
+        self.elements = Elements.resolve(model, layout)
         self.period_s = period_s
         self.step_s = float(model.opt.timestep)
         self.steps = 0
@@ -100,7 +104,8 @@ class Plant:
         self._joint_angles = self.data.qpos[e.qpos]
         self._joint_speeds = self.data.qvel[e.dof]
         model.dof_armature[e.dof] = parameters.armature_kgm2
-        self._mass_kg = np.zeros(len(LEGS))
+        legs = self._legs = len(layout.legs)
+        self._mass_kg = np.zeros(legs)
         self.servos = ServoBank(
             parameters,
             position=self._joint_angles,
@@ -109,6 +114,7 @@ class Plant:
             torque=self.data.ctrl[e.ctrl],
             friction=model.dof_frictionloss[e.dof],
             damping=model.dof_damping[e.dof],
+            kind=kind,
         )
         self.gears = GearTrain(
             self.servos,
@@ -124,9 +130,11 @@ class Plant:
 
         # Forces of the last tick's physics steps, and when parts came into contact.
         self._sensed = np.zeros((self.substeps, model.nsensordata))
-        self.forces = np.zeros((self.substeps, len(LEGS)))
-        self.touches: tuple[deque[Touch], ...] = tuple(deque(maxlen=_TOUCHES_KEPT) for _ in LEGS)
-        self._touching = [False] * len(LEGS)
+        self.forces = np.zeros((self.substeps, legs))
+        self.touches: tuple[deque[Touch], ...] = tuple(
+            deque(maxlen=_TOUCHES_KEPT) for _ in layout.legs
+        )
+        self._touching = [False] * legs
         self._contacts = 0
         self._velocity6 = np.zeros(6)
         self._geom_leg: list[int] = e.geom_leg.tolist()
@@ -138,30 +146,31 @@ class Plant:
 
     @property
     def joint_angles(self) -> Array:
-        """(18,) rad, true joint angles; a view of the engine's state."""
+        """(S,) rad, true joint angles; a view of the engine's state."""
         return np.asarray(self._joint_angles)
 
     @property
     def joint_speeds(self) -> Array:
-        """(18,) rad/s, true joint speeds; a view of the engine's state."""
+        """(S,) rad/s, true joint speeds; a view of the engine's state."""
         return np.asarray(self._joint_speeds)
 
     def place(self, position_m: Array, quaternion: Array, joints_rad: Array) -> None:
         """Put the robot somewhere, at rest.
 
         Args:
-            position_m: (3,) of the body.
+            position_m: (3,) of the body; one that hangs stays where it is.
             quaternion: (4,) w first.
-            joints_rad: (18,).
+            joints_rad: (S,).
         """
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:3] = position_m
-        self.data.qpos[3:7] = quaternion
+        if self.elements.floats:
+            self.data.qpos[:3] = position_m
+            self.data.qpos[3:7] = quaternion
         self._joint_angles[:] = joints_rad
         mujoco.mj_forward(self.model, self.data)
         self.steps = 0
         self._contacts = 0
-        self._touching = [False] * len(LEGS)
+        self._touching = [False] * self._legs
 
     def start_clock(self) -> None:
         """Call this moment step 0, and forget what was touched before."""
@@ -183,7 +192,7 @@ class Plant:
             raise self._diverged("positions are no longer finite") from error
         self._check()
         touch = self._sensed[:, self.elements.touch]
-        touch.reshape(self.substeps, len(LEGS), len(PARTS)).sum(axis=2, out=self.forces)
+        touch.reshape(self.substeps, self._legs, -1).sum(axis=2, out=self.forces)
         self.servos.sag(self._supply_resistance_ohm)
 
     def _substeps(self) -> None:
@@ -208,7 +217,7 @@ class Plant:
                 self._note_contacts()
 
     def foot_positions(self) -> Array:
-        """(6, 3) m, the true feet in the world."""
+        """(L, 3) m, the true feet in the world."""
         return np.asarray(self.data.site_xpos[self.elements.foot_sites])
 
     def body_pose(self) -> tuple[Array, Array]:
@@ -216,7 +225,7 @@ class Plant:
         return self.data.xpos[self.elements.body], self.data.xmat[self.elements.body].reshape(3, 3)
 
     def set_servos(self, name: str, values: Array) -> None:
-        """Set one of the servo bank's conditions, (18,), such as ``friction_factor``."""
+        """Set one of the servo bank's conditions, (S,), such as ``friction_factor``."""
         current = getattr(self.servos, name)
         if np.array_equal(current, values):
             return
@@ -225,7 +234,7 @@ class Plant:
         self.gears.refresh()
 
     def set_backlash(self, backlash_rad: Array) -> None:
-        """Give the joints play, (18,) rad."""
+        """Give the joints play, (S,) rad."""
         if self.gears.set_backlash(backlash_rad):
             self._set_const()
 
@@ -233,7 +242,7 @@ class Plant:
         """Set what hangs at the feet, absolute.
 
         Args:
-            mass_kg: (6,) kg at the foot end of each tibia.
+            mass_kg: (L,) kg at the foot end of each leg.
         """
         if np.array_equal(mass_kg, self._mass_kg):
             return
@@ -255,7 +264,7 @@ class Plant:
         """Remember which parts of which legs came into contact in the step just made."""
         data, leg_of = self.data, self._geom_leg
         self._contacts = data.ncon
-        now = [False] * len(LEGS)
+        now = [False] * self._legs
         if self._contacts:
             contacts = data.contact  # each look at it makes a new list
             for k, (first, second) in enumerate(contacts.geom.tolist()):
@@ -291,7 +300,7 @@ class Plant:
 
     def _check(self) -> None:
         fastest = float(np.abs(self._joint_speeds).max())
-        body = float(np.abs(self.data.qvel[:6]).max())
+        body = float(np.abs(self.data.qvel[:6]).max()) if self.elements.floats else 0.0
         # Written so that NaN, which compares false, is caught.
         if not (fastest < _ABSURD_JOINT_RAD_S and body < _ABSURD_BODY):
             raise self._diverged(

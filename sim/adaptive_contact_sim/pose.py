@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
 from adaptive_contact_sim.workspace import WORKSPACES
@@ -27,11 +27,9 @@ __all__ = ["PoseMotion", "PoseSettings", "Workspace"]
 
 Array = NDArray[np.float64]
 Path = Literal["cartesian", "joint"]
-Workspace = Literal["paper", "whole"]
+Workspace = Literal["paper", "whole", "hung"]
 
 PERIOD_S: Final = 0.02
-# Standing: feet under the knees, body high enough for the lower subspace to hang free.
-_STANDING_M: Final = (0.115, 0.0, -0.165)
 # A leg taking its turn: ticks for lifting off or setting down, and how high.
 _TURN_TICKS: Final = 40
 _TURN_LIFT_M: Final = 0.05
@@ -44,6 +42,8 @@ _SLOW_M_S: Final = (0.02, 0.10)
 
 # Where the two subspaces touch each other, an ascent still has to be one.
 _LEAST_RISE_M: Final = 0.04
+# How near to its points a leg whose posture varies comes, or another trial is drawn.
+_NEAR_M: Final = 1e-3
 # Draws of a trial after which its ascent may bend: there are places, low and close to the body,
 # that no straight line leaves.  A straight one is found in a handful of draws elsewhere.
 _STRAIGHT_TRIES: Final = 200
@@ -59,11 +59,13 @@ class PoseSettings:
         segment_ticks: length of an ascent or a descent.
         hold_ticks: rest after a descent, marked stance.
         path: ``cartesian`` or ``joint``, what is straight.
-        workspace: ``paper`` or ``whole``.
+        workspace: ``paper`` or ``whole``; ``hung``, of a leg that hangs on a stand.
         approach: ``descent``; ``slow`` (2 to 10 cm/s); ``forward`` (a level swing against a
             post); ``graze`` (along a steep face).
         react_ms: how long the command goes on after a touch; None for the whole segment.
         obstacles: what is in the way.
+        vary_rad: per joint, how far from the leg's posture at rest is what joints beyond three
+            follow, drawn anew for each end of a trial; empty leaves it where it is.
     """
 
     legs: tuple[str, ...] = ("rf",)
@@ -75,13 +77,11 @@ class PoseSettings:
     approach: Approach = "descent"
     react_ms: float | None = None
     obstacles: ObstacleSettings = field(default_factory=ObstacleSettings)
+    vary_rad: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        unknown = [leg for leg in self.legs if leg not in LEGS]
-        if not self.legs or unknown:
-            raise ConfigurationError(
-                f"legs to move are {list(self.legs)}; expected some of {', '.join(LEGS)}"
-            )
+        if not self.legs:
+            raise ConfigurationError("there is no leg to move; expected one or more")
         if self.workspace not in WORKSPACES:
             raise ConfigurationError(
                 f"no workspace '{self.workspace}'; workspaces are {', '.join(WORKSPACES)}"
@@ -90,12 +90,20 @@ class PoseSettings:
             raise ConfigurationError(
                 f"no approach '{self.approach}'; approaches are {', '.join(get_args(Approach))}"
             )
+        if self.workspace == "hung" and self.approach not in ("descent", "slow"):
+            raise ConfigurationError(
+                f"approach '{self.approach}' is not of a leg that hangs; expected descent or slow"
+            )
         if self.path not in ("cartesian", "joint"):
             raise ConfigurationError(f"path is '{self.path}'; expected cartesian or joint")
         if not 4 <= self.segment_ticks <= 500 or not 1 <= self.hold_ticks <= 500:
             raise ConfigurationError(
                 f"segments of {self.segment_ticks} ticks with holds of {self.hold_ticks}; expected "
                 "4 to 500, and 1 to 500"
+            )
+        if not all(0.0 <= width <= math.pi for width in self.vary_rad):
+            raise ConfigurationError(
+                f"postures vary by {list(self.vary_rad)} rad; expected 0 to pi of each joint"
             )
         if self.trials_per_turn < 1:
             raise ConfigurationError(f"{self.trials_per_turn} trials per turn; expected at least 1")
@@ -106,10 +114,11 @@ class _Plan:
     """What the moving leg does next: goals, tick by tick, and where it is in them."""
 
     leg: int
-    joints: Array  # (n, 3) rad
+    joints: Array  # (n, J) rad
     points: Array  # (n, 3) m, leg frame
     ascent: int  # ticks of ascent
     swing: int  # ticks of swing; the rest is hold
+    rest: Array | None = None  # (J,) rad, what joints beyond three follow at the top
     obstacle: float | None = None  # share of the descent at which to touch
     tick: int = 0
     touched_step: int | None = None
@@ -124,39 +133,52 @@ class PoseMotion:
         geometry: the legs.
         course: obstacles.
         rng: of the points.
+        legs: all of the robot's.
     """
 
     def __init__(
         self,
         settings: PoseSettings,
-        geometry: LegGeometry,
+        geometry: Geometry,
         course: ObstacleCourse,
         rng: np.random.Generator,
+        legs: tuple[str, ...] = LEGS,
     ) -> None:
         self.settings = settings
         self._geometry = geometry
         self._course = course
         self._rng = rng
-        self._standing = geometry.joints(np.tile(np.array(_STANDING_M), (len(LEGS), 1)))
+        self._legs = legs
+        self._stand_m = geometry.standing_m
+        self._standing = geometry.joints(np.tile(self._stand_m, (len(legs), 1)))
         self._goals = self._standing.copy()
         self._lower, self._upper = WORKSPACES[settings.workspace]
         self._turn = 0
         self._trials_left = settings.trials_per_turn
-        self._point = np.array(_STANDING_M)
+        self._point = self._stand_m
         self._side = 1.0
+        # What joints beyond three follow where the last plan ends; None for the posture at rest.
+        self._rest: Array | None = None
+        if settings.vary_rad:
+            self._rest = geometry.middle_rad
+            if len(settings.vary_rad) != len(self._rest):
+                raise ConfigurationError(
+                    f"postures vary by {list(settings.vary_rad)} rad; expected one figure for each "
+                    f"of {len(self._rest)} joints"
+                )
         self._plan = self._step_up()
         # Always one plan ahead, so that a preview reaches past the end of a trial.
         self._upcoming = self._next_plan()
 
     @property
     def start_joints(self) -> Array:
-        """(6, 3) rad, where the robot stands at first."""
+        """(L, J) rad, where the robot stands at first."""
         return self._standing
 
     @property
     def start_height_m(self) -> float:
         """Height of the body over flat ground at first."""
-        return -_STANDING_M[2]
+        return -float(self._stand_m[2])
 
     @property
     def leg(self) -> int:
@@ -187,13 +209,13 @@ class PoseMotion:
             swinging = False
         self._goals = goal
         plan.tick += 1
-        phase: list[Literal["swing", "stance"]] = ["stance"] * len(LEGS)
+        phase: list[Literal["swing", "stance"]] = ["stance"] * len(self._legs)
         if swinging:
             phase[leg] = "swing"
         return Goal(goal, tuple(phase))
 
     def preview(self, ticks: int) -> Array:
-        """(6, ticks, 3) rad, goals planned after this tick; the last repeats where none are."""
+        """(L, ticks, J) rad, goals planned after this tick; the last repeats where none are."""
         ahead = np.repeat(self._goals[:, None, :], ticks, axis=1)
         plan, upcoming = self._plan, self._upcoming
         own = plan.joints[plan.tick :]
@@ -260,8 +282,9 @@ class PoseMotion:
             # The leg stopped short of where this plan was to start.
             start = self._geometry.feet(last.frozen)
             if plan.ascent:
+                rests = None if plan.rest is None else (last.frozen, plan.rest)
                 points, joints = self._line(
-                    start, plan.points[plan.ascent - 1], plan.ascent, self.settings.path
+                    start, plan.points[plan.ascent - 1], plan.ascent, self.settings.path, rests
                 )
                 plan.points[: plan.ascent], plan.joints[: plan.ascent] = points, joints
             else:
@@ -277,7 +300,7 @@ class PoseMotion:
         if len(self.settings.legs) == 1:
             self._trials_left = self.settings.trials_per_turn - 1
             return self._trial()
-        standing = np.array(_STANDING_M)
+        standing = self._stand_m
         if not np.array_equal(self._point, standing):
             return self._step_down()
         self._turn += 1
@@ -286,7 +309,7 @@ class PoseMotion:
 
     def _turning(self) -> int:
         """Index of the leg whose turn it is, for plans being made."""
-        return LEGS.index(self.settings.legs[self._turn % len(self.settings.legs)])
+        return self._legs.index(self.settings.legs[self._turn % len(self.settings.legs)])
 
     def _trial(self) -> _Plan:
         """One ascent, one descent, one hold."""
@@ -314,10 +337,18 @@ class PoseMotion:
                 down = round(drop / self._rng.uniform(*_SLOW_M_S) / PERIOD_S)
             elif top[2] - end[2] < _LEAST_RISE_M:
                 continue
-            up_points, up = self._line(self._point, top, n, path)
-            down_points, fall = self._line(top, end, down, self.settings.path)
-            if self._geometry.reachable(np.concatenate([up_points, down_points])).all():
+            rest = below = up_rests = down_rests = None
+            if self._rest is not None:
+                rest, below = self._draw_rest(), self._draw_rest()
+                up_rests, down_rests = (self._rest, rest), (rest, below)
+            up_points, up = self._line(self._point, top, n, path, up_rests)
+            down_points, fall = self._line(top, end, down, self.settings.path, down_rests)
+            points, joints = np.concatenate([up_points, down_points]), np.concatenate([up, fall])
+            if rest is None and self._geometry.reachable(points).all():
                 break
+            if rest is not None and np.abs(self._geometry.feet(joints) - points).max() < _NEAR_M:
+                break
+        self._rest = below
         hold = self.settings.hold_ticks
         self._point = end
         return _Plan(
@@ -326,18 +357,46 @@ class PoseMotion:
             points=np.concatenate([up_points, down_points, np.repeat(end[None], hold, axis=0)]),
             ascent=n,
             swing=n + down,
+            rest=rest,
             obstacle=self._course.share() if self._course.wanted() else None,
         )
 
-    def _line(self, start: Array, end: Array, ticks: int, path: Path) -> tuple[Array, Array]:
-        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, 3) rad."""
+    def _draw_rest(self) -> Array:
+        """(J,) rad, a posture for joints beyond three to follow."""
+        widths = np.array(self.settings.vary_rad)
+        return np.asarray(self._geometry.middle_rad + self._rng.uniform(-widths, widths))
+
+    def _line(
+        self,
+        start: Array,
+        end: Array,
+        ticks: int,
+        path: Path,
+        rests: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Equal steps from start (left out) to end: (ticks, 3) m and (ticks, J) rad.
+
+        Args:
+            start: (3,) m.
+            end: (3,) m.
+            ticks: from one to the other.
+            path: what is straight.
+            rests: (J,) rad, what joints beyond three follow at either end.
+        """
         share = (np.arange(1, ticks + 1) / ticks)[:, None]
         if path == "joint":
-            first, last = self._geometry.joints(start), self._geometry.joints(end)
+            if rests is None:
+                first, last = self._geometry.joints(start), self._geometry.joints(end)
+            else:
+                ends = np.stack([start, end])
+                first, last = self._geometry.joints(ends, rest_rad=np.stack(rests))
             joints = first + share * (last - first)
             return self._geometry.feet(joints), joints
         points = start + share * (end - start)
-        return points, self._geometry.joints(points)
+        if rests is None:
+            return points, self._geometry.joints(points)
+        rest = rests[0] + share * (rests[1] - rests[0])
+        return points, self._geometry.joints(points, rest_rad=rest)
 
     def _step_up(self) -> _Plan:
         """From standing to the lower subspace; no swing to be judged."""
@@ -345,14 +404,14 @@ class PoseMotion:
             end = self._lower.draw(self._rng)
             if self._geometry.reachable(end):
                 break
-        points = _arc(np.array(_STANDING_M), end)
+        points = _arc(self._stand_m, end)
         self._point = end
         return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
     def _step_down(self) -> _Plan:
         """From wherever the leg is back to standing; no swing to be judged."""
-        points = _arc(self._point, np.array(_STANDING_M))
-        self._point = np.array(_STANDING_M)
+        points = _arc(self._point, self._stand_m)
+        self._point = self._stand_m
         return _Plan(self._turning(), self._geometry.joints(points), points, ascent=0, swing=0)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,18 +17,16 @@ import msgspec
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact_sim.drift_spec import drift_from
-from adaptive_contact_sim.encoder import EncoderSettings
-from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.gait import GAITS
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import MotionSettings, SimulationSettings
-from adaptive_contact_sim.terrain import TerrainSettings
-from adaptive_contact_sim.walk import WalkSettings
 
 __all__ = ["Scenario", "load_scenario", "parse_scenario", "shipped_scenarios"]
 
 T = TypeVar("T")
 
 _TABLES = ("pose", "walk", "terrain", "encoder")
-_TOP = ("about", "mode", "seconds", "seed", "robot_seed", "drift", *_TABLES)
+_TOP = ("about", "mode", "robot", "seconds", "seed", "robot_seed", "drift", *_TABLES)
 
 
 @dataclass(frozen=True)
@@ -105,25 +103,35 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
             f"{source}: has a table [{found}], but mode is {mode!r}; remove one"
         )
     where, own = f"{source}: [{mode}]", table.get(mode, {})
-    motion: MotionSettings
-    if mode == "pose":
-        motion = _settings(own, PoseSettings, where)
-    else:
-        motion = _settings(own, WalkSettings, where)
+    robot = table.get("robot", "hexapod")
+    if not isinstance(robot, str):
+        raise ConfigurationError(f"{source}: robot is {robot!r}; expected a name")
+    try:
+        # A gait that is none is told by what reads the table.
+        gait = own.get("gait") if isinstance(own, dict) else None
+        base = SimulationSettings.of(
+            robot, "pose" if mode == "pose" else "walk", gait if gait in GAITS else None
+        )
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{source}: {error}") from error
+    motion: MotionSettings = _settings(own, base.motion, where)
     seconds = table.get("seconds")
     if seconds is not None and not (_is_number(seconds) and 0 < seconds <= 1e6):
         raise ConfigurationError(f"{source}: seconds is {seconds!r}; expected 0 to 1000000 s")
     drift = table.get("drift", [])
     if not isinstance(drift, list) or not all(isinstance(d, dict) for d in drift):
         raise ConfigurationError(f"{source}: drift is not a list of tables; write [[drift]]")
-    settings = SimulationSettings(
+    layout = simulated_robot(robot).layout
+    settings = replace(
+        base,
         motion=motion,
         seed=_whole(table, "seed", source),
         robot_seed=_whole(table, "robot_seed", source),
-        terrain=_settings(table.get("terrain", {}), TerrainSettings, f"{source}: [terrain]"),
-        encoder=_settings(table.get("encoder", {}), EncoderSettings, f"{source}: [encoder]"),
+        terrain=_settings(table.get("terrain", {}), base.terrain, f"{source}: [terrain]"),
+        encoder=_settings(table.get("encoder", {}), base.encoder, f"{source}: [encoder]"),
         drift=tuple(
-            drift_from(d, where=f"{source}: [[drift]] {i}") for i, d in enumerate(drift, start=1)
+            drift_from(d, where=f"{source}: [[drift]] {i}", layout=layout)
+            for i, d in enumerate(drift, start=1)
         ),
     )
     about = table.get("about", "")
@@ -135,15 +143,17 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
     )
 
 
-def _settings(table: Any, kind: type[T], where: str) -> T:
-    """Make one settings object from its table, its own checks included."""
+def _settings(table: Any, base: T, where: str) -> T:
+    """Change settings by their table, its own checks included."""
+    kind = type(base)
     if not isinstance(table, dict):
         raise ConfigurationError(f"{where} is not a table; write its settings below {where[-20:]}")
     known = msgspec.inspect.type_info(kind)
     assert isinstance(known, msgspec.inspect.DataclassType)
     _only(table, [entry.name for entry in known.fields], where)
     try:
-        return msgspec.convert(table, kind, strict=True)
+        given = msgspec.convert(table, kind, strict=True)
+        return replace(base, **{name: getattr(given, name) for name in table})  # type: ignore[type-var]
     except msgspec.ValidationError as error:
         raise ConfigurationError(f"{where}: {error}") from error
     except ConfigurationError as error:

@@ -15,7 +15,8 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from adaptive_contact_sim.elements import LEGS, PARTS, Elements
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.elements import HEXAPOD, Elements, Layout
 from adaptive_contact_sim.terrain import HARD_SOLREF, Terrain
 
 __all__ = [
@@ -46,13 +47,16 @@ OBSTACLE_TOP_M: Final = {"plate": 0.10, "sphere": 0.03, "edge": 0.005, "post": 0
 PARKED_M: Final = (0.0, 0.0, -3.0)
 
 
-def robot_xml() -> str:
-    """The hexapod's MJCF text, as shipped in ``adaptive_contact_models``."""
-    return (
-        resources.files("adaptive_contact_models")
-        .joinpath("hexapod", "hexapod.xml")
-        .read_text(encoding="utf-8")
-    )
+def robot_xml(name: str = "hexapod") -> str:
+    """A robot's MJCF text, as shipped in ``adaptive_contact_models``.
+
+    Raises:
+        ConfigurationError: it is not there.
+    """
+    file = resources.files("adaptive_contact_models").joinpath(name, f"{name}.xml")
+    if not file.is_file():
+        raise ConfigurationError(f"the model of robot '{name}' is missing; install it again")
+    return file.read_text(encoding="utf-8")
 
 
 def obstacle_name(shape: str, owner: str | None = None) -> str:
@@ -61,7 +65,12 @@ def obstacle_name(shape: str, owner: str | None = None) -> str:
 
 
 def build(
-    terrain: Terrain, *, obstacles: Sequence[str | None] = (), looks: bool = True
+    terrain: Terrain,
+    *,
+    obstacles: Sequence[str | None] = (),
+    looks: bool = True,
+    name: str = "hexapod",
+    layout: Layout = HEXAPOD,
 ) -> mujoco.MjModel:
     """Compile the robot on a ground.
 
@@ -71,19 +80,21 @@ def build(
             None for whichever leg they are exposed to.
         looks: with all that is only there to be seen, two geoms in three; without, a step takes
             less time and comes to the same, bit for bit.
+        name: of the robot.
+        layout: of it.
 
     Returns:
         The compiled model.
     """
-    spec = mujoco.MjSpec.from_string(robot_xml())
+    spec = mujoco.MjSpec.from_string(robot_xml(name))
     _add_surroundings(spec)
     terrain.add_to(spec)
     for owner in obstacles:
-        bit = _bit_of(owner)
+        bit = _bit_of(owner, layout)
         # The engine's body filter is the union of the geoms' bits as compiled: legs must start
         # with all of them, or `expose` could never let them through.
-        for leg in LEGS if owner is None else (owner,):
-            for part in PARTS:
+        for leg in layout.legs if owner is None else (owner,):
+            for part in layout.parts:
                 spec.geom(f"{leg}_{part}").contype |= _GROUND_BIT | bit
         for shape, (kind, size) in OBSTACLES.items():
             name = obstacle_name(shape, owner)
@@ -101,19 +112,19 @@ def build(
             )
     spec.compiler.discardvisual = not looks
     model = spec.compile()
-    terrain.finish(model)
+    terrain.finish(model, f"{layout.legs[0]}_foot")
     return model
 
 
 def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
     """Let the common set of obstacles collide with one leg only, or with none."""
-    for i, name in enumerate(LEGS):
+    for i, name in enumerate(elements.layout.legs):
         bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
         model.geom_contype[elements.leg_geoms[i]] = bits
 
 
-def _bit_of(owner: str | None) -> int:
-    return _OBSTACLE_BIT if owner is None else _OBSTACLE_BIT << (1 + LEGS.index(owner))
+def _bit_of(owner: str | None, layout: Layout) -> int:
+    return _OBSTACLE_BIT if owner is None else _OBSTACLE_BIT << (1 + layout.legs.index(owner))
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:

@@ -1,25 +1,31 @@
-r"""The AX-12A's control law and its friction, eighteen servos at once.
+r"""The servos' control law and their friction, all of a robot at once.
 
-The servo reads its own potentiometer with 10 bits and compares it with the goal register, both
+An AX-12A reads its own potentiometer with 10 bits and compares it with the goal register, both
 in steps of :math:`300^\circ/1023`.  With the error :math:`e` in steps, margin :math:`m`,
 compliance slope :math:`s`, punch :math:`p` and torque limit :math:`u_{max}`, the duty is
 
 .. math:: u = \operatorname{sgn}(e)\,\min(p + (1 - p)(|e| - m) / s,\; u_{max}),
           \qquad u = 0 \text{ for } |e| \le m
 
-and the motor, driven through an H-bridge with supply :math:`V`, gives at the output shaft
+Other servos have the same law with other figures: an X-series servo's gain :math:`K_P` of PWM per
+step is a slope of :math:`885/K_P` steps without margin and punch; an STS3215's dead zone is the
+margin, and its minimum starting force the punch.  A :class:`ServoKind` has a kind's figures.
+
+The motor, driven through an H-bridge with supply :math:`V`, gives at the output shaft
 
 .. math:: \tau = \tau_s \frac{V}{12}\frac{R_0}{R}\,u - \frac{\tau_s}{\omega_0}\frac{R_0}{R}\,\omega
 
 The second part (back-EMF) is linear in the speed: it goes into the engine's joint damping, which
-is integrated implicitly.  The first takes one of 2047 values per servo, so it is a table.
+is integrated implicitly.  The first takes one value per error in steps, so it is a table.
 
 Friction of the gear is :math:`F_c + F_s e^{-|\omega|/\omega_s} + c\,|\tau_t|` against the motion,
 :math:`\tau_t` being the torque passed on to the link; it is the engine's ``frictionloss``, a
 constraint that really sticks, with its bound refreshed each step.
 
 References:
-    ROBOTIS AX-12A e-manual (margin, slope, punch, stall torque, no-load speed).
+    ROBOTIS AX-12A e-manual (margin, slope, punch, stall torque, no-load speed); XM430-W210 e-manual
+    (P gain 800 of 128, PWM limit 885).  Feetech STS3215 (12 V): P 32 is a duty of 5.31 per rad, by
+    oscilloscope (Rhoban/bam); dead zone and minimum starting force as delivered.
     Friction forms: M. Duclusaud et al., Extended Friction Models for the Physics Simulation of
     Servo Actuators (Rhoban/bam), model M4.
 """
@@ -27,8 +33,8 @@ References:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Final
+from dataclasses import dataclass, field, fields, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +42,15 @@ from numpy.typing import NDArray
 from adaptive_contact_sim.elements import N_SERVOS
 
 __all__ = [
+    "AX12A",
     "CENTRE_STEPS",
     "FULL_SCALE_STEPS",
     "NOMINAL_SUPPLY_V",
     "QUANTUM_RAD",
+    "STS3215",
+    "XM430_W210",
     "ServoBank",
+    "ServoKind",
     "ServoParameters",
     "manufactured",
 ]
@@ -51,16 +61,16 @@ FULL_SCALE_STEPS: Final = 1023
 QUANTUM_RAD: Final = math.radians(300.0) / FULL_SCALE_STEPS
 # Register value at joint angle zero (e-manual: 512 is the centre, 150 degrees).
 CENTRE_STEPS: Final = 512
+# Of all kinds here.
 NOMINAL_SUPPLY_V: Final = 12.0
-# Duties for errors -1023 .. 1023.
-_TABLE_WIDTH: Final = 2 * FULL_SCALE_STEPS + 1
 
 
 @dataclass(frozen=True, eq=False)
 class ServoParameters:
-    """Servo constants at nominal condition, (18,) each.
+    """Servo constants at nominal condition, one of each servo, (18,) by default.
 
-    Defaults lie inside the ranges of docs/simulator.md; those marked *assumed* there are.
+    Defaults are an AX-12A's and lie inside the ranges of docs/simulator.md; those marked *assumed*
+    there are.
 
     Attributes:
         stall_torque_nm, no_load_speed_rad_s: at 12 V.
@@ -89,6 +99,83 @@ class ServoParameters:
     stall_current_a: Array = field(default_factory=lambda: np.full(N_SERVOS, 1.5))
 
 
+class ServoKind(NamedTuple):
+    """One model of servo.
+
+    Attributes:
+        name: of the maker.
+        quantum_rad: a step of position and goal.
+        full_scale_steps: largest value of the goal register.
+        centre_steps: the register's value at joint angle zero.
+        nominal: servo constants, (1,) each.
+    """
+
+    name: str
+    quantum_rad: float
+    full_scale_steps: int
+    centre_steps: int
+    nominal: ServoParameters
+
+    def of(self, servos: int) -> ServoParameters:
+        """So many of them, all alike."""
+        one = {f.name: getattr(self.nominal, f.name) for f in fields(ServoParameters)}
+        return ServoParameters(**{name: np.repeat(value, servos) for name, value in one.items()})
+
+
+def _nominal(**values: float) -> ServoParameters:
+    """Constants of one servo; those left out are an AX-12A's."""
+    ax = ServoParameters()
+    left = {f.name: getattr(ax, f.name)[:1] for f in fields(ServoParameters)}
+    return ServoParameters(**left | {name: np.array([value]) for name, value in values.items()})
+
+
+AX12A: Final = ServoKind("AX-12A", QUANTUM_RAD, FULL_SCALE_STEPS, CENTRE_STEPS, _nominal())
+_STEP_4096_RAD: Final = 2.0 * math.pi / 4096
+# Stall torque, speed and current: ROBOTIS e-manual at 12 V.  Friction and armature: between those
+# identified of an XL-330 and an MX-64 (Rhoban/bam), nearer to the MX-64, whose motor is larger.
+XM430_W210: Final = ServoKind(
+    "XM430-W210",
+    _STEP_4096_RAD,
+    4095,
+    2048,
+    _nominal(
+        stall_torque_nm=3.0,
+        no_load_speed_rad_s=77.0 * 2.0 * math.pi / 60.0,
+        margin_steps=0.0,
+        slope_steps=885.0 / (800.0 / 128.0),
+        punch=0.0,
+        coulomb_nm=0.05,
+        stribeck_nm=0.02,
+        load_friction=0.1,
+        viscous_nms=0.008,
+        armature_kgm2=0.006,
+        stall_current_a=2.3,
+    ),
+)
+# Stall torque 30 kg*cm and 45 rpm at 12 V: Feetech.  Coulomb and viscous friction and armature of
+# the 12 V servo: identified (kscalelabs/sysid), the derivative gain's damping included.
+STS3215: Final = ServoKind(
+    "STS3215",
+    _STEP_4096_RAD,
+    4095,
+    2048,
+    _nominal(
+        stall_torque_nm=2.94,
+        no_load_speed_rad_s=45.0 * 2.0 * math.pi / 60.0,
+        margin_steps=1.0,
+        slope_steps=1.0 / (32 * 0.166 * _STEP_4096_RAD),
+        punch=16.0 / 1000.0,
+        torque_limit=0.97,
+        coulomb_nm=0.1143,
+        stribeck_nm=0.03,
+        load_friction=0.1,
+        viscous_nms=0.0408,
+        armature_kgm2=0.0259,
+        stall_current_a=2.7,
+    ),
+)
+
+
 # What differs from one servo to the next; registers (margin, slope, punch) do not.
 _SPREAD_FIELDS: Final = (
     "stall_torque_nm",
@@ -104,27 +191,28 @@ _SPREAD_FIELDS: Final = (
 def manufactured(
     robot_seed: int, *, spread: float = 0.12, nominal: ServoParameters | None = None
 ) -> ServoParameters:
-    """Draw the eighteen servos of one particular robot.
+    """Draw the servos of one particular robot.
 
     Args:
         robot_seed: which robot; apart from a run's seed, so that runs share a robot.
         spread: relative half-width of the uniform spread between servos of one kind.
-        nominal: centre of the spread.
+        nominal: centre of the spread; a hexapod's where left out.
 
     Returns:
         The robot's own servo constants.
     """
     base = nominal or ServoParameters()
+    n = base.stall_torque_nm.size
     rng = np.random.default_rng([robot_seed, 0x5E470])
     drawn = {
-        name: getattr(base, name) * rng.uniform(1.0 - spread, 1.0 + spread, N_SERVOS)
+        name: getattr(base, name) * rng.uniform(1.0 - spread, 1.0 + spread, n)
         for name in _SPREAD_FIELDS
     }
     return replace(base, **drawn)
 
 
 class ServoBank:
-    """Eighteen servos: their condition, and buffers for the 1 kHz step.
+    """All servos of a robot: their condition, and buffers for the 1 kHz step.
 
     The views given are the engine's own arrays; :meth:`drive` writes ``torque``, :meth:`rub`
     writes ``friction``.  Condition (wear, supply) is set through :meth:`set_condition`, which
@@ -132,10 +220,11 @@ class ServoBank:
 
     Args:
         parameters: the servos.
-        position, velocity, acceleration: (18,) views of joint state, rad and s.
-        torque: (18,) view of motor torques, N*m, written.
-        friction: (18,) view of friction bounds, N*m, written.
-        damping: (18,) view of joint damping, N*m*s/rad, written on a change of condition.
+        kind: what they all are.
+        position, velocity, acceleration: (S,) views of joint state, rad and s.
+        torque: (S,) view of motor torques, N*m, written.
+        friction: (S,) view of friction bounds, N*m, written.
+        damping: (S,) view of joint damping, N*m*s/rad, written on a change of condition.
     """
 
     def __init__(
@@ -148,9 +237,11 @@ class ServoBank:
         torque: Array,
         friction: Array,
         damping: Array,
+        kind: ServoKind = AX12A,
     ) -> None:
         size = position.size
         self.parameters = parameters
+        self.kind = kind
         self._position = position
         self._velocity = velocity
         self._acceleration = acceleration
@@ -167,14 +258,16 @@ class ServoBank:
         # Share of the supply that reaches the servos under load, all alike; see :meth:`sag`.
         self._sag = np.ones(size)
 
-        self._table = np.zeros((size, _TABLE_WIDTH))
+        full = kind.full_scale_steps
+        width = 2 * full + 1  # duties for errors -full .. full
+        self._table = np.zeros((size, width))
         # What each row of the table was made for: drive scale and slope.
         self._table_of = np.full((2, size), np.nan)
         self._flat = self._table.reshape(-1)
-        self._row = np.arange(size) * float(_TABLE_WIDTH) + FULL_SCALE_STEPS
+        self._row = np.arange(size) * float(width) + full
         self._goal = np.zeros(size)
         self._base = self._row.copy()
-        self._steps_per_rad = np.full(size, 1.0 / QUANTUM_RAD)
+        self._steps_per_rad = np.full(size, 1.0 / kind.quantum_rad)
         self._offset_steps = np.zeros(size)
         self._offset = False  # whether any servo has one
         self._index = np.zeros(size, dtype=np.intp)
@@ -190,17 +283,17 @@ class ServoBank:
 
     @property
     def back_emf(self) -> Array:
-        """(18,) N*m*s/rad, the motor's own damping in its present condition."""
+        """(S,) N*m*s/rad, the motor's own damping in its present condition."""
         return self._back_emf
 
     @property
     def viscous(self) -> Array:
-        """(18,) N*m*s/rad, the gear's damping in its present condition."""
+        """(S,) N*m*s/rad, the gear's damping in its present condition."""
         return np.asarray(self.parameters.viscous_nms * self.viscous_factor)
 
     @property
     def sliding(self) -> Array:
-        """(18,) N*m, Coulomb friction in its present condition."""
+        """(S,) N*m, Coulomb friction in its present condition."""
         return self._sliding
 
     def friction_bound(self, index: NDArray[np.intp], speed: Array, load: Array) -> Array:
@@ -212,16 +305,17 @@ class ServoBank:
         """Write the goal registers.
 
         Args:
-            goal_rad: (18,) rad, in the servos' own frames.
+            goal_rad: (S,) rad, in the servos' own frames.
 
         Returns:
-            (18,) rad, what the registers can hold: a whole number of steps within 300 degrees.
+            (S,) rad, what the registers can hold: a whole number of steps within their range.
         """
-        steps = np.rint(goal_rad / QUANTUM_RAD)
-        np.clip(steps, -CENTRE_STEPS, FULL_SCALE_STEPS - CENTRE_STEPS, out=steps)
+        _, quantum, full, centre, _ = self.kind
+        steps = np.rint(goal_rad / quantum)
+        np.clip(steps, -centre, full - centre, out=steps)
         self._goal[:] = steps
         np.add(self._row, steps, out=self._base)
-        return np.asarray(steps * QUANTUM_RAD)
+        return np.asarray(steps * quantum)
 
     # The two below are a fifth of a simulation's time.  Numpy takes 0.2 us for a call with arrays
     # by position, half as long again with names, and twice as long with a Python number.
@@ -276,7 +370,7 @@ class ServoBank:
     def refresh(self) -> None:
         """Rebuild what depends on the servos' condition, after a change of it."""
         p = self.parameters
-        np.divide(self.offset_rad, QUANTUM_RAD, out=self._offset_steps)
+        np.divide(self.offset_rad, self.kind.quantum_rad, out=self._offset_steps)
         self._offset = bool(self._offset_steps.any())
         np.multiply(p.coulomb_nm, self.friction_factor, out=self._sliding)
         np.multiply(p.stribeck_nm, self.friction_factor, out=self._stribeck)
@@ -291,7 +385,9 @@ class ServoBank:
         if rows.size:
             self._table_of[:] = wanted
             self._table[rows] = scale[rows, None] * duty(
-                np.arange(-FULL_SCALE_STEPS, FULL_SCALE_STEPS + 1, dtype=np.float64),
+                np.arange(
+                    -self.kind.full_scale_steps, self.kind.full_scale_steps + 1, dtype=np.float64
+                ),
                 margin=p.margin_steps[rows, None],
                 slope=slope[rows, None],
                 punch=p.punch[rows, None],

@@ -15,7 +15,6 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.live import Outcome, run_live, run_offline
 from adaptive_contact_sim.pace import Pace
 from adaptive_contact_sim.pose import PoseSettings
@@ -164,7 +163,7 @@ def run(
                 and settings.motion.stop_on == "service",
                 on_tick=on_tick,
             )
-    return Report(outcome, {leg: touches[leg] for leg in LEGS}, note)
+    return Report(outcome, {leg: touches[leg] for leg in sim.layout.legs}, note)
 
 
 def describe(settings: SimulationSettings) -> str:
@@ -178,7 +177,8 @@ def describe(settings: SimulationSettings) -> str:
         what = f"{' '.join(motion.legs)} in pose together"
     else:
         turn = "as planned" if motion.phase == "planned" else f"stop on {motion.stop_on}"
-        what = f"{motion.gait} walk on {settings.terrain.kind} ground, {turn}"
+        gait = "walk" if motion.gait == "walk" else f"{motion.gait} walk"
+        what = f"{gait} on {settings.terrain.kind} ground, {turn}"
     drifts = f", {len(settings.drift)} drifts" if settings.drift else ""
     return f"{what}, seed {settings.seed}{drifts}"
 

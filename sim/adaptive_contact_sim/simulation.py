@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import ContactTruth, Drift, Phase, ServoSample
 from adaptive_contact_sim.drift import DriftSchedule, Injection
-from adaptive_contact_sim.elements import LEGS, N_SERVOS, PARTS
 from adaptive_contact_sim.encoder import Encoder, EncoderSettings, Reading
-from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.gait import GaitName
 from adaptive_contact_sim.motion import Goal, Motion, World
 from adaptive_contact_sim.obstacles import ObstacleCourse
 from adaptive_contact_sim.plant import Plant
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.servo import ServoParameters, manufactured
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
@@ -61,6 +61,8 @@ class SimulationSettings:
         epoch_ns: time stamp of tick 0.
         run: the ``run`` of the samples.
         supply_resistance_ohm: of battery and wiring.
+        period_s: control tick.
+        robot: which of :data:`~adaptive_contact_sim.robots.ROBOTS`; :meth:`of` has its defaults.
     """
 
     motion: MotionSettings = field(default_factory=PoseSettings)
@@ -75,14 +77,49 @@ class SimulationSettings:
     run: int | None = None
     supply_resistance_ohm: float = 0.1
     period_s: float = 0.02
+    robot: str = "hexapod"
 
     def __post_init__(self) -> None:
+        robot = simulated_robot(self.robot)
+        legs = robot.layout.legs
+        moves = () if isinstance(self.motion, WalkSettings) else self.motion.legs
+        if any(leg not in legs for leg in moves):
+            raise ConfigurationError(
+                f"legs to move are {list(moves)}; expected some of {', '.join(legs)}"
+            )
+        if isinstance(self.motion, PoseSettings):
+            found, own = self.motion.workspace, robot.pose and robot.pose.workspace
+            if own is None or (found == "hung") != (own == "hung"):
+                raise ConfigurationError(
+                    f"robot '{self.robot}' does not move in workspace '{found}'; expected "
+                    f"{own or 'a walk'}"
+                )
         if not 0 <= self.preview_ticks <= 50:
             raise ConfigurationError(f"preview of {self.preview_ticks} ticks; expected 0 to 50")
         if not 0.0 <= self.servo_spread <= 0.5:
             raise ConfigurationError(
                 f"servo spread is {self.servo_spread}; expected 0 to 0.5 (0.12 is typical)"
             )
+
+    @classmethod
+    def of(
+        cls, robot: str, mode: Literal["walk", "pose"], gait: GaitName | None = None
+    ) -> SimulationSettings:
+        """What a robot does where nothing else is asked for, in its usual gait or the one given.
+
+        Raises:
+            ConfigurationError: there is no such robot, or it does not walk, or has no pose.
+        """
+        known = simulated_robot(robot)
+        motion = known.walking(gait) if mode == "walk" else known.pose
+        if motion is None:
+            other = "pose" if mode == "walk" else "walk"
+            raise ConfigurationError(
+                f"robot '{robot}' ({known.about}) has no {mode}; expected `sim {other}`"
+            )
+        ground = TerrainSettings(relief_m=known.relief_m)
+        period_s = known.description.period_s
+        return cls(motion=motion, terrain=ground, period_s=period_s, robot=robot)
 
 
 class Truth(NamedTuple):
@@ -119,7 +156,9 @@ class Simulation:
         looks: bool = False,
     ) -> None:
         self.settings = settings
-        self.geometry = LegGeometry.of()
+        self.robot = simulated_robot(settings.robot)
+        self.layout = self.robot.layout
+        self.geometry = self.robot.geometry()
         seeds = np.random.SeedSequence(settings.seed).spawn(len(_STREAMS))
         rng = {name: np.random.default_rng(s) for name, s in zip(_STREAMS, seeds, strict=True)}
 
@@ -130,9 +169,11 @@ class Simulation:
         self.terrain = Terrain(ground)
         self.plant = Plant(
             self.scene(looks=looks),
-            parameters or manufactured(settings.robot_seed, spread=settings.servo_spread),
+            parameters or self._manufactured(),
             period_s=settings.period_s,
             supply_resistance_ohm=settings.supply_resistance_ohm,
+            layout=self.layout,
+            kind=self.robot.servo,
         )
         self.courses: tuple[ObstacleCourse, ...] = ()
         self.motion: Motion
@@ -140,7 +181,9 @@ class Simulation:
             self.courses = (
                 ObstacleCourse(settings.motion.obstacles, self.plant, rng["obstacles"]),
             )
-            self.motion = PoseMotion(settings.motion, self.geometry, self.courses[0], rng["motion"])
+            self.motion = PoseMotion(
+                settings.motion, self.geometry, self.courses[0], rng["motion"], self.layout.legs
+            )
         elif isinstance(settings.motion, PoseGroupSettings):
             poses = settings.motion.poses
             draws = rng["obstacles"].spawn(len(poses))
@@ -163,18 +206,24 @@ class Simulation:
                 field_m=self.terrain.settings.size_m,
                 period_s=settings.period_s,
             )
-        self.encoder = Encoder(settings.encoder, rng["encoder"])
-        self.drift = DriftSchedule(settings.drift, dropout=settings.encoder.dropped)
-        self.truth = TruthTracker(self.plant.step_s, self.plant.substeps)
+        servos = self.layout.n_servos
+        self.encoder = Encoder(
+            settings.encoder, rng["encoder"], servos, self.robot.servo.quantum_rad
+        )
+        self.drift = DriftSchedule(
+            settings.drift, dropout=settings.encoder.dropped, layout=self.layout
+        )
+        legs = self._legs = len(self.layout.legs)
+        self.truth = TruthTracker(self.plant.step_s, self.plant.substeps, legs)
         self.ticks = 0
-        self._told: list[int | None] = [None] * len(LEGS)
+        self._told: list[int | None] = [None] * legs
         self._tick_ns = round(settings.period_s * 1e9)
         self._step_ns = round(self.plant.step_s * 1e9)
         self._opening = self._settle()
         # What the last tick read and wrote, for who wants arrays instead of messages.
-        self.reading = Reading(np.zeros(N_SERVOS), np.ones(N_SERVOS, dtype=np.bool_))
-        self.desired = np.zeros(N_SERVOS)
-        self.phase: tuple[Phase, ...] = tuple("stance" for _ in LEGS)
+        self.reading = Reading(np.zeros(servos), np.ones(servos, dtype=np.bool_))
+        self.desired = np.zeros(servos)
+        self.phase: tuple[Phase, ...] = tuple("stance" for _ in self.layout.legs)
         self.changes: list[Change] = []
 
     @property
@@ -194,7 +243,13 @@ class Simulation:
             looks: with what is only there to be seen.
         """
         owners = _obstacle_owners(self.settings.motion)
-        return build(self.terrain, obstacles=owners, looks=looks)
+        return build(
+            self.terrain,
+            obstacles=owners,
+            looks=looks,
+            name=self.settings.robot,
+            layout=self.layout,
+        )
 
     def inject(self, drift: Drift) -> None:
         """Let a drift begin now.
@@ -212,8 +267,8 @@ class Simulation:
 
     def notify_contact(self, leg: str, contact: bool = True) -> None:
         """Tell the gait that someone (the service) says a leg touches."""
-        if leg in LEGS:
-            self._told[LEGS.index(leg)] = self.ticks if contact else None
+        if leg in self.layout.legs:
+            self._told[self.layout.legs.index(leg)] = self.ticks if contact else None
 
     def advance(self) -> None:
         """Make one control tick, without composing messages."""
@@ -241,11 +296,11 @@ class Simulation:
         """
         t_ns, seq = self.t_ns, self.ticks
         self.advance()
-        measured = self.reading.angle_rad.reshape(len(LEGS), -1).tolist()
-        desired = self.desired.reshape(len(LEGS), -1).tolist()
+        measured = self.reading.angle_rad.reshape(self._legs, -1).tolist()
+        desired = self.desired.reshape(self._legs, -1).tolist()
         valid: list[list[bool]] | None = None
         if not self.reading.valid.all():
-            valid = self.reading.valid.reshape(len(LEGS), -1).tolist()
+            valid = self.reading.valid.reshape(self._legs, -1).tolist()
         preview: list[list[list[float]]] | None = None
         if self.settings.preview_ticks:
             preview = self.motion.preview(self.settings.preview_ticks).tolist()
@@ -260,7 +315,7 @@ class Simulation:
                 valid=None if valid is None else valid[i],
                 run=self.settings.run,
             )
-            for i, leg in enumerate(LEGS)
+            for i, leg in enumerate(self.layout.legs)
         }
         return Tick(samples, [self._message(change) for change in self.changes])
 
@@ -281,6 +336,11 @@ class Simulation:
                 return course.surface
         return self.terrain.surface
 
+    def _manufactured(self) -> ServoParameters:
+        settings = self.settings
+        nominal = self.robot.servo.of(self.layout.n_servos)
+        return manufactured(settings.robot_seed, spread=settings.servo_spread, nominal=nominal)
+
     def _goal(self) -> Goal:
         position, rotation = self.plant.body_pose()
         return self.motion.step(
@@ -288,11 +348,11 @@ class Simulation:
                 tick=self.ticks,
                 step=self.plant.steps,
                 step_s=self.plant.step_s,
-                measured_rad=self.reading.angle_rad.reshape(len(LEGS), -1),
+                measured_rad=self.reading.angle_rad.reshape(self._legs, -1),
                 position_m=position,
                 rotation=rotation,
                 feet_m=self.plant.foot_positions(),
-                touch_step=tuple(self.truth.recent(i) for i in range(len(LEGS))),
+                touch_step=tuple(self.truth.recent(i) for i in range(self._legs)),
                 told_tick=tuple(self._told),
             )
         )
@@ -323,14 +383,14 @@ class Simulation:
     def _message(self, change: Change) -> Truth:
         touch = change.touch
         return Truth(
-            LEGS[change.leg],
+            self.layout.legs[change.leg],
             ContactTruth(
                 t_ns=self.time_of_step(change.step),
                 contact=change.contact,
                 force=change.force_n,
                 speed_m_s=None if touch is None else touch.speed_m_s,
                 surface=None if touch is None else self.surface_of(touch.other),
-                part=None if touch is None else PARTS[touch.part],
+                part=None if touch is None else self.layout.parts[touch.part],
                 grazing=touch is not None and touch.grazing,
             ),
         )

@@ -26,7 +26,7 @@ class Moment(NamedTuple):
     Attributes:
         configuration: of the engine's joints, ``qpos``.
         mocap_m, mocap_quaternion: places of the movable obstacles.
-        touching: (6,) whether each leg touches.
+        touching: (L,) whether each leg touches.
         caption: lines for the corner.
     """
 
@@ -63,7 +63,7 @@ class Stage:
 
     def __init__(self, sim: Simulation) -> None:
         self.model = sim.scene(looks=True)  # the simulation's own may be without
-        self.elements = Elements.resolve(self.model)
+        self.elements = Elements.resolve(self.model, sim.layout)
         self.terrain = sim.terrain
         self.data = mujoco.MjData(self.model)
         self.touching: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
@@ -91,5 +91,5 @@ class Stage:
 
     @property
     def feet_m(self) -> Array:
-        """(6, 3) of the feet."""
+        """(L, 3) of the feet."""
         return np.asarray(self.data.site_xpos[self.elements.foot_sites])

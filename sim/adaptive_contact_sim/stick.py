@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from PIL import Image as PILImage
 from PIL import ImageDraw
 
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.scene import OBSTACLES, PARKED_M
 from adaptive_contact_sim.stage import Stage
 
@@ -37,10 +36,6 @@ _TOUCHING: Final = (237, 41, 36)
 _FREE: Final = (41, 140, 224)
 _OBSTACLE: Final = (205, 108, 78)
 _OVERSAMPLE: Final = 2
-# Outline of the body: the coxa axes in order around it.
-_DECK: Final = np.array(
-    [[0.125, 0.062], [0, 0.103], [-0.125, 0.062], [-0.125, -0.062], [0, -0.103], [0.125, -0.062]]
-)
 
 
 class StickPainter:
@@ -55,10 +50,13 @@ class StickPainter:
         self._size = (width, height)
         self._scale = width * _OVERSAMPLE / _SPAN_M
         self._centre = stage.position_m.copy()
-        model = stage.model
+        model, layout = stage.model, stage.elements.layout
         self._links = np.array(
-            [[model.body(f"{leg}_{j}").id for j in ("coxa", "femur", "tibia")] for leg in LEGS]
+            [[model.body(f"{leg}_{j}").id for j in layout.joints] for leg in layout.legs]
         )
+        # Outline of the body: the legs' first joints, in order around it.
+        deck = model.body_pos[self._links[:, 0], :2]
+        self._deck = deck[np.argsort(np.arctan2(deck[:, 1], deck[:, 0]))]
         towards = np.array([math.cos(_AZIMUTH_RAD), math.sin(_AZIMUTH_RAD)])
         self._towards = -towards  # from the scene to the viewer, level
 
@@ -76,15 +74,16 @@ class StickPainter:
         feet, touching = stage.feet_m, stage.touching
         depth = (feet[:, :2] - position[:2]) @ self._towards
         order = np.argsort(depth)
-        for leg in order[: len(LEGS) // 2]:
+        for leg in order[: len(order) // 2]:
             self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _FAR_LEG, big)
         for z, colour in ((-0.022, _BODY[1]), (0.026, _BODY[0])):
-            deck = np.column_stack([_DECK, np.full(len(_DECK), z)])
-            corners = deck @ rotation.T + position
-            draw.polygon(self._project(corners, big), fill=colour)
+            deck = np.column_stack([self._deck, np.full(len(self._deck), z)])
+            if len(deck) > 2:  # a leg on a stand has no body
+                corners = deck @ rotation.T + position
+                draw.polygon(self._project(corners, big), fill=colour)
         nose = np.array([[0.125, 0.03, 0.026], [0.125, -0.03, 0.026]]) @ rotation.T + position
         draw.line(self._project(nose, big), fill=(242, 140, 26), width=4 * _OVERSAMPLE)
-        for leg in order[len(LEGS) // 2 :]:
+        for leg in order[len(order) // 2 :]:
             self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _NEAR_LEG, big)
         small = picture.resize(self._size, PILImage.Resampling.LANCZOS)
         return np.asarray(small, dtype=np.uint8).copy()
@@ -151,11 +150,11 @@ class StickPainter:
         joints = stage.data.xpos[self._links[leg]]
         foot = stage.feet_m[leg]
         points = self._project(np.vstack([joints, foot]), size)
-        for k, width in enumerate((10, 9, 7)):
+        for k, width in enumerate(np.linspace(10, 7, len(joints)).round().astype(int).tolist()):
             draw.line(points[k : k + 2], fill=colour, width=width * _OVERSAMPLE)
-        for x, y in points[:3]:
+        for x, y in points[:-1]:
             r = 6 * _OVERSAMPLE
             draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
-        x, y = points[3]
+        x, y = points[-1]
         r = 7 * _OVERSAMPLE
         draw.ellipse((x - r, y - r, x + r, y + r), fill=_TOUCHING if touching else _FREE)

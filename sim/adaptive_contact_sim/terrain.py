@@ -179,11 +179,11 @@ class Terrain:
                 name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[half, half, 0.1], **common
             )
 
-    def finish(self, model: mujoco.MjModel) -> None:
-        """Set what needs the compiled model: the stiffness of soft ground."""
+    def finish(self, model: mujoco.MjModel, foot: str = "lf_foot") -> None:
+        """Set what needs the compiled model: the stiffness of soft ground under such a foot."""
         if self.settings.kind == "soft":
             geom = model.geom("ground").id
-            foot_body = int(model.geom_bodyid[model.geom("lf_foot").id])
+            foot_body = int(model.geom_bodyid[model.geom(foot).id])
             solref, solimp = soft_contact(
                 self.settings.stiffness_n_m, float(model.body_invweight0[foot_body, 0])
             )

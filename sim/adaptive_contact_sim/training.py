@@ -1,26 +1,28 @@
-"""The shipped baseline: which runs it is learned from, and how.
+"""The shipped baselines: which runs they are learned from, and how.
 
-Every leg is recorded in pose (the paper's subspaces and its whole reach, fast and slow) and walking
-in every gait over rough ground and steps, on a robot with its own manufacturing spread.  Ticks
-near a touch are left out by the truth.  Seeds are kept apart: learning uses 1000 and up, tests and
-benchmarks others.
+Every leg of the hexapod is recorded in pose (the paper's subspaces and its whole reach, fast and
+slow) and walking in every gait over rough ground and steps, on a robot with its own manufacturing
+spread; the quadruped in both of its gaits, faster and slower; the leg on a stand in free air.
+Ticks near a touch are left out by the truth.  Seeds are kept apart: learning uses 1000 and up of
+the hexapod, 2000 and up of the quadruped, 3000 and up of the leg, tests and benchmarks others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import as_completed
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from adaptive_contact.fit.recordings import untouched
 from adaptive_contact.fit.train import Stretch, Training, learn
-from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
@@ -48,7 +50,18 @@ def _walk(
     return TrainingRun(name, SimulationSettings(motion=motion, seed=seed, terrain=ground), seconds)
 
 
-TRAINING_RUNS: Final = (
+def _other(
+    name: str, robot: str, seed: int, seconds: float, terrain: TerrainKind | None, **changes: Any
+) -> TrainingRun:
+    """A run of another robot: its own settings, some of its motion's changed."""
+    gait = changes.get("gait")
+    settings = SimulationSettings.of(robot, "pose" if terrain is None else "walk", gait)
+    motion = replace(settings.motion, **changes)
+    ground = settings.terrain if terrain is None else replace(settings.terrain, kind=terrain)
+    return TrainingRun(name, replace(settings, motion=motion, terrain=ground, seed=seed), seconds)
+
+
+_HEXAPOD: Final = (
     _pose("pose, paper's subspaces", 1001, 900.0, PoseSettings(legs=LEGS)),
     _pose("pose, whole reach", 1002, 1200.0, PoseSettings(legs=LEGS, workspace="whole")),
     _pose("pose, slow descents", 1003, 900.0, PoseSettings(legs=LEGS, approach="slow")),
@@ -58,6 +71,22 @@ TRAINING_RUNS: Final = (
     _walk("wave, rough", 1013, 600.0, WalkSettings(gait="wave"), "rough"),
     _walk("tripod, steps", 1014, 300.0, WalkSettings(gait="tripod"), "steps"),
 )
+_QUADRUPED12: Final = (
+    _other("trot, rough", "quadruped12", 2001, 400.0, "rough", gait="trot"),
+    _other("slow trot, rough", "quadruped12", 2002, 400.0, "rough", gait="trot", swing_s=0.36),
+    _other("trot, steps", "quadruped12", 2003, 200.0, "steps", gait="trot"),
+    _other("walk, rough", "quadruped12", 2011, 600.0, "rough", gait="walk"),
+    _other("fast walk, rough", "quadruped12", 2012, 400.0, "rough", gait="walk", swing_s=0.45),
+    _other("walk, steps", "quadruped12", 2013, 200.0, "steps", gait="walk"),
+)
+_LEG5: Final = (
+    _other("pose", "leg5", 3001, 900.0, None),
+    _other("pose, fast", "leg5", 3002, 600.0, None, segment_ticks=13),
+    _other("pose, long swings", "leg5", 3003, 600.0, None, segment_ticks=30),
+    _other("pose, straight in the joints", "leg5", 3004, 600.0, None, path="joint"),
+    _other("pose, slow descents", "leg5", 3005, 600.0, None, approach="slow"),
+)
+TRAINING_RUNS: Final = {"hexapod": _HEXAPOD, "quadruped12": _QUADRUPED12, "leg5": _LEG5}
 
 
 def truth_of(leg: LegArrays) -> list[ContactTruth]:
@@ -91,17 +120,17 @@ def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
 
 
 def learn_shipped(
-    robot: Robot,
+    name: str,
     *,
-    runs: tuple[TrainingRun, ...] = TRAINING_RUNS,
+    runs: tuple[TrainingRun, ...] | None = None,
     processes: int = 2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Training:
-    """Record the runs and learn every leg of the simulated robot.
+    """Record the runs and learn every leg of a simulated robot.
 
     Args:
-        robot: its description.
-        runs: what to learn from.
+        name: of the robot, see :data:`~adaptive_contact_sim.robots.ROBOTS`.
+        runs: what to learn from, the robot's :data:`TRAINING_RUNS` by default.
         processes: how many runs to simulate at a time; the result does not depend on it.
         progress: told of every run recorded and every leg fitted.
 
@@ -109,12 +138,15 @@ def learn_shipped(
         The baseline with its figures.
 
     Raises:
+        ConfigurationError: the simulator has no such robot.
         SimulationDivergedError: a run did.
         IdentificationError: the runs do not suffice.
     """
-    streams: dict[str, list[Stretch]] = {leg: [] for leg in LEGS}
+    robot = simulated_robot(name).description
+    runs = TRAINING_RUNS[name] if runs is None else runs
+    streams: dict[str, list[Stretch]] = {leg: [] for leg in robot.leg_ids}
     for run in _record(runs, processes, progress):
-        for leg in LEGS:
+        for leg in robot.leg_ids:
             if run.legs[leg].swing.any():
                 streams[leg].append(stretch_of(run, leg, robot.period_s))
     seconds = sum(run.seconds for run in runs)

@@ -50,19 +50,20 @@ class Change(NamedTuple):
 
 
 class TruthTracker:
-    """Follows six legs' forces, a control tick at a time.
+    """Follows the legs' forces, a control tick at a time.
 
     Args:
         step_s: physics step.
         substeps: physics steps per tick.
+        legs: how many.
     """
 
-    def __init__(self, step_s: float, substeps: int) -> None:
+    def __init__(self, step_s: float, substeps: int, legs: int = len(LEGS)) -> None:
         self._mean_steps = round(_MEAN_S / step_s)
         self._air_steps = round(_AIR_S / step_s)
         self._search_steps = round(_TOUCH_SEARCH_S / step_s)
         self._substeps = substeps
-        n = len(LEGS)
+        n = self._legs = legs
         # Forces not yet judged: the last 20 ms, then the tick just made.
         self._pending = np.zeros((self._mean_steps + substeps, n))
         self._judged = 0  # physics steps behind the start of the pending window
@@ -74,7 +75,7 @@ class TruthTracker:
         """Begin with a robot at rest on its legs.
 
         Args:
-            forces: (6,) N at present.
+            forces: (L,) N at present.
             steps: physics steps made so far.
 
         Returns:
@@ -83,11 +84,11 @@ class TruthTracker:
         self._pending[:] = forces
         self._judged = steps - self._mean_steps
         self.contact = [bool(f > TOUCH_FORCE_N) for f in forces]
-        self._quiet = [0] * len(LEGS)
+        self._quiet = [0] * self._legs
         self._recent = [steps if c else None for c in self.contact]
         return [
             Change(i, steps, self.contact[i], float(forces[i]) if self.contact[i] else 0.0, None)
-            for i in range(len(LEGS))
+            for i in range(self._legs)
         ]
 
     def recent(self, leg: int) -> int | None:
@@ -102,7 +103,7 @@ class TruthTracker:
         """Take one tick's forces.
 
         Args:
-            forces: (substeps, 6) N, one row per physics step.
+            forces: (substeps, L) N, one row per physics step.
             touches: per leg, the latest touches.
             steps: physics steps made so far; the last row belongs to step ``steps``.
 
@@ -117,7 +118,7 @@ class TruthTracker:
         smallest = window.min(axis=0)
         newest = forces.max(axis=0)
         changes: list[Change] = []
-        for leg in range(len(LEGS)):
+        for leg in range(self._legs):
             if newest[leg] <= AIR_FORCE_N:
                 self._recent[leg] = None
             elif self._recent[leg] is None and newest[leg] > TOUCH_FORCE_N:

@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Phase
-from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Swings
-from adaptive_contact_sim.legs import LegGeometry
+from adaptive_contact_sim.gait import DESCENT, GAITS, GaitName, Sway, Swings
+from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 
 __all__ = ["PhaseOf", "StopOn", "WalkMotion", "WalkSettings"]
@@ -42,7 +41,6 @@ PhaseOf = Literal["touch", "planned"]
 _RIM_M: Final = 0.9
 _ARRIVED_M: Final = 0.25
 _HEADING_GAIN: Final = 1.0  # rad/s per rad
-_OUTER_FOOT_M: Final = 0.22  # neutral feet from the body's centre; turning moves them by this
 # Time over which the wanted twist is smoothed.
 _TWIST_S: Final = 0.4
 # Posture: what part of an error is taken back per second.
@@ -50,9 +48,7 @@ _HEIGHT_GAIN: Final = 3.0
 _LEVEL_GAIN: Final = 4.0
 _SHARE_GAIN: Final = 2.0  # of the difference between a foot's load and the mean
 _FOOT_RANGE_M: Final = 0.05  # how far stance feet may leave the nominal height
-# A foot that has come down presses this far below where it stands, enough to take its share of
-# the weight at once; what the command is lower still is taken back at this rate.
-_PRELOAD_M: Final = 0.012
+# What a foot's command is lower than its preload is taken back at this rate.
 _RELAX_M_S: Final = 1.0
 # Ticks after a planned turn to stance until a foot is taken to stand: until then its distance from
 # its command is the servos' lag and no load.
@@ -64,18 +60,26 @@ class WalkSettings:
     """How to walk.
 
     Attributes:
-        gait: ``tripod``, ``ripple`` or ``wave``.
+        gait: ``tripod``, ``ripple`` or ``wave`` of six legs, ``trot`` or ``walk`` of four.
         stride_m: length of a stance at full speed.
         swing_s: time of a whole swing.
-        body_height_m: of the coxa axes over the feet.
+        body_height_m: of the legs' first joints over the feet.
         clearance_m: of a foot in transfer over the ground one expects.
         depth_m: how far below the expected ground descents aim, lowest and highest.
-        reach_m: of neutral feet from their coxa axes.
+        reach_m: of neutral feet from their legs' first joints.
         variability: relative half-width of the differences between cycles and swings.
         stop_on: who tells a leg that it touches: ``truth``, ``service`` or ``never``.
         react_ms: from a true touch to the leg's stop; the phase stays swing until then.
         phase: what ends a swing: ``touch`` (a stop, or the descent's end) or ``planned`` (the
             command reaches the expected ground; nothing stops a descent).
+        preload_m: how far a foot that has come down presses below where it stands: enough for the
+            servos to take its share of the weight at once.
+        land_m: the same at the touch, where a gait leaves three other feet standing: the load comes
+            when the next foot lifts, and one that presses earlier lifts its neighbours off; None
+            leaves it to the preload.
+        lag_s: by which the feet of a moving stance are set down further back: servos that lag
+            leave them ahead of their commands, and two feet carry no weight beside their line.
+        sway: share of the shift that takes the body over the feet that stand, 0 for none.
     """
 
     gait: GaitName = "tripod"
@@ -89,6 +93,10 @@ class WalkSettings:
     stop_on: StopOn = "truth"
     react_ms: float = 60.0
     phase: PhaseOf = "touch"
+    preload_m: float = 0.012
+    lag_s: float = 0.0
+    sway: float = 0.0
+    land_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.gait not in GAITS:
@@ -107,11 +115,14 @@ class WalkSettings:
             )
         ranges = (
             ("stride", self.stride_m, 0.0, 0.09, "m"),
-            ("swing time", self.swing_s, 0.3, 3.0, "s"),
-            ("body height", self.body_height_m, 0.07, 0.13, "m"),
+            ("swing time", self.swing_s, 0.15, 3.0, "s"),
+            ("body height", self.body_height_m, 0.07, 0.3, "m"),
             ("clearance", self.clearance_m, 0.02, 0.07, "m"),
-            ("reach", self.reach_m, 0.11, 0.17, "m"),
+            ("reach", self.reach_m, 0.0, 0.3, "m"),
             ("variability", self.variability, 0.0, 0.4, ""),
+            ("preload", self.preload_m, 0.0, 0.03, "m"),
+            ("lag", self.lag_s, 0.0, 0.5, "s"),
+            ("sway", self.sway, 0.0, 1.5, ""),
             ("reaction time", self.react_ms, 0.0, 1000.0, "ms"),
         )
         for name, value, low, high, unit in ranges:
@@ -119,10 +130,10 @@ class WalkSettings:
                 raise ConfigurationError(
                     f"{name} is {value:g} {unit}; expected {low:g} to {high:g} {unit}".rstrip()
                 )
-        if not 0.02 <= self.depth_m[0] <= self.depth_m[1] <= 0.06:
+        if not 0.01 <= self.depth_m[0] <= self.depth_m[1] <= 0.06:
             raise ConfigurationError(
                 f"descents aim {self.depth_m[0]:g} to {self.depth_m[1]:g} m below the ground; "
-                "expected 0.02 to 0.06 m, rising"
+                "expected 0.01 to 0.06 m, rising"
             )
 
 
@@ -153,7 +164,7 @@ class WalkMotion:
     def __init__(
         self,
         settings: WalkSettings,
-        geometry: LegGeometry,
+        geometry: Geometry,
         rng: np.random.Generator,
         *,
         field_m: float,
@@ -169,28 +180,55 @@ class WalkMotion:
         self._offsets = np.array(gait.offsets)
         self._nominal_cycle_s = settings.swing_s / gait.share
         self._stance_s = self._nominal_cycle_s * (1.0 - gait.share)
-        neutral = np.tile([settings.reach_m, 0.0, -settings.body_height_m], (len(LEGS), 1))
+        neutral = geometry.neutral(settings.reach_m, settings.body_height_m)
+        self._legs = len(neutral)
+        if len(gait.offsets) != self._legs:
+            fitting = [name for name, g in GAITS.items() if len(g.offsets) == self._legs]
+            raise ConfigurationError(
+                f"gait '{settings.gait}' is of {len(gait.offsets)} legs, the robot has "
+                f"{self._legs}; expected {', '.join(fitting) or 'a robot that walks'}"
+            )
+        if not geometry.reachable(neutral).all():
+            raise ConfigurationError(
+                f"feet do not reach {settings.reach_m:g} m out and {settings.body_height_m:g} m "
+                "down; give another reach_m or body_height_m"
+            )
         self._neutral = geometry.to_body(neutral)
         self._feet = self._neutral.copy()
+        self._goal_rad = self.start_joints
         self._swings = Swings.at(self._feet)
         self._clock = gait.share
         self._rate = 1.0 / self._nominal_cycle_s
         # Swinging: in the air by command.  A leg whose swing would be under way at the start
         # waits for its next.
-        self._swinging = np.zeros(len(LEGS), dtype=np.bool_)
+        self._swinging = np.zeros(self._legs, dtype=np.bool_)
         self._own_before = self._own_clock()
-        self._descent_tick = np.zeros(len(LEGS), dtype=np.int64)
+        self._descent_tick = np.zeros(self._legs, dtype=np.int64)
         self._planned = settings.phase == "planned"
+        # Three feet stand while one swings: none has to carry before it is needed.
+        self._land_m = settings.land_m if self._legs * (1.0 - gait.share) >= 3.0 else None
         self._floor_m = self._feet[
             :, 2
         ].copy()  # expected where the swing goes, in the body's frame
-        self._settled_tick = np.zeros(len(LEGS), dtype=np.int64)  # from then on the foot stands
+        self._settled_tick = np.zeros(self._legs, dtype=np.int64)  # from then on the foot stands
+        # Feet are planned as if the body did not sway; their goals and readings are moved by it.
+        self._sway: Sway | None = None
+        self._swayed_m = np.zeros(3)
+        self._sway_share = 0.0  # grows over the first cycle
+        if settings.sway:
+            self._sway = Sway(
+                gait,
+                self._neutral,
+                height_m=settings.body_height_m,
+                cycle_s=self._nominal_cycle_s,
+                lag_s=settings.lag_s,
+            )
         self._twist = np.zeros(3)  # vx, vy m/s, wz rad/s
         self._waypoint = self._draw_waypoint()
 
     @property
     def start_joints(self) -> Array:
-        """(6, 3) rad, where the robot stands at first."""
+        """(L, J) rad, where the robot stands at first."""
         return self._geometry.joints(self._geometry.to_leg(self._neutral))
 
     @property
@@ -202,15 +240,22 @@ class WalkMotion:
         """Goals for this tick."""
         self._steer(world)
         measured = self._geometry.to_body(self._geometry.feet(world.measured_rad))
+        if self._sway is not None:
+            measured += self._swayed_m
         self._lift_off(world, measured)
         self._stand(world, measured)
-        self._swing(world)
-        goal = self._geometry.joints(self._geometry.to_leg(self._feet))
+        self._swing(world, measured)
+        feet = self._feet
+        if self._sway is not None:
+            self._sway_share = min(1.0, self._sway_share + self._rate * self._period_s)
+            self._swayed_m = self._sway_at(self._clock)
+            feet = feet - self._swayed_m
+        goal = self._goal_rad = self._geometry.joints(self._geometry.to_leg(feet), self._goal_rad)
         phase: tuple[Phase, ...] = tuple("swing" if s else "stance" for s in self._swinging)
         return Goal(goal, phase)
 
     def preview(self, ticks: int) -> Array:
-        """(6, ticks, 3) rad, goals if nothing is touched: swings go on, stance feet stay."""
+        """(L, ticks, J) rad, goals if nothing is touched: swings go on, stance feet stay."""
         ahead = np.repeat(self._feet[:, None, :], ticks, axis=1)
         own = self._own_clock()
         for k in range(ticks):
@@ -220,6 +265,9 @@ class WalkMotion:
                 down = progress > DESCENT
                 points[down, 2] = np.maximum(points[down, 2], self._floor_m[down])
             ahead[self._swinging, k] = points[self._swinging]
+            if self._sway is not None:
+                clock = self._clock + (k + 1) * self._rate * self._period_s
+                ahead[:, k] -= self._sway_at(clock)
         return np.stack(
             [self._geometry.joints(self._geometry.to_leg(ahead[:, k])) for k in range(ticks)],
             axis=1,
@@ -240,16 +288,22 @@ class WalkMotion:
         error = math.remainder(math.atan2(to[1], to[0]) - heading, 2 * math.pi)
         speed = self.settings.stride_m / self._stance_s
         # A stance foot's way is limited by what the leg reaches, turning included.
-        fastest = speed / _OUTER_FOOT_M
+        fastest = speed / self._geometry.outer_foot_m
         turn = max(-fastest, min(fastest, _HEADING_GAIN * error))
         forward = speed * max(0.0, math.cos(error)) * (1.0 - 0.5 * abs(turn) / max(fastest, 1e-9))
         wanted = np.array([forward, 0.0, turn])
         self._twist += (wanted - self._twist) * (self._period_s / _TWIST_S)
 
     def _velocity_of(self, points: Array) -> Array:
-        """Velocity (6, 2) m/s of the body at points of it; the ground's there is the opposite."""
+        """Velocity (L, 2) m/s of the body at points of it; the ground's there is the opposite."""
         vx, vy, wz = self._twist
         return np.stack([vx - wz * points[:, 1], vy + wz * points[:, 0]], axis=1)
+
+    def _sway_at(self, clock: float) -> Array:
+        """(3,) m, how far the body's command is from where it would not sway."""
+        assert self._sway is not None
+        shift = self.settings.sway * self._sway_share * self._sway.at(clock)
+        return np.array([shift[0], shift[1], 0.0])
 
     # -- the gait's clock ----------------------------------------------------------------------
 
@@ -271,7 +325,8 @@ class WalkMotion:
         if not begin.size:
             return
         ground = self._expected_ground(world, measured)
-        ahead = 0.5 * self._stance_s * self._velocity_of(self._neutral)
+        moves = self._velocity_of(self._neutral)
+        ahead = (0.5 * self._stance_s - settings.lag_s) * moves
         for leg in begin:
             self._swinging[leg] = True
             swings = self._swings
@@ -297,7 +352,7 @@ class WalkMotion:
     # -- stance --------------------------------------------------------------------------------
 
     def _standing(self, world: World) -> NDArray[np.bool_]:
-        """(6,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
+        """(L,) which feet are taken to stand: those in stance, some ticks after a planned turn."""
         stance = ~self._swinging
         return stance & (world.tick >= self._settled_tick) if self._planned else stance
 
@@ -321,13 +376,13 @@ class WalkMotion:
         pressed = (measured - feet) @ up
         load = pressed[stance]
         feet[stance, 2] += dt * _SHARE_GAIN * (load - load.mean())
-        feet[stance, 2] += np.clip(load - _PRELOAD_M, 0.0, _RELAX_M_S * dt)
+        feet[stance, 2] += np.clip(load - self.settings.preload_m, 0.0, _RELAX_M_S * dt)
         nominal = -self.settings.body_height_m
         feet[stance, 2] = np.clip(feet[stance, 2], nominal - _FOOT_RANGE_M, nominal + _FOOT_RANGE_M)
 
     # -- swing ---------------------------------------------------------------------------------
 
-    def _swing(self, world: World) -> None:
+    def _swing(self, world: World, measured: Array) -> None:
         """Move swing feet along their way; land those that touch, or that are at its end."""
         if not self._swinging.any():
             return
@@ -345,6 +400,9 @@ class WalkMotion:
                 self._descent_tick[leg] = world.tick + 1
             if descending and self._told(world, int(leg)):
                 self._swinging[leg] = False
+                if self._land_m is not None:
+                    lowest = measured[leg, 2] - self._land_m
+                    self._feet[leg, 2] = max(self._feet[leg, 2], lowest)
                 continue
             self._feet[leg] = points[leg]
             if progress[leg] >= 1.0:

@@ -1,7 +1,8 @@
 """Where the moving leg of the pose set-up goes: parts of its workspace.
 
 The subspaces are layers 5 cm high with 5 cm between them, in the coxa's frame: reach 13 to 22 cm
-from the coxa axis and yaw within 30 degrees (assumed; the paper draws them without figures).
+from the coxa axis and yaw within 30 degrees (assumed; the paper draws them without figures).  A
+reach below 0 lies behind the axis.
 """
 
 from __future__ import annotations
@@ -42,5 +43,10 @@ WORKSPACES: Final = {
     "whole": (
         Space((-math.radians(50), math.radians(50)), (0.09, 0.24), (-0.13, -0.03)),
         Space((-math.radians(50), math.radians(50)), (0.09, 0.25), (-0.03, 0.12)),
+    ),
+    # Of a leg that hangs down 0.38 m: under its hip, to the front, to the back and to the sides.
+    "hung": (
+        Space((-math.radians(60), math.radians(60)), (-0.09, 0.09), (-0.355, -0.315)),
+        Space((-math.radians(60), math.radians(60)), (-0.09, 0.09), (-0.285, -0.235)),
     ),
 }

@@ -85,7 +85,7 @@ def test_options_change_a_scenario() -> None:
     [
         (("walk", "--offline"), "give --seconds"),
         (("walk", "--offline", "--seconds", "0"), "expected above 0"),
-        (("walk", "--gait", "trot", "--offline"), "gaits are tripod"),
+        (("walk", "--gait", "gallop", "--offline"), "gaits are tripod"),
         (("walk", "--terrain", "sand", "--offline"), "terrains are"),
         (("walk", "--stop-on", "luck"), "truth, service, never"),
         (("walk", "--stop-on", "service", "--offline", "--seconds", "1"), "without a network"),

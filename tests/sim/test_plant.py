@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
-from adaptive_contact_sim.elements import JOINTS, LEGS, PARTS, Elements, servo_indices
+from adaptive_contact_sim.elements import HEXAPOD, JOINTS, LEGS, PARTS, Elements
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.plant import Plant
@@ -112,6 +112,7 @@ def test_a_missing_or_misplaced_element_is_told() -> None:
 
 
 def test_servo_indices() -> None:
+    servo_indices = HEXAPOD.servo_indices
     assert servo_indices(None, None).tolist() == list(range(18))
     assert servo_indices("rf", None).tolist() == [9, 10, 11]
     assert servo_indices(None, "tibia").tolist() == [2, 5, 8, 11, 14, 17]

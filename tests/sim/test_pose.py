@@ -150,8 +150,7 @@ def test_obstacles_do_not_shift_the_motion() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"legs": ("rx",)}, "expected some of lf"),
-        ({"legs": ()}, "expected some of lf"),
+        ({"legs": ()}, "no leg to move"),
         ({"workspace": "big"}, "workspaces are paper, whole"),
         ({"approach": "jump"}, "approaches are descent"),
         ({"segment_ticks": 1}, "4 to 500"),

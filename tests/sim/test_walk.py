@@ -217,11 +217,11 @@ def test_preview_continues_swings() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"gait": "trot"}, "gaits are tripod, ripple, wave"),
+        ({"gait": "gallop"}, "gaits are tripod, ripple, wave, trot, walk"),
         ({"stop_on": "luck"}, "truth, service, never"),
         ({"stride_m": 0.5}, "stride is 0.5 m; expected 0 to 0.09 m"),
-        ({"swing_s": 0.01}, "expected 0.3 to 3 s"),
-        ({"depth_m": (0.01, 0.03)}, "expected 0.02 to 0.06 m"),
+        ({"swing_s": 0.01}, "expected 0.15 to 3 s"),
+        ({"depth_m": (0.005, 0.03)}, "expected 0.01 to 0.06 m"),
         ({"phase": "guessed"}, "expected one of touch, planned"),
         ({"phase": "planned", "stop_on": "service"}, "stopped by nothing"),
         ({"react_ms": -1.0}, "expected 0 to 1000 ms"),

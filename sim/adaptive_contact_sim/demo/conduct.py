@@ -99,14 +99,18 @@ def _conduct(
     page: LivePage | None,
 ) -> Take:
     with ExitStack() as stack:
-        service = stack.enter_context(Child("the service", _SERVE))
+        service = stack.enter_context(Child("the service", _serve(settings)))
         endpoint = service.wait_line(_READY, _START_S).group(1)
         show.say(f"service     process {service.pid}, listening on {endpoint}")
         link = stack.enter_context(Link.open(client_settings([endpoint], wait=False)))
         if page is not None:
             page.follow(stack.enter_context(Link.open(client_settings([endpoint], wait=False))))
             stack.callback(page.leave)
-        about = {"source": "adaptive-contact demo", "seed": str(settings.seed)}
+        about = {
+            "source": "adaptive-contact demo",
+            "robot": robot.name,
+            "seed": str(settings.seed),
+        }
         writer = stack.enter_context(RecordingWriter(settings.recording, about))
         recorder = Recorder(link, writer, "robot/**")
         feed = Feed(link)
@@ -146,16 +150,17 @@ def _conduct(
         )
 
 
-# Without state: a demo begins with the shipped models, and leaves none of its own behind.
-_SERVE: Final = (
-    *("serve", "--no-state", "--listen", "tcp/127.0.0.1:0"),
-    *("--log-level", "warning"),
-)
+def _serve(settings: DemoSettings) -> tuple[str, ...]:
+    """Without state: a demo begins with the shipped models, and leaves none of its own behind."""
+    return (
+        *("serve", "--config", settings.robot, "--no-state", "--listen", "tcp/127.0.0.1:0"),
+        *("--log-level", "warning"),
+    )
 
 
 def _walk(settings: DemoSettings, endpoint: str) -> tuple[str, ...]:
     return (
-        *("sim", "walk", "--gait", "tripod", "--terrain", "rough", "--stop-on", "truth"),
+        *("sim", "walk", "--robot", settings.robot, "--terrain", "rough", "--stop-on", "truth"),
         *("--seconds", f"{settings.seconds:g}", "--seed", str(settings.seed)),
         *("--connect", endpoint),
     )

@@ -9,7 +9,6 @@ import time
 from rich.console import Console
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
-from adaptive_contact.robot import shipped_robot
 from adaptive_contact.web import LivePage
 from adaptive_contact_sim.demo.conduct import StoppedError, conduct
 from adaptive_contact_sim.demo.display import display
@@ -48,7 +47,7 @@ def run_demo(
 
     _make(settings)
     began_s = time.monotonic()
-    robot = shipped_robot()
+    robot = settings.simulated.description
     take = conduct(settings, robot, display(console, settings), stop, page)
     verdict = judge(settings.recording, robot, take.drift_ns, settings.leg)
     if stop.is_set():

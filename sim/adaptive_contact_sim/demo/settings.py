@@ -8,7 +8,7 @@ from typing import Final
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
-from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.robots import ROBOTS, SimulatedRobot, simulated_robot
 
 __all__ = ["DemoSettings", "drift_words"]
 
@@ -27,7 +27,8 @@ class DemoSettings:
         out: folder of what it writes; made where it is not there.
         seconds: of walking, in real time.
         seed: of the walk.
-        leg: which one drifts.
+        robot: which walks, of :data:`~adaptive_contact_sim.robots.ROBOTS`.
+        leg: which one drifts; the right front one where left out.
         friction: factor of its joints' friction from the drift on.
         mud_kg: at its foot from then on.
 
@@ -38,7 +39,8 @@ class DemoSettings:
     out: Path = Path("out/demo")
     seconds: float = 60.0
     seed: int = 0
-    leg: str = "rf"
+    robot: str = "hexapod"
+    leg: str = ""
     friction: float = 4.0
     mud_kg: float = 0.06
 
@@ -49,8 +51,23 @@ class DemoSettings:
             )
         if self.seed < 0:
             raise ConfigurationError(f"demo seed is {self.seed}; expected 0 or more")
-        if self.leg not in LEGS:
-            raise ConfigurationError(f"no leg '{self.leg}'; legs are {' '.join(LEGS)}")
+        robot = self.simulated
+        if robot.walk is None:
+            walkers = [name for name, one in ROBOTS.items() if one.walk is not None]
+            raise ConfigurationError(
+                f"robot '{self.robot}' ({robot.about}) does not walk; expected "
+                f"{' or '.join(walkers)}"
+            )
+        legs = robot.layout.legs
+        if not self.leg:
+            object.__setattr__(self, "leg", "rf" if "rf" in legs else "fr")
+        if self.leg not in legs:
+            raise ConfigurationError(f"no leg '{self.leg}'; legs are {' '.join(legs)}")
+
+    @property
+    def simulated(self) -> SimulatedRobot:
+        """The robot that walks."""
+        return simulated_robot(self.robot)
 
     @property
     def drift_at_s(self) -> float:

@@ -33,7 +33,8 @@ def figures(settings: DemoSettings, take: Take, verdict: Verdict) -> dict[str, A
         "settings": {
             "seconds": settings.seconds,
             "seed": settings.seed,
-            "motion": "tripod walk on rough ground, stop on truth",
+            "robot": settings.robot,
+            "motion": _motion(settings),
             "drift": {
                 "leg": settings.leg,
                 "injected": msgspec.to_builtins(settings.drifts),
@@ -62,6 +63,12 @@ def write_summary(path: Path, tree: dict[str, Any]) -> None:
     """
     data = msgspec.json.format(msgspec.json.encode(tree), indent=2) + b"\n"
     write_file(path, data, advice="give a folder with --out that is writable and has room")
+
+
+def _motion(settings: DemoSettings) -> str:
+    walk = settings.simulated.walk
+    gait = walk.gait if walk is not None else ""
+    return f"{gait} walk on rough ground, stop on truth"
 
 
 def as_table(settings: DemoSettings, verdict: Verdict) -> RenderableType:

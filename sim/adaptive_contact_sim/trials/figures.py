@@ -66,9 +66,10 @@ def judge_scenario(scenario: Scenario, folders: Folders) -> Judgement:
         other = own if twin == replay else _read(twin, folders)
         if own is None or other is None:
             continue
+        described = robot(scenario.robot)
         for leg in replay.recording.legs:
-            stream = own[0].stream(leg, robot())
-            twin_stream = stream if other is own else other[0].stream(leg, robot())
+            stream = own[0].stream(leg, described)
+            twin_stream = stream if other is own else other[0].stream(leg, described)
             learners = other[1][leg]
             reference.append(match(twin_stream, learners[Variant.FROZEN].events))
             full_reference.append(match(twin_stream, learners[Variant.FULL].events))

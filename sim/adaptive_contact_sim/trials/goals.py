@@ -9,6 +9,7 @@ from typing import Any, Final
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score import poisson_mean
 from adaptive_contact_sim.trials.figures import LOCK_OUT_SWINGS
+from adaptive_contact_sim.trials.learners import HEXAPOD
 from adaptive_contact_sim.trials.registry import scenarios
 from adaptive_contact_sim.trials.spec import Expect, Scenario, Variant
 
@@ -77,10 +78,12 @@ def pooled(table: Mapping[str, Tree]) -> Tree:
         table: of figures, by name of the scenario.
 
     Returns:
-        ``steady``: the false alarms of the full learner over all that is quiet; nothing while one
-        of these scenarios is not in the table.
+        ``steady``: the false alarms of the full learner over all that is quiet of the hexapod;
+        nothing while one of these scenarios is not in the table.
     """
-    names = [s.name for s in scenarios().values() if s.expect is Expect.QUIET]
+    names = [
+        s.name for s in scenarios().values() if s.expect is Expect.QUIET and s.robot == HEXAPOD
+    ]
     if not set(names) <= table.keys():
         return {}
     judged = [table[name]["variants"][Variant.FULL.value]["judged"] for name in names]

@@ -15,34 +15,36 @@ from adaptive_contact_sim.trials.spec import BaselineChoice, Variant
 
 __all__ = ["OPPOSITE", "baseline_for", "learner", "reference_baseline", "robot"]
 
+HEXAPOD: Final = "hexapod"
 # The leg diagonally opposite: of the other side, and of the other end.
 OPPOSITE: Final = {"lf": "rr", "lm": "rm", "lr": "rf", "rf": "lr", "rm": "lm", "rr": "lf"}
 
 
 @functools.cache
-def robot() -> Robot:
-    """The simulated robot's description."""
-    return shipped_robot()
+def robot(name: str = HEXAPOD) -> Robot:
+    """A simulated robot's description."""
+    return shipped_robot(name)
 
 
 @functools.cache
-def reference_baseline() -> Baseline:
+def reference_baseline(name: str = HEXAPOD) -> Baseline:
     """The baseline that ships for it.
 
     Raises:
         BaselineError: none ships.
     """
-    found = shipped_baseline(robot().name)
+    found = shipped_baseline(robot(name).name)
     if found is None:
         raise BaselineError(
-            f"no baseline ships for '{robot().name}'; make one with `adaptive-contact sim baseline`"
+            f"no baseline ships for '{name}'; make one with `adaptive-contact sim baseline "
+            f"--robot {name}`"
         )
     return found
 
 
-def baseline_for(choice: BaselineChoice, leg: str) -> Baseline | None:
+def baseline_for(choice: BaselineChoice, leg: str, name: str = HEXAPOD) -> Baseline | None:
     """What a leg's learner starts from."""
-    shipped = reference_baseline()
+    shipped = reference_baseline(name)
     if choice == "none":
         return None
     if choice == "other_leg":
@@ -50,6 +52,9 @@ def baseline_for(choice: BaselineChoice, leg: str) -> Baseline | None:
     return shipped
 
 
-def learner(leg: str, choice: BaselineChoice, variant: Variant) -> ContactLearner:
-    """A new learner."""
-    return ContactLearner(robot(), leg, baseline_for(choice, leg), mode=LearnerMode(variant.value))
+def learner(
+    leg: str, choice: BaselineChoice, variant: Variant, name: str = HEXAPOD
+) -> ContactLearner:
+    """A new learner of a leg of the robot of this name."""
+    baseline = baseline_for(choice, leg, name)
+    return ContactLearner(robot(name), leg, baseline, mode=LearnerMode(variant.value))

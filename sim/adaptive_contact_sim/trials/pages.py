@@ -77,7 +77,7 @@ def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     _thresholds(axes[1], recording, leg, swings, variants)
     _residuals(axes[2], recording, leg, swings, variants)
     _outcomes(axes[3], judgement)
-    _terms(axes[4], leg, variants[Variant.FULL])
+    _terms(axes[4], scenario.robot, leg, variants[Variant.FULL])
     _status(axes[5], variants[Variant.FULL])
     for ax in axes[:6]:
         ax.set_xlim(0.0, spec.recording.seconds)
@@ -183,10 +183,10 @@ def _outcomes(ax: Any, judgement: Judgement) -> None:
         x += 0.025 + 0.008 * len(name)
 
 
-def _terms(ax: Any, leg: str, full: LegReplay) -> None:
+def _terms(ax: Any, robot: str, leg: str, full: LegReplay) -> None:
     ax.set_ylabel("degrees per tick")
     ax.set_title("Terms moved most, × usual size")
-    trace, known = full.trace, ready_for_changes(reference_baseline().legs[leg])
+    trace, known = full.trace, ready_for_changes(reference_baseline(robot).legs[leg])
     names = known.model.library.names
     if trace is None or not len(trace.names) or tuple(trace.names) != names:
         return

@@ -29,10 +29,10 @@ from adaptive_contact.score import (
 )
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.drift import Injection
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
@@ -65,9 +65,9 @@ class LegRecord:
     """One leg's stream, row k being control tick k.
 
     Attributes:
-        measured: (n, 3) rad, read at the start of tick k.
-        desired: (n, 3) rad, written right after.
-        valid: (n, 3) readings known to be good.
+        measured: (n, J) rad, read at the start of tick k.
+        desired: (n, J) rad, written right after.
+        valid: (n, J) readings known to be good.
         swing: (n,) the phase of tick k.
         truth: changes of its true contact.
     """
@@ -142,19 +142,20 @@ def record(spec: RecordingSpec) -> Recording:
     settings = spec.settings
     sim = Simulation(settings)
     n = round(spec.seconds / settings.period_s)
-    rows = [LEGS.index(leg) for leg in spec.legs]
-    measured = np.zeros((n, len(rows), 3))
+    layout = sim.layout
+    rows = [layout.legs.index(leg) for leg in spec.legs]
+    measured = np.zeros((n, len(rows), len(layout.joints)))
     desired = np.zeros_like(measured)
     valid = np.ones(measured.shape, dtype=np.bool_)
     swing = np.zeros((n, len(rows)), dtype=np.bool_)
-    changes: list[list[dict[str, Any]]] = [[] for _ in LEGS]
+    changes: list[list[dict[str, Any]]] = [[] for _ in layout.legs]
     with stagehand(sim, spec.staging, spec.legs[0]) as hand:
         for k in range(n):
             hand.before_tick()
             sim.advance()
-            measured[k] = sim.reading.angle_rad.reshape(len(LEGS), -1)[rows]
-            desired[k] = sim.desired.reshape(len(LEGS), -1)[rows]
-            valid[k] = sim.reading.valid.reshape(len(LEGS), -1)[rows]
+            measured[k] = sim.reading.angle_rad.reshape(len(layout.legs), -1)[rows]
+            desired[k] = sim.desired.reshape(len(layout.legs), -1)[rows]
+            valid[k] = sim.reading.valid.reshape(len(layout.legs), -1)[rows]
             swing[k] = [sim.phase[row] == "swing" for row in rows]
             for change in sim.changes:
                 touch = change.touch
@@ -242,12 +243,15 @@ def file_of(spec: RecordingSpec, folder: Path) -> Path:
 
 def key_of(spec: RecordingSpec) -> str:
     """Hash of everything that decides a recording."""
-    return name_of(FORMAT, simulator_fingerprint(), _unseen_code(), spec)
+    return name_of(FORMAT, simulator_fingerprint(spec.settings.robot), _unseen_code(), spec)
 
 
 @functools.cache
-def simulator_fingerprint() -> str:
-    """Hash of what the simulator does in a second of pose, one leg and a tripod, and of a walk."""
+def simulator_fingerprint(robot: str = "hexapod") -> str:
+    """Hash of what the simulator does in a second of all that a robot does.
+
+    Of the hexapod that is a pose of one leg and of a tripod, and a walk; others do one of both.
+    """
     from adaptive_contact.wire import Drift
 
     drift = (
@@ -263,7 +267,13 @@ def simulator_fingerprint() -> str:
     together = PoseGroupSettings(tuple(replace(alone, legs=(leg,)) for leg in tripod))
     group = replace(pose, motion=together)
     digest = hashlib.sha256()
-    runs = ((pose, ("rf",)), (replace(pose, drift=()), ("rf",)), (walk, ("rf",)), (group, tripod))
+    runs: list[tuple[SimulationSettings, tuple[str, ...]]] = [
+        *((pose, ("rf",)), (replace(pose, drift=()), ("rf",)), (walk, ("rf",)), (group, tripod))
+    ]
+    if robot != walk.robot:
+        known = simulated_robot(robot)
+        own = SimulationSettings.of(robot, "pose" if known.walk is None else "walk")
+        runs = [(replace(own, seed=7, drift=drift), known.layout.legs)]
     for settings, legs in runs:
         recording = record(RecordingSpec(settings, 1.5, legs))
         for name in legs:

@@ -14,6 +14,7 @@ from adaptive_contact_sim.trials.conditions import (
     trouble,
     walking_contacts,
 )
+from adaptive_contact_sim.trials.other_robots import other_robots
 from adaptive_contact_sim.trials.runs import FULL_SIZES, Sizes
 from adaptive_contact_sim.trials.spec import Scenario
 
@@ -31,6 +32,7 @@ def scenarios(sizes: Sizes = FULL_SIZES) -> dict[str, Scenario]:
         *trouble(sizes),
         *starts(sizes),
         *steady(sizes),
+        *other_robots(sizes),
     ]
     return {scenario.name: scenario for scenario in made}
 

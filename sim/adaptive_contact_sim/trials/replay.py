@@ -24,6 +24,7 @@ from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
+from adaptive_contact_sim.robots import ROBOTS
 from adaptive_contact_sim.trials.files import name_of, read_arrays, write_arrays
 from adaptive_contact_sim.trials.learners import learner, reference_baseline
 from adaptive_contact_sim.trials.recording import Recording, key_of
@@ -125,7 +126,9 @@ class _Watch:
         self, leg: str, variant: Variant, spec: ReplaySpec, ticks: int, *, traced: bool
     ) -> None:
         self.leg, self.variant = leg, variant
-        self.learner: ContactLearner = learner(leg, spec.baseline, variant)
+        self.learner: ContactLearner = learner(
+            leg, spec.baseline, variant, spec.recording.settings.robot
+        )
         self.events: list[ContactEvent] = []
         self.confirmed: list[int] = []
         self._rows: list[tuple[Any, ...]] = []
@@ -269,13 +272,14 @@ def replay_file(spec: ReplaySpec, folder: Path) -> Path:
 
 @functools.cache
 def learner_fingerprint() -> str:
-    """Hash of the learner's source, of this module's, and of the shipped baseline."""
+    """Hash of the learner's source, of this module's, and of the shipped baselines."""
     product = Path(adaptive_contact.__file__).parent
     files = [f for name in _LEARNING for f in sorted((product / name).glob("*.py"))]
     digest = hashlib.sha256()
     for file in (*files, Path(__file__)):
         digest.update(file.name.encode() + file.read_bytes())
-    digest.update(dump_baseline(reference_baseline()).encode())
+    for name in ROBOTS:
+        digest.update(dump_baseline(reference_baseline(name)).encode())
     return digest.hexdigest()[:16]
 
 

@@ -15,11 +15,12 @@ from typing import Final
 
 from adaptive_contact.wire import Drift, DriftKind, DriftShape
 from adaptive_contact_sim.drift import Injection
-from adaptive_contact_sim.elements import JOINTS, LEGS
+from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
+from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.trials.spec import Phase, RecordingSpec, Staging
@@ -229,10 +230,12 @@ def drifting(
 ) -> RecordingSpec:
     """The recording with changes in every leg that it keeps, from a moment on."""
     injections = []
+    layout = simulated_robot(spec.settings.robot).layout
+    legs, joints = layout.legs, layout.joints
     for what in whats:
         for leg in spec.legs:
-            place = LEGS.index(leg)
-            joint = JOINTS[(run + run // len(LEGS) + place) % len(JOINTS)]
+            place = legs.index(leg)
+            joint = joints[(run + run // len(legs) + place) % len(joints)]
             shared = what.kind == "supply"
             drift = Drift(
                 kind=what.kind,
@@ -241,7 +244,7 @@ def drifting(
                 joint=joint if what.turning else None,
                 shape=what.shape,
                 duration_s=duration_s,
-                seed=len(LEGS) * run + place,
+                seed=len(legs) * run + place,
             )
             injections.append(Injection(drift, at_s))
             if shared:

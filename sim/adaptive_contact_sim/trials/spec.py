@@ -177,6 +177,11 @@ class Scenario:
     poisonous: bool = False
 
     @property
+    def robot(self) -> str:
+        """The name of the robot that it is about."""
+        return self.recordings[0].settings.robot
+
+    @property
     def replays(self) -> tuple[ReplaySpec, ...]:
         """One per recording; the first is traced for the page of plots."""
         return tuple(

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.motion import Motion
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroup, PoseGroupSettings
@@ -93,7 +92,7 @@ class Stagehand:
     def __init__(self, sim: Simulation, staging: Staging, leg: str) -> None:
         self._sim, self._staging = sim, staging
         self._contacts = list(staging.contacts)
-        self._leg = LEGS.index(leg)
+        self._leg = sim.layout.legs.index(leg)
         self._site = int(sim.plant.elements.foot_sites[self._leg])
         self._body = int(sim.plant.model.site_bodyid[self._site])
         self._anchor: Array | None = None

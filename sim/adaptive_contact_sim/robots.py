@@ -1,0 +1,171 @@
+"""The robots that the simulator knows, by name.
+
+A robot is a folder of ``adaptive_contact_models``: its model (MJCF) and its ``robot.toml``.  What
+is here is what neither file says: which servos it has, the posture it rests in, and how it moves
+where nothing else is asked for.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact_sim.elements import HEXAPOD, Layout
+from adaptive_contact_sim.gait import GaitName
+from adaptive_contact_sim.legs import ChainLegs, Geometry, LegGeometry
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.servo import AX12A, STS3215, XM430_W210, ServoKind
+from adaptive_contact_sim.walk import WalkSettings
+
+__all__ = ["ROBOTS", "SimulatedRobot", "simulated_robot"]
+
+
+@dataclass(frozen=True)
+class SimulatedRobot:
+    """A robot as the simulator has it.
+
+    Attributes:
+        name: of its folder.
+        about: one line.
+        layout: its elements' names.
+        servo: its servos.
+        rest: (L, J) rad, a posture in the middle of what the legs do; empty where a closed form
+            needs none.
+        walk: how it walks; None where it cannot.
+        walks: of gaits with settings of their own, how it walks in those.
+        pose: how single legs move; None where they cannot.
+        relief_m: of rough ground, lowest to highest, that it walks over.
+    """
+
+    name: str
+    about: str
+    layout: Layout
+    servo: ServoKind
+    rest: tuple[tuple[float, ...], ...] = ()
+    walk: WalkSettings | None = None
+    walks: tuple[WalkSettings, ...] = ()
+    pose: PoseSettings | None = None
+    relief_m: float = 0.035
+
+    @property
+    def description(self) -> Robot:
+        """Its ``robot.toml``."""
+        return _description(self.name)
+
+    def walking(self, gait: GaitName | None = None) -> WalkSettings | None:
+        """How it walks in a gait, its usual one where None; None where it cannot walk."""
+        if self.walk is None or gait is None:
+            return self.walk
+        own = next((walk for walk in self.walks if walk.gait == gait), self.walk)
+        return replace(own, gait=gait)
+
+    def geometry(self) -> Geometry:
+        """Its legs, for controllers."""
+        if self.layout == HEXAPOD:
+            return LegGeometry.of(self.description)
+        return ChainLegs(self.description, np.array(self.rest))
+
+
+_MOVES: Final = (
+    SimulatedRobot(
+        name="hexapod",
+        about="PhantomX-class hexapod, 18 AX-12A",
+        layout=HEXAPOD,
+        servo=AX12A,
+        walk=WalkSettings(),
+        pose=PoseSettings(),
+    ),
+    SimulatedRobot(
+        name="quadruped12",
+        about="quadruped, hips roll-pitch-pitch, 12 XM430-W210",
+        layout=Layout(
+            ("fl", "fr", "rl", "rr"),
+            ("roll", "hip", "knee"),
+            ("roll", "hip", "knee", "foot"),
+        ),
+        servo=XM430_W210,
+        # Knees towards the middle.
+        rest=(
+            (0.0, -0.75, 1.45),
+            (0.0, -0.75, 1.45),
+            (0.0, 0.75, -1.45),
+            (0.0, 0.75, -1.45),
+        ),
+        walk=WalkSettings(
+            gait="trot",
+            stride_m=0.05,
+            swing_s=0.26,
+            body_height_m=0.155,
+            clearance_m=0.035,
+            depth_m=(0.012, 0.02),
+            reach_m=0.075,
+            react_ms=20.0,
+            preload_m=0.006,
+            lag_s=0.1,
+        ),
+        walks=(
+            # Slow swings: servos that lag press a foot down by what its command is ahead of it,
+            # and of four stiff legs one that presses lifts two others off.
+            WalkSettings(
+                gait="walk",
+                stride_m=0.05,
+                swing_s=0.6,
+                body_height_m=0.155,
+                clearance_m=0.035,
+                depth_m=(0.01, 0.014),
+                reach_m=0.075,
+                react_ms=20.0,
+                preload_m=0.006,
+                lag_s=0.1,
+                sway=0.6,
+                land_m=0.001,
+            ),
+        ),
+        relief_m=0.025,
+    ),
+    SimulatedRobot(
+        name="leg5",
+        about="a leg of five joints on a stand, 5 STS3215",
+        layout=Layout(
+            ("leg",),
+            ("yaw", "roll", "pitch", "knee", "ankle"),
+            ("yaw", "roll", "pitch", "knee", "foot"),
+        ),
+        servo=STS3215,
+        # Thigh forward, shank back, the sole level.
+        rest=((0.0, 0.0, 0.6, -1.2, 0.6),),
+        pose=PoseSettings(
+            legs=("leg",),
+            segment_ticks=18,
+            hold_ticks=6,
+            workspace="hung",
+            obstacles=ObstacleSettings(shapes=("plate",), where=(0.2, 0.6)),
+            vary_rad=(0.7, 0.4, 0.3, 0.3, 0.4),
+        ),
+    ),
+)
+ROBOTS: Final = {robot.name: robot for robot in _MOVES}
+
+
+def simulated_robot(name: str) -> SimulatedRobot:
+    """The robot of this name.
+
+    Raises:
+        ConfigurationError: the simulator has none of that name.
+    """
+    if name not in ROBOTS:
+        near = difflib.get_close_matches(name, ROBOTS, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(ROBOTS)}"
+        raise ConfigurationError(f"no robot '{name}' is simulated; {hint}")
+    return ROBOTS[name]
+
+
+_description: Final[Callable[[str], Robot]] = cache(shipped_robot)

@@ -1,0 +1,211 @@
+"""Robots other than the hexapod: their legs, servos and motions."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.robot import shipped_robot
+from adaptive_contact_sim.arrays import Run, record_arrays
+from adaptive_contact_sim.drift_spec import parse_drift
+from adaptive_contact_sim.gait import GAITS, Sway
+from adaptive_contact_sim.legs import ChainLegs, LegGeometry
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.robots import ROBOTS, simulated_robot
+from adaptive_contact_sim.scenario import parse_scenario
+from adaptive_contact_sim.servo import STS3215, XM430_W210, ServoBank, ServoKind
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.walk import WalkSettings
+
+
+def quadruped(gait: str, ground: str, seconds: float) -> Run:
+    base = SimulationSettings.of("quadruped12", "walk", gait)  # type: ignore[arg-type]
+    settings = dataclasses.replace(
+        base, terrain=dataclasses.replace(base.terrain, kind=ground), seed=11
+    )
+    return record_arrays(settings, seconds)
+
+
+@pytest.mark.parametrize(("gait", "swings", "pace"), [("trot", 50, 0.05), ("walk", 20, 0.02)])
+def test_the_quadruped_walks_and_touches(gait: str, swings: int, pace: float) -> None:
+    seconds = {"trot": 12.0, "walk": 20.0}[gait]
+    run = quadruped(gait, "rough", seconds)
+    way = np.linalg.norm(np.diff(run.position_m[::50, :2], axis=0), axis=1).sum()
+    assert way > pace * seconds
+    assert run.position_m[:, 2].min() > 0.12
+    assert np.degrees(np.arccos(run.rotation[:, 2, 2].clip(-1, 1))).max() < 20.0
+    begun = found = touches = 0
+    for stream in run.legs.values():
+        begun += int((np.diff(stream.swing.astype(int)) == 1).sum())
+        found += sum(stream.swing[o.tick] and o.part == "foot" for o in stream.onsets)
+        touches += len([o for o in stream.onsets if o.tick > 100])
+    assert begun > swings
+    assert found > 0.6 * begun
+    assert touches < 1.6 * begun  # few legs come off the ground in their stance
+
+
+def test_sway_of_a_gait() -> None:
+    feet = np.array([[0.1, 0.12, 0.0], [0.1, -0.12, 0.0], [-0.1, 0.12, 0.0], [-0.1, -0.12, 0.0]])
+    gait = GAITS["walk"]
+    clock = np.linspace(0.0, 1.0, 2000, endpoint=False)
+    sway = Sway(gait, feet, height_m=0.155, cycle_s=2.7, lag_s=0.0)
+    body = np.array([sway.at(c) for c in clock])
+    assert np.abs(body.mean(axis=0)).max() < 1e-12  # about the middle of the feet
+    # The centre of pressure of a body that moves so, from its acceleration, is the standing feet's.
+    speed = np.gradient(body, 2.7 / 2000, axis=0, edge_order=2)
+    pressure = body - 0.155 / 9.81 * np.gradient(speed, 2.7 / 2000, axis=0, edge_order=2)
+    for leg, offset in enumerate(gait.offsets):
+        middle = (clock + offset) % 1.0
+        at = np.abs(middle - gait.share / 2).argmin()
+        wanted = np.delete(feet[:, :2], leg, axis=0).mean(axis=0)
+        assert np.abs(pressure[at] - wanted).max() < 0.012
+    # A servo of first order, x' = (u - x) / lag, that is given the shift with a lag follows it.
+    lagging = Sway(gait, feet, height_m=0.155, cycle_s=2.7, lag_s=0.1)
+    command = np.array([lagging.at(c) for c in clock])
+    assert np.abs(body + 0.1 * speed - command)[2:-2].max() < 1e-4
+    trot = Sway(GAITS["trot"], feet, height_m=0.155, cycle_s=0.7, lag_s=0.1)
+    assert max(np.abs(trot.at(c)).max() for c in clock[::50]) < 1e-12
+
+
+@pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.6, 8, 20)])
+def test_the_leg_on_a_stand_meets_plates_only(share: float, least: int, most: int) -> None:
+    base = SimulationSettings.of("leg5", "pose")
+    assert isinstance(base.motion, PoseSettings)
+    obstacles = dataclasses.replace(base.motion.obstacles, probability=share)
+    motion = dataclasses.replace(base.motion, obstacles=obstacles)
+    run = record_arrays(dataclasses.replace(base, motion=motion, seed=3), 20.0)
+    onsets = run.legs["leg"].onsets
+    assert least <= len(onsets) <= most
+    assert {onset.part for onset in onsets} <= {"foot"}
+    assert (run.position_m == run.position_m[0]).all()  # it hangs
+
+
+@pytest.mark.parametrize("name", ["quadruped12", "leg5"])
+def test_foot_and_model_agree(name: str) -> None:
+    """The chain of ``robot.toml`` against the engine's own kinematics."""
+    robot = simulated_robot(name)
+    mode = "walk" if robot.walk is not None else "pose"
+    sim = Simulation(SimulationSettings.of(name, mode))  # type: ignore[arg-type]
+    rng = np.random.default_rng(4)
+    geometry = robot.geometry()
+    assert isinstance(geometry, ChainLegs)
+    for _ in range(20):
+        q = rng.uniform(geometry.lower_rad, geometry.upper_rad)
+        sim.plant.place(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), q.ravel())
+        base = sim.plant.body_pose()[0]
+        feet = geometry.to_body(geometry.feet(q))
+        assert np.abs(feet + base - sim.plant.foot_positions()).max() < 1e-9
+        for i, leg in enumerate(robot.description.legs):
+            assert leg.chain is not None
+            assert np.abs(leg.chain.foot(q[i]) - geometry.feet(q)[i]).max() < 1e-12
+    servo = robot.servo
+    assert robot.description.quantum_rad == pytest.approx(servo.quantum_rad, rel=1e-3)
+    slope = float(servo.nominal.slope_steps[0]) * servo.quantum_rad
+    assert robot.description.servo.slope_rad == pytest.approx(slope, rel=5e-3)
+    for leg in robot.description.legs:  # limits stand in both files
+        assert leg.limits is not None
+        for k, joint in enumerate(leg.joints):
+            span = sim.plant.model.joint(f"{leg.id}_{joint}").range
+            assert span == pytest.approx([leg.limits.lower_rad[k], leg.limits.upper_rad[k]])
+
+
+def test_inverse_of_a_chain_finds_the_closed_form() -> None:
+    hexapod = LegGeometry.of()
+    posture = np.tile([0.1, 0.4, -1.4], (6, 1))
+    chains = ChainLegs(shipped_robot(), posture)
+    rng = np.random.default_rng(5)
+    angles = posture + rng.uniform(-0.3, 0.3, (50, 6, 3))
+    points = hexapod.feet(angles)
+    for one in points:
+        assert np.abs(chains.joints(one) - hexapod.joints(one)).max() < 1e-4
+    assert chains.reachable(points[0]).all()
+    assert not chains.reachable(points[0] + 1.0).any()
+
+
+@pytest.mark.parametrize("path", ["cartesian", "joint"])
+def test_the_leg_on_a_stand_uses_all_its_joints(path: str) -> None:
+    base = SimulationSettings.of("leg5", "pose")
+    motion = dataclasses.replace(base.motion, path=path)  # type: ignore[call-arg]
+    run = record_arrays(dataclasses.replace(base, motion=motion, seed=4), 30.0)
+    leg = run.legs["leg"]
+    low, high = np.quantile(leg.angle, (0.02, 0.98), axis=0)
+    assert (high - low > (0.7, 0.4, 0.4, 0.4, 0.4)).all()
+    # No two joints move as one: each has most of its motion to itself.
+    speed = np.diff(leg.angle, axis=0)
+    for k in range(5):
+        others = np.delete(speed, k, axis=1)
+        left = speed[:, k] - others @ np.linalg.lstsq(others, speed[:, k], rcond=None)[0]
+        assert left.std() > 0.1 * speed[:, k].std()
+
+
+def test_a_redundant_chain_stays_near_its_rest() -> None:
+    robot = simulated_robot("leg5")
+    geometry = robot.geometry()
+    rest = np.array(robot.rest)
+    foot = geometry.feet(rest)
+    assert np.abs(geometry.joints(foot) - rest).max() < 1e-5
+    moved = foot + np.array([[0.03, 0.02, 0.04]])
+    joints = geometry.joints(moved)
+    assert np.abs(geometry.feet(joints) - moved).max() < 1e-4
+    assert np.abs(joints - rest).max() < 0.6
+
+
+@pytest.mark.parametrize("kind", [XM430_W210, STS3215])
+def test_servos_drive_by_their_registers(kind: ServoKind) -> None:
+    state = {name: np.zeros(1) for name in ("position", "velocity", "acceleration")}
+    state |= {name: np.zeros(1) for name in ("torque", "friction", "damping")}
+    bank = ServoBank(kind.of(1), **state, kind=kind)
+    stall = float(kind.nominal.stall_torque_nm[0])
+    for error in (2, 20, 60, 110):
+        bank.write_goal(np.array([error * kind.quantum_rad]))
+        bank.drive()
+        if kind is XM430_W210:
+            wanted = error * 6.25 / 885.0  # P gain 800 of 128, of PWM
+        else:
+            punch = 0.016
+            wanted = punch + (1 - punch) * (error - 1) * 2 * math.pi / 4096 * 32 * 0.166
+        assert state["torque"][0] == pytest.approx(stall * wanted, rel=1e-9)
+    goal = bank.write_goal(np.array([100.0]))
+    assert goal[0] == pytest.approx((4095 - 2048) * kind.quantum_rad)
+
+
+def test_what_does_not_fit_a_robot_is_told() -> None:
+    with pytest.raises(ConfigurationError, match="did you mean 'quadruped12'"):
+        simulated_robot("quadruped1")
+    with pytest.raises(ConfigurationError, match="has no pose; expected `sim walk`"):
+        SimulationSettings.of("quadruped12", "pose")
+    with pytest.raises(ConfigurationError, match="of 6 legs, the robot has 4; expected trot, walk"):
+        Simulation(SimulationSettings(motion=WalkSettings(), robot="quadruped12"))
+    with pytest.raises(ConfigurationError, match="feet do not reach"):
+        Simulation(SimulationSettings(motion=WalkSettings(body_height_m=0.25)))
+    for legs, robot in ((("rx",), "hexapod"), (("rf",), "leg5")):
+        with pytest.raises(ConfigurationError, match="expected some of"):
+            SimulationSettings(motion=PoseSettings(legs=legs), robot=robot)
+    with pytest.raises(ConfigurationError, match="does not move in workspace 'hung'"):
+        SimulationSettings(motion=PoseSettings(workspace="hung"))
+    with pytest.raises(ConfigurationError, match="expected descent or slow"):
+        PoseSettings(workspace="hung", approach="forward")
+    layout = simulated_robot("leg5").layout
+    assert parse_drift("friction:joint=ankle,value=2", layout).drift.joint == "ankle"
+    with pytest.raises(ConfigurationError, match="no joint 'femur'; the joints are yaw"):
+        parse_drift("friction:joint=femur,value=2", layout)
+
+
+def test_a_scenario_names_its_robot() -> None:
+    scenario = parse_scenario(
+        'mode = "walk"\nrobot = "quadruped12"\n[walk]\ngait = "walk"', name="x"
+    )
+    assert scenario.settings.motion == ROBOTS["quadruped12"].walks[0]
+    assert scenario.settings.period_s == 0.01
+    with pytest.raises(ConfigurationError, match="x: no robot 'cat' is simulated"):
+        parse_scenario('mode = "walk"\nrobot = "cat"', name="x", source="x")
+
+
+def test_every_description_names_what_the_layout_does() -> None:
+    for robot in ROBOTS.values():
+        assert robot.description.leg_ids == robot.layout.legs
+        assert all(leg.joints == robot.layout.joints for leg in robot.description.legs)
