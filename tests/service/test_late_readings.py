@@ -36,7 +36,7 @@ pytestmark = pytest.mark.e2e
 
 SECONDS = 20.0
 # Faster than life, and well within what the service keeps up with.
-SPEED = 5.0
+SPEED = 3.0
 LATEST = 0.25  # of a period
 
 
