@@ -90,7 +90,7 @@ scenarios: env  ## every drift through every learner; docs/adaptation.md (one to
 	$(BIN)/python -m adaptive_contact scenarios run --all --out out/scenarios
 	$(BIN)/python -m adaptive_contact scenarios report --out out/scenarios --docs docs
 
-baseline: env  ## learn the shipped baseline anew
+baseline: env  ## learn the shipped baseline again
 	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json
 
 soak: env  ## MINUTES of walking with drifts, refits, two router kills, one service kill
@@ -116,7 +116,7 @@ wheel: env  ## the wheel, in dist
 kills: env  ## KILLS kill -9s of a saver and of the whole service, at random instants
 	KILLS=$(KILLS) $(BIN)/python -m pytest tests/state/test_kill.py
 
-lock: env  ## resolve requirements.lock anew (needs uv)
+lock: env  ## resolve requirements.lock again (needs uv)
 	uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
 	  --generate-hashes --no-emit-index-url --no-header --quiet -o requirements.lock
 

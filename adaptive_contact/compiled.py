@@ -26,7 +26,7 @@ try:
     from numba.core import config as _numba_config
 except ImportError:  # there is none for this computer: pyproject.toml names those it is for
     numba = None
-    _numba_config = None  # type: ignore[assignment]
+    _numba_config = None  # type: ignore[assignment]  # a module above
 
 __all__ = [
     "CACHE_VARIABLE",

@@ -135,7 +135,7 @@ class LegGroup:
                     continue
                 try:
                     events[i] = learner.event_of(flags)
-                except Exception as fault:  # likewise
+                except Exception as fault:  # of any kind: it is this leg's alone
                     self._fault(learner, fault)
         return events
 
@@ -161,7 +161,7 @@ class LegGroup:
             for learner in taking_over:
                 try:
                     learner.settle()
-                except Exception as fault:  # likewise
+                except Exception as fault:  # of any kind: it is this leg's alone
                     self._fault(learner, fault)
             self._open.clear()
         self._settle()

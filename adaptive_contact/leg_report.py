@@ -55,7 +55,7 @@ class Counters:
         """Count a fault in learning, after which the leg was reset."""
         self._faults += 1
         last = " ".join(f"{type(fault).__name__}: {fault}".split())[:FAULT_LINE]
-        self.fault_note = f"{self._faults} faults in learning, begun anew each time; last {last}"
+        self.fault_note = f"{self._faults} faults in learning, restarted each time; last {last}"
 
     def snapshot(self) -> dict[str, Any]:
         """Return the counters as plain maps, for :meth:`restore`."""

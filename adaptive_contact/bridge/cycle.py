@@ -26,8 +26,8 @@ __all__ = ["Cycle"]
 
 # A second try after a wrong checksum has to begin within this share of the control period.
 _RETRY_SHARE: Final = 0.4
-# Readings end this share of the period after the tick was due, whoever is silent, so that goals
-# and samples go out in time; a tick that began late has the other share at the least.
+# Readings end this share of the period after the tick was due, also if servos are silent, so that
+# goals and samples go out in time; a tick that began late has the other share at the least.
 _END_SHARE, _LEAST_SHARE = 0.9, 0.4
 # A servo that has shut itself down is looked at again after so long.
 _LOOK_S: Final = 1.0

@@ -59,7 +59,7 @@ def free_swings(
     """
     if leg.chain is None:
         raise ConfigurationError(
-            f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; measure "
+            f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; measure "
             "its links and fill them in"
         )
     home = np.array(start_rad, dtype=np.float64)

@@ -43,7 +43,7 @@ class Pulse:
         self.counts["cycles"] += 1
 
     def forget(self) -> None:
-        """Begin the statistics anew, after an outage."""
+        """Restart the statistics, after an outage."""
         self._cycle_ms.clear()
         self._published.clear()
 

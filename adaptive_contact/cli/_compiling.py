@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
+import sys
 
 from adaptive_contact.cli._output import say_note
 
@@ -26,6 +28,10 @@ def compile_tick() -> None:
         if cache_folder():
             kept = "once"
         _tell(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
+        if cache_folder():
+            # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
+            code = "from adaptive_contact.leg_group import compile_ahead; compile_ahead()"
+            subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
     compile_ahead()
 
 

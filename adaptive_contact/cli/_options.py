@@ -116,6 +116,7 @@ def flatten(command: Callable[..., None]) -> Callable[..., None]:
         command(**given, **made)
 
     named = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
+    # Typer reads it from there; mypy knows no attributes of functions.
     run.__signature__ = inspect.Signature(named)  # type: ignore[attr-defined]
     return run
 
@@ -254,7 +255,7 @@ InsecureOption = Annotated[
     bool,
     typer.Option(
         "--insecure",
-        help="Listen beyond loopback although nobody has to authenticate.",
+        help="Listen beyond loopback without authentication of clients.",
         rich_help_panel=_NETWORK,
     ),
 ]

@@ -50,7 +50,7 @@ def check_plot(path: Path) -> None:
         raise ConfigurationError(f"--plot {path}: expected a name that ends with .html or .png")
     if path.suffix.lower() == ".png":
         try:
-            import matplotlib  # noqa: F401
+            import matplotlib  # noqa: F401 - only whether it is there
         except ImportError as error:
             raise MissingExtraError("--plot FILE.png", "plot") from error
 

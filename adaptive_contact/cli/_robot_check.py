@@ -9,6 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli._bus import (
+    DeviceOption,
+    described_in,
+    needs_sdk,
+    plans_of,
+    robot_of,
+    shake_hands,
+)
 from adaptive_contact.cli._options import (
     ConfigOption,
     Network,
@@ -18,14 +26,6 @@ from adaptive_contact.cli._options import (
     stoppable,
 )
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.cli.bridge import (
-    DeviceOption,
-    described_in,
-    needs_sdk,
-    plans_of,
-    robot_of,
-    shake_hands,
-)
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 import typer
 
+from adaptive_contact.cli._bus import devices_of, needs_sdk
 from adaptive_contact.cli._options import check_output
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.cli.bridge import devices_of, needs_sdk
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content, write_file
 from adaptive_contact.robot import Leg, Robot, parse_robot

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
 from adaptive_contact.cli._options import (
     ConfigOption,
     Network,
@@ -20,7 +21,6 @@ from adaptive_contact.cli._options import (
     stoppable,
 )
 from adaptive_contact.cli._output import say, say_note
-from adaptive_contact.cli.bridge import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
 from adaptive_contact.files import holds_content
 
@@ -135,10 +135,10 @@ def learn(
     for leg in robot.legs:
         if leg.chain is None:
             raise ConfigurationError(
-                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be told; "
+                f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; "
                 "measure its links and fill them in"
             )
-    gathered = gather(more or [], robot, refuse=False)
+    gathered = gather(more or [], robot)
     if live:
         from adaptive_contact.cli._robot_live import collect_live
 
@@ -160,7 +160,7 @@ def learn(
                 err=True,
             )
         scripts = swings_of(robot, plans, amplitude, seed, home) if drive else None
-        does = "swinging all legs" if drive else "looking on"
+        does = "swinging all legs" if drive else "observing"
         own = "" if drive else ": swing every leg in free air meanwhile"
         say_note(f"{does} for {seconds:g} s{own}; Ctrl-C ends it earlier")
         samples = collect(
@@ -172,8 +172,7 @@ def learn(
     for name, rows in samples.items():
         for sample in rows:
             gathered[name].take_sample(sample)
-    # A run of seconds on a bus is too short to refuse by; the verdict on the fit decides.
-    check_streams(robot, samples, {}, refuse=False)
+    check_streams(robot, samples, {})
     check_conventions(robot, gathered, bridge=not live)
     say_note("fitting the legs' models to what was read")
     try:

@@ -175,7 +175,7 @@ def _told(report: LiveReport) -> list[str]:
     waiting = [leg for leg in report.open if leg not in report.by_hand]
     if waiting:
         lines.append(
-            f"signs, order and zeros: not told by the motion of leg {' '.join(waiting)} (it "
+            f"signs, order and zeros: not confirmed by the motion of leg {' '.join(waiting)} (it "
             "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
         )
     by_hand = [leg for leg in report.open if leg in report.by_hand]

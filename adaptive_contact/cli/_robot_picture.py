@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 # With mounts of so many legs told, the robot is drawn as a whole.
 _LEAST_PLACED: Final = 2
 _CELL: Final = 300
-_TOP: Final = 46
+_TOP: Final = 62
 _MARGIN: Final = 40
 _HEADING: Final = 80
 _LINE: Final = 15
@@ -34,6 +34,11 @@ _LEAST_SPAN: Final = 0.5
 _ROWS, _COLUMNS = 2, 4
 _COLOURS: Final = ("#1f6fb4", "#c8691b", "#3b8a3f", "#8a3b86", "#a33c3c", "#5d6d7e")
 _GREY, _PALE, _INK = "#7f8c8d", "#d5d8dc", "#2c3e50"
+_LEGEND: Final = "dashed: the link at 0°; arrow: + is the way the angle grows; red: the foot"
+_TO_DO: Final = (
+    "sign and offset are those of robot.toml; a joint that turns against its arrow needs the "
+    "other sign"
+)
 # The arrow around a joint: at half of its link, within these, px; it goes so far, rad.
 _ARC_PX: Final = (16.0, 40.0)
 _ARC_RAD: Final = 0.9
@@ -52,13 +57,14 @@ class _View(NamedTuple):
     """From where a leg is seen: which ways of the body go right and up."""
 
     words: str
+    ways: str
     right: tuple[float, float, float]
     up: tuple[float, float, float]
 
 
-_SIDE: Final = _View("from the side", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-_FRONT: Final = _View("from the front", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-_ABOVE: Final = _View("from above", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+_SIDE: Final = _View("from the side", "x to the right, z up", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+_FRONT: Final = _View("from the front", "y to the right, z up", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_ABOVE: Final = _View("from above", "x to the right, y up", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def chain(leg: Leg, angles: Sequence[float]) -> Array:
@@ -116,8 +122,8 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
         f'viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
         f'<rect width="{width}" height="{height}" fill="#ffffff"/>',
         f'<text x="10" y="19" font-size="15" font-weight="bold">{escape(robot.name)}</text>',
-        f'<text x="10" y="37" fill="{_GREY}">dashed: where the joint is at 0; arrow: the way its '
-        "angle grows; red: the foot</text>",
+        _text(10, 37, _LEGEND, _GREY),
+        _text(10, 53, _TO_DO, _GREY),
     ]
     if placed:
         parts += _from_above(legs, angles, body)
@@ -210,6 +216,8 @@ def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _Vi
     parts = [_frame(left, top, _CELL)]
     parts.append(_text(left + 10, top + 20, leg.id, _INK, bold=True))
     parts.append(_text(left + 10, top + 36, f"{_side(leg)}{view.words}", _GREY))
+    if not _straight(leg):  # a straight one is drawn in its own plane, the body on the left
+        parts.append(_text(left + 10, top + 51, view.ways, _GREY))
     for j in range(len(leg.joints)):
         parts.append(_link(at[j], at[j + 1], _COLOURS[j % len(_COLOURS)]))
     for j, zero_rad, way in turns:
@@ -352,13 +360,13 @@ def _text(
 
 
 def _label(leg: Leg, joint: int, angle_rad: float) -> str:
-    """A joint's name, angle, length, and how the source counts it."""
+    """A joint's name, angle and link, and the sign and offset that robot.toml gives it."""
     assert leg.chain is not None
     length_m = np.hypot.reduce(leg.chain.origins_m[joint])
-    told = f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, {1000 * length_m:.0f} mm"
+    told = f"{leg.joints[joint]} {np.degrees(angle_rad):+.1f}°, link {1000 * length_m:.0f} mm"
     turned = leg.angles or leg.servos
     if turned is not None:
         sign = 1 if turned.directions is None else turned.directions[joint]
         offset = 0.0 if turned.offsets_rad is None else turned.offsets_rad[joint]
-        told += f", sign {sign:+d}, offset {np.degrees(offset):.0f}°"
+        told += f", sign {sign:+d}, offset {offset:+.2f} rad"
     return told

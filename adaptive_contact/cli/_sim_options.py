@@ -117,7 +117,7 @@ class RunOptions:
     preview: Annotated[
         int | None,
         typer.Option(
-            "--preview", help="Goals told ahead in samples, ticks.", rich_help_panel=_ROBOT
+            "--preview", help="Future goals in each sample, ticks.", rich_help_panel=_ROBOT
         ),
     ] = None
     offline: Annotated[

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
+from adaptive_contact.cli import gateways
+from adaptive_contact.cli._bus import (
+    DeviceOption,
+    plans_of,
+    robot_of,
+    shake_hands,
+)
 from adaptive_contact.cli._options import (
     Commands,
     ConfigOption,
@@ -27,26 +32,15 @@ from adaptive_contact.cli._options import (
     seconds_option,
     stoppable,
 )
-from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
+from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator
-from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
-    from adaptive_contact.robot import Robot
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact.service.probe import Finding
 
-__all__ = [
-    "DeviceOption",
-    "app",
-    "described_in",
-    "devices_of",
-    "needs_sdk",
-    "plans_of",
-    "robot_of",
-    "shake_hands",
-]
+__all__ = ["app"]
 
 app = Commands(
     help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
@@ -54,108 +48,6 @@ app = Commands(
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
-
-DeviceOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--device",
-        metavar="[PORT=]PATH",
-        help="Serial port instead of robot.toml's, such as /dev/ttyUSB0 or left=/dev/ttyUSB1; "
-        "repeatable.",
-        show_default=False,
-    ),
-]
-
-
-@contextlib.contextmanager
-def needs_sdk() -> Iterator[None]:
-    """Around imports of the bridge: a missing DynamixelSDK is told in one line."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] not in ("dynamixel_sdk", "serial"):
-            raise
-        raise MissingExtraError("the Dynamixel bridge", "dynamixel") from error
-
-
-def robot_of(config: Path | None) -> Robot:
-    """The robot described, or the shipped hexapod."""
-    from adaptive_contact.robot import load_robot, shipped_robot
-
-    return shipped_robot() if config is None else load_robot(config)
-
-
-def described_in(config: Path | None) -> str:
-    """Name the file of a description for a person."""
-    return "the shipped robot, as there is no --config" if config is None else str(config)
-
-
-def plans_of(
-    robot: Robot, config: Path | None, device: list[str] | None, baud: int | None = None
-) -> tuple[PortPlan, ...]:
-    """What each port has to do; an error names the robot's file.
-
-    Raises:
-        ConfigurationError: there is no port, no servo, or something is unknown.
-    """
-    from adaptive_contact.bridge.plan import plan_ports
-    from adaptive_contact.bridge.tables import BAUDS
-
-    if baud is not None and baud not in BAUDS:
-        raise ConfigurationError(
-            f"--baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
-        )
-    devices = devices_of(device)
-    try:
-        return plan_ports(robot, devices, baud=baud)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{described_in(config)}: {error}") from error
-
-
-def devices_of(given: list[str] | None) -> dict[str, str]:
-    """Devices of ``--device``, by port.
-
-    Raises:
-        ConfigurationError: a port is given twice.
-    """
-    from adaptive_contact.bridge.plan import DEFAULT_PORT
-
-    devices: dict[str, str] = {}
-    for text in given or ():
-        name, equals, path = text.partition("=")
-        if not equals:
-            name, path = DEFAULT_PORT, text
-        if name in devices:
-            raise ConfigurationError(f"--device gives port '{name}' twice; give each once")
-        devices[name] = path
-    return devices
-
-
-def shake_hands(
-    plans: Sequence[PortPlan],
-    by: str = "adaptive-contact",
-    *,
-    configure: bool = False,
-    drive: bool = False,
-) -> None:
-    """Make sure that the servos are those described, and say what was set or should be.
-
-    Args:
-        plans: what is expected on each port.
-        by: which command says so.
-        configure: write what should be set differently, EEPROM included.
-        drive: they are to be driven, not only observed.
-
-    Raises:
-        BusError: something stands in the way.
-    """
-    with needs_sdk():
-        from adaptive_contact.bridge.handshake import check_ports
-
-    findings = check_ports(plans, configure=configure, drive=drive)
-    for line in findings.done + findings.advice:
-        say(f"{by}: {line}", err=True)
-    findings.raise_errors()
 
 
 @app.command()
@@ -194,132 +86,6 @@ def dynamixel(
     settings = network.client(json=json)
     shake_hands(plans, "adaptive-contact bridge", configure=configure, drive=drive)
     _Crew(plans, "drive" if drive else "observe", settings, realtime=realtime).run(stop)
-
-
-@app.command()
-@flatten
-def ros2(
-    *,
-    config: ConfigOption = None,
-    ros_connect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--ros-connect",
-            metavar="ENDPOINT",
-            help="Router of ROS 2, rmw_zenohd (default tcp/127.0.0.1:7447); repeatable.",
-            show_default=False,
-            rich_help_panel="Network",
-        ),
-    ] = None,
-    ros_zenoh_config: Annotated[
-        Path | None,
-        typer.Option(
-            "--ros-zenoh-config",
-            metavar="FILE",
-            help="Zenoh configuration file (JSON5) for that router.",
-            show_default=False,
-            rich_help_panel="Network",
-        ),
-    ] = None,
-    realtime: RealtimeOption = False,
-    network: Network,
-    json: JsonPayloadOption = False,
-) -> None:
-    """Relay joint states of ROS 2 (rmw_zenoh) to the service, and contacts back; no ROS needed."""
-    make_stdout_optional()
-    stop = stoppable()
-    from adaptive_contact.priority import take_priority
-    from adaptive_contact.ros2 import needs_rosbags
-    from adaptive_contact.service.link import Link
-
-    robot = robot_of(config)
-    with needs_rosbags():
-        from adaptive_contact.ros2.intake import check_mapped
-        from adaptive_contact.service.ros2 import Gateway, shown_of_ros
-    check_mapped(robot, described_in(config))
-    settings = network.client(json=json)
-    ros_settings = Network(ros_connect, None, ros_zenoh_config).client()
-
-    def waits_for_ros(finding: Finding) -> None:
-        _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
-
-    def waits(finding: Finding) -> None:
-        _say_ros(f"the service: {finding.line}; trying on")
-
-    refused = take_priority() if realtime else None
-    if refused is not None:
-        _say_ros(refused)
-    try:
-        with (
-            Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
-            Link.open(settings, on_wait=waits, stop=stop) as service,
-        ):
-            # Milliseconds since 1970: a later start has a larger run.
-            gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
-            reads = "reading nothing (no [leg.ros2])"
-            if gateway.legs:
-                reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
-            say(
-                f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
-                "Ctrl-C"
-            )
-            if gateway.legs and gateway.intake.unmapped:
-                _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
-            gateway.run(stop)
-    except LinkError:
-        if not stop.is_set():
-            raise
-
-
-@app.command()
-@flatten
-def foxglove(
-    *,
-    host: Annotated[
-        str, typer.Option("--host", metavar="ADDRESS", help="Where Foxglove connects to.")
-    ] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65_535, help="0 takes a free one.")
-    ] = 8765,
-    network: Network,
-) -> None:
-    """Show the running robot in Foxglove, over its websocket protocol."""
-    make_stdout_optional()
-    stop = stoppable()
-    from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
-    from adaptive_contact.service.link import Link
-
-    check_installed()
-    settings = network.client()
-    try:
-        with (
-            Link.open(settings, on_wait=say_waiting, stop=stop) as link,
-            FoxgloveServer(link, host, port) as server,
-        ):
-            say(
-                f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
-                f"(Open connection), or {server.app_url}; stop with Ctrl-C"
-            )
-            if host not in ("127.0.0.1", "localhost", "::1"):
-                say(
-                    "adaptive-contact bridge foxglove: whoever reaches this address sees "
-                    "everything; where others listen, leave --host out and use ssh -L",
-                    err=True,
-                )
-            server.run(stop)
-    except LinkError:
-        if not stop.is_set():
-            raise
-        return
-    for (key, why), count in server.left_out.most_common(8):
-        say(
-            f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
-            err=True,
-        )
-
-
-def _say_ros(line: str) -> None:
-    say(f"adaptive-contact bridge ros2: {line}", err=True)
 
 
 class _Crew:
@@ -529,3 +295,7 @@ def _check_shipped(name: str) -> None:
 def _say(line: str) -> None:
     say(f"adaptive-contact bridge virtual: {line}")
     sys.stdout.flush()
+
+
+app.command()(gateways.ros2)
+app.command()(gateways.foxglove)

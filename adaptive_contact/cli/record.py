@@ -117,5 +117,5 @@ def _report(file: Path, key: str, counts: collections.Counter[str], elapsed_s: f
         say(f"  {printable(name):{width}}  {counts[name]:8d}  {rate:7.1f} /s")
     if not counts:
         say_note(
-            f"nothing was heard on '{key}'; `adaptive-contact doctor` tells who publishes what"
+            f"nothing was received on '{key}'; `adaptive-contact doctor` shows who publishes what"
         )

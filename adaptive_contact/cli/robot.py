@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from adaptive_contact.cli._bus import DeviceOption
 from adaptive_contact.cli._options import Commands, flatten
 from adaptive_contact.cli._robot_check import check
 from adaptive_contact.cli._robot_learning import learn
-from adaptive_contact.cli.bridge import DeviceOption
 
 __all__ = ["Wishes", "app"]
 
@@ -102,7 +102,7 @@ class Wishes:
             metavar="RAD",
             min=1e-6,
             max=0.2,
-            help="One step of a reading; told by the servos of --device.",
+            help="One step of a reading; read from the servos with --device.",
             show_default=False,
         ),
     ] = None

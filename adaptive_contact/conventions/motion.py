@@ -121,7 +121,7 @@ class _Run:
 
 
 def _runs(motion: LegMotion, period_s: float) -> list[_Run]:
-    """A leg's samples, cut where its count begins anew."""
+    """A leg's samples, cut where its count restarts."""
     stamps = motion.t_ns / (period_s * 1e9)
     if motion.seq is None:
         return [_Run(stamps, np.rint(stamps).astype(np.int64))]

@@ -65,6 +65,7 @@ class LegBatch:
     echoing: NDArray[np.bool_]
     asked: Array
     start: Array
+    foot: Array
     heights: Array
     lengths_ticks: NDArray[np.int64]
     turns: NDArray[np.int64]

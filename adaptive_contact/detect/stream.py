@@ -158,7 +158,7 @@ class StreamGuard:
         """One line for a person while the source restarts again and again."""
         if self._short_runs >= SHORT_RUNS:
             return (
-                "the source starts anew every few samples: nothing can be judged; `run` is to be "
+                "the source restarts every few samples: nothing can be judged; `run` is to be "
                 "one number from a start of the source to its end"
             )
         if self._strays < SHORT_RUNS or self._accepted - self._stray_at > NOTED_SAMPLES:

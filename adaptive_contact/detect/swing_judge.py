@@ -112,11 +112,11 @@ class SwingJudge:
 
     @property
     def phase_unknown_note(self) -> str | None:
-        """One line for a person when swings cannot be told at all."""
+        """One line for a person when swings cannot be found at all."""
         if not self._place.leg["untold"] or self.measures:
             return None
         return (
-            "samples carry no phase and robot.toml no lengths_m: swings cannot be told, contacts "
+            "samples carry no phase and robot.toml no lengths_m: swings cannot be found, contacts "
             "are not reported"
         )
 
@@ -173,7 +173,10 @@ class SwingJudge:
         return bool(leg["obstructed"])
 
     def _turned_around(self) -> bool:
-        """Whether readings went down instead of up, by most of what the command rose."""
+        """Tell whether readings went down by most of what the command rose, and away from it.
+
+        A foot that an obstacle held above its command goes down to it as the obstacle goes.
+        """
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         start = float(batch.start[row, 2])
         fell = start - float(leg["low_at_m"])
@@ -182,7 +185,8 @@ class SwingJudge:
         path = batch.path[row, : int(leg["path_n"])].tolist()
         heights = [self._foot(angles)[2] for angles in path]
         asked = max(heights) - min(heights[0], start)
-        return asked > LEAST_WAY_M and fell > TURNED_SHARE * asked
+        below = heights[-1] - float(batch.foot[row, 2])
+        return asked > LEAST_WAY_M and min(fell, below) > TURNED_SHARE * asked
 
     def touched(self, ticks: int) -> None:
         """Note the foot's height at a contact, whose onset was so many ticks ago."""

@@ -91,7 +91,7 @@ class SwingLabels:
         if self._unobserved < UNOBSERVED_SWINGS:
             return self._swing.unobservable_note
         return (
-            f"no lift could be heard in {self._unobserved} swings: they are too short, or the foot "
+            f"no lift could be used in {self._unobserved} swings: they are too short, or the foot "
             "hardly rises; changes of the leg are not followed"
         )
 

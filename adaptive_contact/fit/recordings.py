@@ -132,7 +132,7 @@ class LegGatherer:
             free: take every swing for contact-free in a run that has no truth.
 
         Raises:
-            IdentificationError: swings cannot be told: no phase, and no lengths to infer it.
+            IdentificationError: swings cannot be found: no phase, and no lengths to infer it.
         """
         return [
             self._stretch(rows, truth, free)

@@ -148,7 +148,7 @@ class Lifecycle:
         self.begun += 1
         self.origin = None
         self._started_cold, self._unfit = False, True
-        self.note = "the baseline does not fit this leg: learning it anew"
+        self.note = "the baseline does not fit this leg: fitting a new model"
         self._start_cold()
 
     @property

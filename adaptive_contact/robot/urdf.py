@@ -431,7 +431,7 @@ class Urdf:
         if joint.mimics is not None and joint.kind in _TURNING:
             raise self._error(
                 f"{where} follows joint '{printable(joint.mimics)}' (mimic), so that no servo of "
-                "its own turns it; no chain says that: see docs/robot.md, What no chain says"
+                "its own turns it: see docs/robot.md, What a chain cannot describe"
             )
 
     def _error(self, what: str) -> ConfigurationError:

@@ -65,7 +65,7 @@ def score_messages(
 
     Raises:
         RecordingError: samples, truth or events are missing, or runs overlap in time.
-        ConfigurationError: swings cannot be told (see :meth:`Gatherer.stream`).
+        ConfigurationError: swings cannot be found (see :meth:`Gatherer.stream`).
     """
     gathered = Gatherer(robot)
     for message in messages:

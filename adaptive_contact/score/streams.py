@@ -183,7 +183,7 @@ class Gatherer:
             if inferred is None:
                 raise ConfigurationError(
                     f"leg '{leg}': its samples carry no phase and '{self.robot.name}' gives no "
-                    "lengths_m for it, so swings cannot be told; give the robot with --config"
+                    "lengths_m for it, so swings cannot be found; give the robot with --config"
                 )
             swing = np.where(phase == _UNTOLD, inferred, swing)
         lift = None

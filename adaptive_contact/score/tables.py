@@ -27,7 +27,7 @@ _MEANING: Final = {
     Row.GRAZING: "grazing",
     Row.LIFT: "in the lift",
     Row.LATE: "late: last 2 of a swing, 10 after it",
-    Row.UNKNOWN: "speed not told",
+    Row.UNKNOWN: "speed unknown",
 }
 
 

@@ -37,6 +37,11 @@ class Admission:
             runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
             self._guard.restore({"begun": True, **runs})
 
+    @property
+    def resuming(self) -> bool:
+        """Whether it is not known yet how many samples passed while the service was down."""
+        return self._resumes is not None
+
     def judge(self, sample: ServoSample) -> Reject | None:
         """Why the next sample is refused, None if it is used; all have to come by here in order."""
         answer = self._guard.admit(sample)

@@ -102,7 +102,7 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
             "there.",
         ),
         (
-            r"another program publishes|starts anew every few samples",
+            r"another program publishes|restarts every few samples",
             "Find the second program that publishes this leg, and stop it.",
         ),
     )

@@ -144,7 +144,8 @@ class Desk:
         self._tell_news(self._told_of, status, now_ns)
         self._told_of = status
         self.model_version = status.model_version
-        changed = status.status != self._published
+        # Until it is known what passed while the service was down, counts would not add up.
+        changed = status.status != self._published and not self._admission.resuming
         if not (changed or anyway) and now_ns - self._published_ns < _STATUS_PERIOD_NS:
             return None
         self._status.put(status)
@@ -179,7 +180,7 @@ class Desk:
         )
 
     def _tell_news(self, before: LearnerStatus, now: LearnerStatus, now_ns: int) -> None:
-        """Log what became of refits, what the leg changed in, and that the source began anew."""
+        """Log what became of refits, what the leg changed in, and that the source restarted."""
         for name in ("promoted", "refused", "rolled_back"):
             if getattr(now.refits, name) > getattr(before.refits, name):
                 # Most are refused, each minute of a leg that has not changed.
@@ -193,24 +194,24 @@ class Desk:
         restarts = now.restarts - before.restarts
         stands_for = self._brake.passes("restart", now_ns, restarts) if restarts > 0 else None
         if stands_for is not None:
-            _log.info("source began anew", leg=self.leg, times=stands_for)
+            _log.info("source restarted", leg=self.leg, times=stands_for)
 
     def report(self) -> ModelReport | None:
         """The leg's model, None before there is one."""
         try:
             return self.learner.model_report
         except Exception as fault:  # of one leg, which must not end the others' service
-            self._begin_anew(fault)
+            self._restart_leg(fault)
             return self.learner.model_report
 
     def _told(self) -> LearnerStatus:
         try:
             return self.learner.status
         except Exception as fault:  # of one leg, as in `report`
-            self._begin_anew(fault)
+            self._restart_leg(fault)
             return self.learner.status
 
-    def _begin_anew(self, fault: Exception) -> None:
+    def _restart_leg(self, fault: Exception) -> None:
         self.learner.reset_after_fault(fault)
         self._faults(self.leg, fault)
 

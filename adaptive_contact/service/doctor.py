@@ -397,7 +397,7 @@ def _stray(key: str, shown: str) -> tuple[str | None, Fault] | None:
 _NOTED: Final = {
     "ms apart, robot.toml says": Cause.PERIOD,
     "t_ns jitters": Cause.JITTER,
-    "starts anew every few samples": Cause.RUN,
+    "restarts every few samples": Cause.RUN,
     "carry no phase": Cause.PHASE,
     "answered": Cause.INVALID,
     "payload refused": Cause.UNREADABLE,

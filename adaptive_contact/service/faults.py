@@ -1,4 +1,4 @@
-"""Faults of a leg's learning, for whoever mends them: the status has a line, the log the stack."""
+"""Faults of a leg's learning, for developers: the status has a line, the log the stack."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class FaultLog:
         self._brake = Brake(_PERIOD_S)
 
     def __call__(self, leg: str, fault: Exception) -> None:
-        """A leg has begun anew."""
+        """A leg was restarted."""
         times = self._brake.passes(leg, time.monotonic_ns())
         if times is not None:
-            _log.error("fault in learning, begun anew", leg=leg, times=times, exc_info=fault)
+            _log.error("fault in learning, leg restarted", leg=leg, times=times, exc_info=fault)

@@ -211,7 +211,7 @@ class Finding(NamedTuple):
     what: str
     remedy: str
     cause: str = ""
-    legs: list[str] = []  # noqa: RUF012  # never changed
+    legs: list[str] = []  # noqa: RUF012 - of the class, and never changed
 
 
 def of_legs(legs: Iterable[str]) -> str:

@@ -29,7 +29,7 @@ __all__ = ["MAX_LEGS", "QUEUE_SAMPLES", "Intake", "Raw", "Round", "read"]
 # samples are worth less than new ones.
 QUEUE_SAMPLES: Final = 64
 
-# Ids that get a queue.  A robot has six or eight legs; whoever makes up more is not a robot.
+# Ids that get a queue.  A robot has six or eight legs; a publisher of more ids is not a robot.
 MAX_LEGS: Final = 64
 
 # Queries waiting for the worker; an asker beyond them is refused at once.

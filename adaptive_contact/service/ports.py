@@ -32,7 +32,7 @@ class Learner(Protocol):
         """Count payloads that were refused before they became samples."""
 
     def reset_after_fault(self, fault: Exception) -> None:
-        """Go on after a fault from what was last saved, or anew, and say so in the status."""
+        """Go on after a fault from what was last saved, or from nothing; the status says so."""
 
     def request_release(self) -> None:
         """Say with the next sample that the leg is free: a service before may have said else."""

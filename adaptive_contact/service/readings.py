@@ -28,7 +28,6 @@ _FEWEST: Final = 10
 # A joint counts as told to move when its command travels this far, rad (3 degrees, 10 steps of
 # an AX-12A), and as frozen when its reading then keeps one value.
 _COMMANDED_RAD: Final = 0.05
-_FROZEN_SAMPLES: Final = 25
 # A command that goes this far, rad, and a reading that follows by less than this share of it: the
 # joint stands, and only its encoder's last step flickers.
 _WIDE_RAD: Final = 0.3
@@ -53,7 +52,7 @@ _COPY_LAGS: Final = 12
 _COPY_SHARE: Final = 0.9
 _COPY_STEPS: Final = 0.6
 _COPY_SPEEDS: Final = 3.0
-_FEWEST_MOVING: Final = 50
+_FEWEST_MOVING: Final = 50  # also of all that compares a joint's motion with its command's
 # Readings that are held: of the ticks in which a joint goes a step a tick and more, over so many
 # ticks on each side, more than this share read the same as the tick before.  Held for two ticks it
 # is 0.5, for four 0.75, read every sixth tick 0.83; of the same motions 0.24 at most.
@@ -72,6 +71,14 @@ _LEAST_STEP_RAD: Final = 4e-4
 _MOST_STEP_RAD: Final = 0.1
 _STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
 _STEP_TOLERANCE: Final = 0.05
+# What is finer than robot.toml says has to fit nearly all: readings between the lines of a grid
+# (carried to their tick's moment, interpolated) are near lines a half, a third or a sixth as far
+# apart where they are few.  Of AX-12A on a busy computer, up to a third are such.
+_FINER_SHARE: Final = 0.95
+# And no multiple of it may hold more readings than a grid's every k-th line does, but for one case
+# in so many: n phases at random have a mean longer than sqrt(2 ln(1/p) / n) with less than p, also
+# where there are but two phases.
+_STEP_CHANCE: Final = 1e-2
 _DEGREE_RAD: Final = math.pi / 180.0
 # A grid is found in so many of a joint's different readings as well as in those of an hour.
 _MOST_VALUES: Final = 400
@@ -145,9 +152,11 @@ def check_readings(
         return
     if quantum_rad is not None:
         yield from _held(measured, desired, seq, names, quantum_rad)
-    commanded = bool((np.ptp(desired, axis=0) > 0.0).any())
+    begun = _begun(desired, 0.0)
     for j, name in enumerate(names):
-        yield from _joint(measured[:, j], desired[:, j], name, quantum_rad, commanded)
+        yield from _joint(measured[:, j], desired[:, j], name, begun)
+        if quantum_rad is not None:
+            yield from _steps(measured[:, j], name, quantum_rad)
 
 
 def _units(measured: Array, desired: Array, names: Sequence[str]) -> Fault | None:
@@ -289,10 +298,21 @@ def _turned(name: str, jumps: int, turns: int) -> Fault:
     )
 
 
+def _begun(desired: Array, rad: float) -> int:
+    """Ticks in which a command, (n,) or any of (n, J), is further than this from the first one's.
+
+    A joint follows some ticks later; of a few, nothing is known.
+    """
+    away = np.abs(desired - desired[0]) > rad
+    return int(np.count_nonzero(away if away.ndim == 1 else away.any(axis=1)))
+
+
 def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     """Whose command every joint follows, where that is another joint's; else None."""
     joints = measured.shape[1]
     if not 2 <= joints <= _MOST_ORDERED or (np.ptp(desired, axis=0) < 2 * _COMMANDED_RAD).any():
+        return None
+    if min(_begun(told, _COMMANDED_RAD) for told in desired.T) < _FEWEST_MOVING:
         return None
     apart = np.full((joints, joints), np.inf)
     for back in range(min(_LAG_TICKS, len(measured) - 1) + 1):
@@ -309,13 +329,13 @@ def _order_of(measured: Array, desired: Array) -> tuple[int, ...] | None:
     return best
 
 
-def _joint(
-    measured: Array, desired: Array, name: str, quantum_rad: float | None, commanded: bool
-) -> Iterator[Fault]:
+def _joint(measured: Array, desired: Array, name: str, begun: int) -> Iterator[Fault]:
+    """Judge one joint by its command; ``begun``: ticks since any of its leg's commands changed."""
     told = float(np.ptp(desired))
+    followed = _begun(desired, _COMMANDED_RAD) >= _FEWEST_MOVING
     moved = float(np.ptp(measured))
     still = moved == 0.0 if told < _WIDE_RAD else moved < _STILL_SHARE * told
-    if told > _COMMANDED_RAD and still and len(measured) >= _FROZEN_SAMPLES:
+    if followed and still:
         within = "" if moved == 0.0 else f" within {moved:.3f} rad"
         yield Fault(
             "error",
@@ -328,7 +348,7 @@ def _joint(
         )
         return
     off = float(np.median(np.abs(measured - desired)))
-    if _runs_backwards(measured, desired):
+    if followed and _runs_backwards(measured, desired):
         yield Fault(
             "error",
             Cause.BACKWARDS,
@@ -337,7 +357,7 @@ def _joint(
             name,
             float(np.ptp(measured)),
         )
-    elif off > _FAR_RAD and not commanded:
+    elif off > _FAR_RAD and not begun:
         yield Fault(
             "warning",
             Cause.FAR,
@@ -349,7 +369,7 @@ def _joint(
             off,
             "still",
         )
-    elif off > _FAR_RAD:
+    elif off > _FAR_RAD and begun >= _FEWEST_MOVING:
         yield Fault(
             "error",
             Cause.FAR,
@@ -369,8 +389,6 @@ def _joint(
             f"{name} {glitches} of {len(measured)}" + ("" if to is None else f", to {to:.3f} rad"),
             float(glitches),
         )
-    if quantum_rad is not None:
-        yield from _steps(measured, name, quantum_rad)
 
 
 def _glitches(measured: Array) -> tuple[int, float | None]:
@@ -411,7 +429,8 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
 
     For each step q the readings' phases 2π x / q are averaged as unit vectors: on a grid of q, or
     of a multiple, the mean has length 1, elsewhere near 0.  The largest q of length near 1 is the
-    step; an offset and rounding to fewer decimals do not matter.
+    step; an offset and rounding to fewer decimals do not matter.  Readings that lie between the
+    lines do not make the step finer.
 
     Args:
         angles: (n,) rad.
@@ -421,7 +440,11 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
     Returns:
         The step in rad; None where there are too few different readings, or none is found.
     """
-    values = np.unique(angles)
+    values, times = np.unique(angles, return_counts=True)
+    # A joint comes back to a line; what lies between two lines hardly ever comes twice.
+    again = values[times > 1]
+    if len(again) >= _STEP_READINGS:
+        values = again
     if len(values) > _MOST_VALUES:
         # At irregular places: every second reading of a grid lies on one twice as coarse.
         places = np.arange(_MOST_VALUES) * _GOLDEN % 1.0 * len(values)
@@ -430,15 +453,42 @@ def position_step(angles: Array, expected_rad: float | None = None) -> float | N
     if len(values) < _STEP_READINGS or span <= 0.0:
         return None
     coarse, fine = 1.0 / _MOST_STEP_RAD, 1.0 / _LEAST_STEP_RAD
-    until = fine if expected_rad is None else min(fine, (1.0 + _STEP_TOLERANCE) / expected_rad)
-    found = _on_grid(values, coarse, until, span)
-    if found is None and until < fine:
-        found = _on_grid(values, until, fine, span)
-    return found
+    if expected_rad is None or expected_rad <= (1.0 + _STEP_TOLERANCE) * _LEAST_STEP_RAD:
+        found = _on_grid(values, coarse, fine, span, _STEP_SHARE)
+        return None if found is None else _multiple(values, found, span, None)
+    until = (1.0 + _STEP_TOLERANCE) / expected_rad
+    found = _on_grid(values, coarse, until, span, _STEP_SHARE)
+    if found is not None:
+        return found
+    found = _on_grid(values, until, fine, span, _FINER_SHARE)
+    return None if found is None else _multiple(values, found, span, expected_rad)
 
 
-def _on_grid(values: Array, least: float, most: float, span: float) -> float | None:
-    """The first grid, of ``least`` to ``most`` steps per rad, that values lie on."""
+def _multiple(values: Array, step_rad: float, span: float, expected_rad: float | None) -> float:
+    """The largest multiple of a grid's step, or the expected one, that values lie on but for a few.
+
+    The step itself where every multiple holds as many values as it would by chance.
+    """
+    if expected_rad is None:
+        multiples = list(range(int(_MOST_STEP_RAD / step_rad), 1, -1))
+    else:
+        k = round(expected_rad / step_rad)
+        near = k > 1 and abs(k * step_rad / expected_rad - 1.0) <= _STEP_TOLERANCE
+        multiples = [k] if near else []
+    chance = _STEP_CHANCE / max(len(multiples), 1)
+    by_chance = math.sqrt(2.0 * math.log(1.0 / chance) / len(values))
+    centred = values - values.mean()
+    for k in multiples:
+        # The step was found to a part of a line over the whole span; so is its multiple.
+        density = 1.0 / (k * step_rad) + np.linspace(-1.0, 1.0, 9) / (8.0 * span)
+        length = np.abs(np.exp(2j * math.pi * np.outer(density, centred)).mean(axis=1))
+        if length.max() > by_chance:
+            return float(1.0 / density[np.argmax(length)])
+    return step_rad
+
+
+def _on_grid(values: Array, least: float, most: float, span: float, share: float) -> float | None:
+    """The first grid, of ``least`` to ``most`` steps per rad, that so many of the values lie on."""
     centred = values - values.mean()
     density = np.arange(least, most, 1.0 / (8.0 * span))
     block = 1024
@@ -446,7 +496,7 @@ def _on_grid(values: Array, least: float, most: float, span: float) -> float | N
         part = density[begin : begin + block]
         phases = np.exp(2j * math.pi * np.outer(part, centred))
         length = np.abs(phases.mean(axis=1))
-        above = np.flatnonzero(length > _STEP_SHARE)
+        above = np.flatnonzero(length > share)
         if len(above):
             first = int(above[0])
             peak = first + int(np.argmax(length[first : first + 16]))

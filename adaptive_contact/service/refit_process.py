@@ -28,7 +28,7 @@ ONE_BLAS_THREAD: Final = {
 def start_process(*, hurry: bool = False) -> subprocess.Popen[bytes]:
     """Start a process that refits, for one :class:`~.refits.ProcessRefitter`.
 
-    It ends with its stdin, and so with whoever started it.
+    It ends with its stdin, and so with the process that started it.
 
     Args:
         hurry: nobody has an event in hand yet, and it need not stand behind others before it is

@@ -2,7 +2,7 @@
 
 A fit in a thread of the service raises a callback's latency from 0.4 to 12 ms (measured); in a
 process of its own, with one BLAS thread, it costs the service nothing but the pipe.  The process is
-started with the service, as its imports take seconds, and anew when it dies; one that has not
+started with the service, as its imports take seconds, and again when it dies; one that has not
 answered in a minute is killed.  A job that loses its process twice is given up and answered as
 lost, so that its leg goes on asking.
 """

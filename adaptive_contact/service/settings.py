@@ -60,7 +60,7 @@ class LinkSettings:
         encoding: of what this process publishes, MSGPACK or JSON.
         wait: whether a client waits for its router, or raises when it is not there.
         zenoh_config: a Zenoh configuration file (JSON5) merged under these settings.
-        insecure: listen beyond loopback although nobody has to authenticate.
+        insecure: listen beyond loopback without authentication of clients.
         max_sessions: that a router takes at once, None for the file's or the default.
 
     Raises:
@@ -221,7 +221,7 @@ def is_loopback(locator: str) -> bool:
 
 
 def is_multicast(locator: str) -> bool:
-    """Tell whether whoever is in a multicast group hears an endpoint, and is heard there.
+    """Tell whether members of a multicast group reach an endpoint, and it reaches them.
 
     Zenoh looks up what is no plain address, ``0xe00000e1`` or a name, and so does this.
     """

@@ -72,7 +72,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     "transport/link/tx/queue/size/data": 16,
     "connect/timeout_ms": CONNECT_TIMEOUT_MS,
     # A link that was cut (no word from the other side) is given up after this long (ms), and
-    # tried anew; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
+    # tried again; Zenoh's own 10 s would leave legs silent for ten seconds after a cut of one.
     "transport/link/tx/lease": 2000,
     # Bounds each such try: a SYN that is lost in the cut is repeated only after 1, 3 and 7 s.
     "transport/unicast/open_timeout": 1000,

@@ -174,7 +174,7 @@ class _Heard:
     """Contacts of one leg that arrived, against those that its statuses count.
 
     A status counts the contacts up to its own time; which of them arrived is told by theirs, in
-    whatever order they come.  Another clock, and another service, begin the count anew.
+    whatever order they come.  Another clock, and another service, restart the count.
     """
 
     base: LearnerStatus | None = None

@@ -62,7 +62,7 @@ def headline(view: View) -> Text:
     unheard = sum(leg.unheard for leg in view.legs)
     if unheard:
         contacts = "contact" if unheard == 1 else "contacts"
-        line.append(f"  {unheard} {contacts} told and not heard here", style="bold red")
+        line.append(f"  {unheard} {contacts} reported but not received here", style="bold red")
     if service.stalls:
         line.append(f"  worker stood still {service.stalls} times", style="bold red")
     if service.rejects:
@@ -214,7 +214,7 @@ def _rejects(leg: LegView) -> Text:
 
 
 def _lost(leg: LegView) -> Text:
-    """Samples missed; what a source lost while it began anew, no number tells."""
+    """Samples missed; no number tells what a source lost while it restarted."""
     words = f"{leg.missed}"
     if leg.restarts:
         words += f", {leg.restarts} {'restart' if leg.restarts == 1 else 'restarts'}"

@@ -2,10 +2,10 @@
 
 A worker that stands still is told of after a second (the log and ServiceStatus), an event whose
 put blocks after half a second.  After half a minute of either, the process ends with exit code 70
-and every thread's stack on stderr, for whatever started it to start it anew: state is on disk, and
+and every thread's stack on stderr, for whatever started it to restart it: state is on disk, and
 a service that only looks alive helps nobody.
 
-What the worker hangs on, the watchdog must not: the network, and whoever reads the log, are only
+What the worker hangs on, the watchdog must not: the network and the reader of the log are only
 spoken to on other threads, and the end waits for neither.  Code that keeps Python's lock for
 ever stops this thread too.  What could end the process all the same (faulthandler's timer) goes
 by the clock, and would end one that was only stopped and continued; so nothing does.
@@ -150,7 +150,7 @@ class Watchdog:
 def give_up() -> None:
     """End the process, leaving every thread's stack on stderr if that takes them in time."""
     try:
-        # Into memory first: the dump keeps Python's lock, and whoever reads stderr may hang.
+        # Into memory first: the dump keeps Python's lock, and the reader of stderr may hang.
         stacks = os.memfd_create("stacks")
         faulthandler.dump_traceback(file=stacks, all_threads=True)
         _try(lambda: _copy(stacks, sys.stderr.fileno()))

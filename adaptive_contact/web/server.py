@@ -21,22 +21,19 @@ import json
 import secrets
 import socket
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from importlib import resources
-from typing import Final, NamedTuple
-from urllib.parse import parse_qs
+from typing import Final
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.web.http import MOST_HEAD_BYTES, Refused, Request, read_request, write_answer
 from adaptive_contact.wire import is_leg_id
 
 __all__ = ["MOST_STREAMS", "History", "Site", "WebSettings"]
 
 # A request of a browser is a kilobyte; cookies of other ports of this host come along.
-_MOST_HEAD_BYTES: Final = 16 * 1024
-_MOST_HEADERS: Final = 64
-_HEAD_WITHIN_S: Final = 5.0
 # Browsers that look at once, and connections: each takes up to half a megabyte while it hangs.
 MOST_STREAMS: Final = 128
 _MOST_CONNECTIONS: Final = 256
@@ -54,19 +51,7 @@ _PAGES: Final = {
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
-_SECURITY: Final = (
-    (
-        "Content-Security-Policy",
-        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-        "img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
-        "require-trusted-types-for 'script'; trusted-types 'none'",
-    ),
-    ("X-Content-Type-Options", "nosniff"),
-    ("X-Frame-Options", "DENY"),
-    ("Referrer-Policy", "no-referrer"),
-    ("Cross-Origin-Resource-Policy", "same-origin"),
-    ("Cache-Control", "no-store"),
-)
+
 
 # Asked for a leg's model: JSON, or None where there is none.
 ModelOf = Callable[[str], Awaitable[bytes | None]]
@@ -103,21 +88,6 @@ class WebSettings:
         with contextlib.suppress(ValueError):
             return ipaddress.ip_address(self.host).is_loopback
         return False
-
-
-class _Refused(Exception):  # noqa: N818 - an answer
-    """A request that gets a status and one line."""
-
-    def __init__(self, status: HTTPStatus, line: str, *headers: tuple[str, str]) -> None:
-        super().__init__(line)
-        self.status, self.line, self.headers = status, line, headers
-
-
-class _Request(NamedTuple):
-    method: str
-    path: str
-    query: Mapping[str, str]
-    headers: Mapping[str, str]
 
 
 @dataclass
@@ -264,7 +234,7 @@ class Site:
     async def serve(self, stop: asyncio.Event) -> None:
         """Serve until ``stop`` is set."""
         server = await asyncio.start_server(
-            self._connected, sock=self._socket, limit=_MOST_HEAD_BYTES
+            self._connected, sock=self._socket, limit=MOST_HEAD_BYTES
         )
         try:
             await stop.wait()
@@ -294,19 +264,19 @@ class Site:
         head_only = False
         try:
             if len(self._connections) > _MOST_CONNECTIONS:
-                raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
-            request = await _read_request(reader)
+                raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections; try again")
+            request = await read_request(reader)
             head_only = request.method == "HEAD"
             await self._answer(request, reader, writer)
-        except _Refused as refused:
+        except Refused as refused:
             body = f"{refused.line}\n".encode()
             kind = "text/plain; charset=utf-8"
-            _write(writer, refused.status, kind, body, refused.headers, head_only=head_only)
+            write_answer(writer, refused.status, kind, body, refused.headers, head_only=head_only)
             if writer.can_write_eof():  # what a stranger still sends is not reset before it is read
                 writer.write_eof()
 
     async def _answer(
-        self, request: _Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         self._check_origin(request)
         self._check_token(request)
@@ -321,25 +291,25 @@ class Site:
             await self._stream(request, reader, writer)
             return
         else:
-            raise _Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
-        _write(writer, HTTPStatus.OK, kind, body, head_only=head_only)
+            raise Refused(HTTPStatus.NOT_FOUND, "no such page; there is /")
+        write_answer(writer, HTTPStatus.OK, kind, body, head_only=head_only)
 
-    def _check_origin(self, request: _Request) -> None:
+    def _check_origin(self, request: Request) -> None:
         """Refuse what a page of another site asks, under whatever name it reached this server."""
         host = request.headers.get("host", "")
         if host.lower() not in self._own_hosts() and not self._is_address(host):
-            raise _Refused(
+            raise Refused(
                 HTTPStatus.MISDIRECTED_REQUEST,
                 "this name is not an address of this page; use the link that `watch` printed",
             )
         origin = request.headers.get("origin")
         if origin is not None and origin.lower() != f"http://{host}".lower():
-            raise _Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
+            raise Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
         site = request.headers.get("sec-fetch-site", "none")
         # A link elsewhere may lead here; nothing else may.
         follows_link = request.path == "/" and request.headers.get("sec-fetch-mode") == "navigate"
         if site not in ("same-origin", "none") and not follows_link:
-            raise _Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
+            raise Refused(HTTPStatus.FORBIDDEN, "requests of other sites are refused")
 
     def _own_hosts(self) -> set[str]:
         if self._settings.loopback:
@@ -364,14 +334,14 @@ class Site:
             return True
         return False
 
-    def _check_token(self, request: _Request) -> None:
+    def _check_token(self, request: Request) -> None:
         token = self._settings.token
         if token is None:
             return
         cookie = f"adaptive_contact_{self.port}"  # cookies of all ports of a host are one jar
         given = request.query.get("token")
         if request.path == "/" and given is not None and _same(given, token):
-            raise _Refused(
+            raise Refused(
                 HTTPStatus.SEE_OTHER,
                 "the token is kept in a cookie",
                 ("Location", "/"),
@@ -382,23 +352,23 @@ class Site:
             part.strip().partition("=") for part in request.headers.get("cookie", "").split(";")
         )
         if not any(name == cookie and _same(value, token) for name, _, value in pairs):
-            raise _Refused(
+            raise Refused(
                 HTTPStatus.FORBIDDEN, "a token is needed; use the link that `watch` printed"
             )
 
     async def _model(self, leg: str) -> bytes:
         if not is_leg_id(leg):
-            raise _Refused(HTTPStatus.BAD_REQUEST, "no leg's id; expected /model?leg=rf")
+            raise Refused(HTTPStatus.BAD_REQUEST, "no leg's id; expected /model?leg=rf")
         model = await self._model_of(leg)
         if model is None:
-            raise _Refused(HTTPStatus.NOT_FOUND, "no model of this leg")
+            raise Refused(HTTPStatus.NOT_FOUND, "no model of this leg")
         return model
 
     async def _stream(
-        self, request: _Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         if self.streams >= MOST_STREAMS:
-            raise _Refused(
+            raise Refused(
                 HTTPStatus.SERVICE_UNAVAILABLE,
                 f"{self.streams} browsers look already, as many as may; close one",
             )
@@ -407,7 +377,7 @@ class Site:
             own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
         self.streams += 1
         try:
-            _write(writer, HTTPStatus.OK, "text/event-stream", None)
+            write_answer(writer, HTTPStatus.OK, "text/event-stream", None)
             last = request.headers.get("last-event-id", request.query.get("after", ""))
             pump = asyncio.ensure_future(self._pump(self.history.resume(last), writer))
             gone = asyncio.ensure_future(reader.read(1))  # a browser that looks says nothing more
@@ -459,74 +429,6 @@ async def _drain(writer: asyncio.StreamWriter) -> None:
     """
     async with asyncio.timeout(_HUNG_AFTER_S):
         await writer.drain()
-
-
-async def _read_request(reader: asyncio.StreamReader) -> _Request:
-    try:
-        async with asyncio.timeout(_HEAD_WITHIN_S):
-            head = await reader.readuntil(b"\r\n\r\n")
-    except asyncio.LimitOverrunError:
-        line = f"more than {_MOST_HEAD_BYTES} bytes of headers"
-        raise _Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, line) from None
-    except TimeoutError:
-        line = f"no whole request within {_HEAD_WITHIN_S:g} s"
-        raise _Refused(HTTPStatus.REQUEST_TIMEOUT, line) from None
-    except asyncio.IncompleteReadError as short:
-        if not short.partial:
-            raise ConnectionResetError from None
-        raise _Refused(HTTPStatus.BAD_REQUEST, "half a request") from None
-    first, *lines = head[:-4].decode("latin-1").split("\r\n")
-    words = first.split(" ")
-    if len(words) != 3 or words[2] not in ("HTTP/1.1", "HTTP/1.0"):
-        raise _Refused(HTTPStatus.BAD_REQUEST, "no request of HTTP/1.1")
-    method, target, _ = words
-    if method not in ("GET", "HEAD"):
-        raise _Refused(HTTPStatus.METHOD_NOT_ALLOWED, "GET only", ("Allow", "GET, HEAD"))
-    headers = _headers(lines)
-    if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
-        raise _Refused(HTTPStatus(413), "a request with a body")
-    path, _, query = target.partition("?")
-    try:
-        pairs = parse_qs(query, max_num_fields=8, strict_parsing=False)
-    except ValueError:
-        raise _Refused(HTTPStatus.BAD_REQUEST, "too many parameters") from None
-    return _Request(method, path, {name: values[0] for name, values in pairs.items()}, headers)
-
-
-def _headers(lines: list[str]) -> dict[str, str]:
-    if len(lines) > _MOST_HEADERS:
-        line = f"{len(lines)} headers; at most {_MOST_HEADERS}"
-        raise _Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, line)
-    headers: dict[str, str] = {}
-    for line in lines:
-        name, colon, value = line.partition(":")
-        name = name.lower()
-        if not colon or not name or not name.isascii() or name != name.strip() or "\n" in line:
-            raise _Refused(HTTPStatus.BAD_REQUEST, "a header that is none")
-        if name in headers and name in ("host", "origin", "sec-fetch-site"):
-            raise _Refused(HTTPStatus.BAD_REQUEST, f"two headers {name}")
-        headers[name] = value.strip()
-    return headers
-
-
-def _write(
-    writer: asyncio.StreamWriter,
-    status: HTTPStatus,
-    kind: str,
-    body: bytes | None,
-    headers: tuple[tuple[str, str], ...] = (),
-    *,
-    head_only: bool = False,
-) -> None:
-    """Write an answer; without a body what follows is a stream."""
-    lines = [f"HTTP/1.1 {status.value} {status.phrase}", f"Content-Type: {kind}"]
-    if body is not None:
-        lines.append(f"Content-Length: {len(body)}")
-    lines += [f"{name}: {value}" for name, value in (*_SECURITY, *headers)]
-    lines += ["Connection: close", "", ""]
-    writer.write("\r\n".join(lines).encode("latin-1"))
-    if body is not None and not head_only:
-        writer.write(body)
 
 
 def _same(given: str, token: str) -> bool:

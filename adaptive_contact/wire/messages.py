@@ -154,7 +154,7 @@ class LearnerStatus(Message, frozen=True, kw_only=True):
         ticks: samples accepted since start.
         rejects: samples refused, by reason.
         missed: samples lost, from gaps in ``seq``.
-        restarts: times the source began anew; what is lost there, no number tells.
+        restarts: times the source restarted; what is lost there, no number tells.
         contact: whether the leg touches, by its last event.
         contacts: contacts told so far, up to ``t_ns``: who heard fewer has lost some.
         withheld: contacts withheld so far, as the leg was ambiguous.

@@ -51,9 +51,9 @@ KINDS: Final[dict[DriftKind, Kind]] = {
     "supply": Kind("V", 12.0, 7.0, 14.0, "9-12", "supply voltage"),
     "compliance": Kind("factor", 1.0, 0.125, 8.0, "1-4", "compliance slope, of 32 steps"),
     "winding": Kind("factor", 1.0, 0.7, 2.0, "1-1.16", "winding resistance, +0.4 %/K"),
-    "backlash": Kind("rad", 0.0, 0.0, 0.07, "0-0.026", "play of the gear"),
+    "backlash": Kind("rad", 0.0, 0.0, 0.07, "0-0.026", "backlash of the gear"),
     "offset": Kind("rad", 0.0, -0.2, 0.2, "+-0.015", "horn turned on its shaft"),
-    "dropout": Kind("share", 0.0, 0.0, 0.5, "0.0003-0.03", "readings that do not come"),
+    "dropout": Kind("share", 0.0, 0.0, 0.5, "0.0003-0.03", "missing readings"),
 }
 
 

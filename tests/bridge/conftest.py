@@ -48,7 +48,7 @@ def _commands() -> None:
 
 @pytest.fixture(autouse=True)
 def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look for servos 0 to 30 only: an id that nobody has costs the wait for its ping.
+    """Look for servos 0 to 30 only: an id without a servo costs the wait for its ping.
 
     Commands that are processes of their own look for all.
     """

@@ -307,7 +307,7 @@ def test_the_picture_ends_where_the_foot_is() -> None:
     assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(one.lengths_m)
     text = draw(shipped_robot(), {x: [0.0, 0.1, -0.5] for x in shipped_robot().leg_ids})
     assert text.count('class="link"') == 6 * 2 * 3
-    assert "coxa +0.0°, 52 mm, sign +1, offset 0°" in text
+    assert "coxa +0.0°, link 52 mm, sign +1, offset +0.00 rad" in text
 
 
 def arrows(text: str) -> list[tuple[float, float, float, float]]:

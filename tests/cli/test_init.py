@@ -132,7 +132,7 @@ def test_the_picture_of_a_chain_has_its_joints_from_two_sides() -> None:
     assert text.count("from the side<") == text.count("from the front<") == 4
     # On the whole robot and in both views each leg has three links.
     assert text.count('class="link"') == 4 * 3 * 3
-    assert "fl_hip +40.1°, 160 mm" in text
+    assert "fl_hip +40.1°, link 160 mm" in text
     points = chain(robot.leg("fl"), pose)
     assert points[-1] == pytest.approx(robot.leg("fl").chain.foot(pose))  # type: ignore[union-attr]
     # Beside each of the four legs two pitches turn, and in front the roll.

@@ -226,7 +226,7 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
         assert other.status.note != faulty.status.note
         assert other.status.ticks == len(stream)
         assert faulty.status.note == (
-            "20 faults in learning, begun anew each time; last LinAlgError: not positive definite"
+            "20 faults in learning, restarted each time; last LinAlgError: not positive definite"
         )
         assert told == 20 * [("rf", "not positive definite")]
 

@@ -129,7 +129,7 @@ def test_a_leg_whose_lifts_are_never_heard_says_so(robot: Robot, baseline: Basel
         learner.update(sample)
         told.append(learner.status.note)
     assert told[28 * 15] is None
-    assert "no lift could be heard in" in str(told[-1])
+    assert "no lift could be used in" in str(told[-1])
     assert "changes of the leg are not followed" in str(told[-1])
     heard = ContactLearner(robot, "rf", baseline)
     play(heard, samples(*FakeLeg(seed=5).run(40)[:3]))
@@ -306,7 +306,7 @@ def test_a_baseline_of_another_leg_is_thrown_and_stays_so_over_a_restart(
     assert whole.status.status == "learning"
     note = whole.status.note
     assert re.fullmatch(
-        r"the baseline does not fit this leg: learning it anew \(\d+ of 20 swings\)", note
+        r"the baseline does not fit this leg: fitting a new model \(\d+ of 20 swings\)", note
     )
     for swings in (1, 2, 10):  # before the third lift has told, and after
         before = ContactLearner(robot, "rf", of_another)

@@ -57,6 +57,31 @@ def test_a_foot_that_does_not_come_along_is_held(robot: Robot, follow: float, he
     assert watch.judge.judge_travel() is held
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_foot_that_drops_onto_its_command_is_free_and_turned_readings_are_not(
+    robot: Robot, turned: bool
+) -> None:
+    """An obstacle held it 6 cm up and is gone; it comes down to the command and goes along."""
+    watch = Swings(robot)
+    rise = [0.0] * 5 + [0.006 * k for k in range(1, 11)] + [0.06, 0.05, 0.04]
+    height = 0.06
+    for k, asked in enumerate(rise):
+        behind = max(k - 3, 0)
+        if turned:
+            height = 0.06 - rise[behind]
+        elif k >= 5:
+            height = max(height - 0.015, rise[behind])
+        sample = ServoSample(
+            t_ns=k,
+            seq=k,
+            measured=inverse(LOW + np.array([0, 0.006 * behind, height]), LENGTHS).tolist(),
+            desired=inverse(LOW + np.array([0, 0.006 * k, asked]), LENGTHS).tolist(),
+            phase="swing" if k >= 5 else "stance",
+        )
+        watch.take(sample)
+    assert watch.judge.judge_travel() is turned
+
+
 def test_a_held_foot_has_to_come_further_to_be_free_again(robot: Robot) -> None:
     watch = Swings(robot)
     for follow, held in ((0.8, False), (0.3, True), (0.8, True), (1.0, False), (0.8, False)):
@@ -88,7 +113,7 @@ def test_samples_without_phase_are_told_of_while_they_come(robot: Robot) -> None
             watch.follow(ServoSample(t_ns=k, seq=k, measured=[0.0], desired=[0.0], phase=phase))
 
     feed(1, None)
-    assert "swings cannot be told" in str(watch.judge.phase_unknown_note)
+    assert "swings cannot be found" in str(watch.judge.phase_unknown_note)
     feed(RECENT_TICKS, "swing")
     assert watch.judge.phase_unknown_note is None
 

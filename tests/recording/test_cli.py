@@ -285,7 +285,7 @@ def test_record_for_a_time_and_of_one_key(router: Link, tmp_path: Path) -> None:
     output, errors = process.communicate(timeout=WAIT_S)
     assert process.returncode == 0
     assert "0 messages of 0 keys in 0.5 s" in output
-    assert "nothing was heard on 'robot/leg/*/truth'" in errors
+    assert "nothing was received on 'robot/leg/*/truth'" in errors
     assert list(read_recording(path)) == []
 
 

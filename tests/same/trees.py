@@ -1,8 +1,9 @@
 """Trees of revisions, and what their learners make of recordings; kept by content.
 
 An outcome is named by a hash of all that decides it: the tree's modules, the recording, the
-replaying program, and the versions of the interpreter and the packages.  So a revision is replayed
-once, and one that differs in its documents only is not replayed at all.
+replaying program, the versions of the interpreter and the packages, and what they compute with:
+BLAS has kernels of its own for each processor, which differ in the last digits.  So a revision is
+replayed once, and one that differs in its documents only is not replayed at all.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
+import llvmlite.binding
 import msgspec
+import numpy  # noqa: F401 - its BLAS is among the kernels
+import threadpoolctl
 
 __all__ = ["ROOT", "Playing", "Tree", "load", "missing", "of_revision", "playing", "working"]
 
@@ -198,6 +202,8 @@ def _key(tree: Tree, recording: Path) -> str:
         except importlib.metadata.PackageNotFoundError:
             digest.update(f"{package} -\0".encode())
     digest.update(_PLAY.read_bytes())
+    kernels = sorted(str(one.get("architecture")) for one in threadpoolctl.threadpool_info())
+    digest.update(f"{kernels} {llvmlite.binding.get_host_cpu_name()}".encode())
     return digest.hexdigest()[:16]
 
 

@@ -169,7 +169,9 @@ def test_one_wild_number_after_a_restart_of_the_service_counts_nothing() -> None
 def test_a_long_gap_over_a_restart_counts_though_the_service_is_killed_again_before() -> None:
     first = Admission(2, Position(1, 100))
     assert first.judge(sample(5000)) == USED
+    assert first.resuming
     again = Admission(2, first.position)
     told = [again.judge(sample(k)) for k in range(6000, 6010)]
     assert told == [USED] * 10
+    assert not again.resuming
     assert again.missed_down == 6000 - 101

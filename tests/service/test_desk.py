@@ -331,5 +331,5 @@ def test_a_source_that_begins_anew_is_logged_now_and_then(live: Live, sample: Sa
         for run in range(1, 6):
             life.hear(sample(1, run=run), sample(2, run=run))
             life.idle(20)
-    lines = [line for line in logs if line["event"] == "source began anew"]
+    lines = [line for line in logs if line["event"] == "source restarted"]
     assert [(line["leg"], line["times"]) for line in lines] == [("rf", 1)]

@@ -97,14 +97,18 @@ def test_the_subscriber_in_python_works(
 
 
 @pytest.mark.e2e
+@pytest.mark.parametrize("options", [(), ("--json",)], ids=["msgpack", "json"])
 def test_the_safe_subscriber_acts_on_no_old_contact_and_on_none_without_a_service(
-    serve: Any, join: Callable[..., Any], sample: Callable[..., ServoSample]
+    serve: Any,
+    join: Callable[..., Any],
+    sample: Callable[..., ServoSample],
+    options: tuple[str, ...],
 ) -> None:
     part = TEXT.split("## A safe subscriber")[1]
     (code,) = re.findall(r"```python\n(.*?)```", part, re.DOTALL)
     names: dict[str, Any] = {}
     exec(code, names)
-    served = serve()
+    served = serve(*options)
     config = zenoh.Config.from_json5(
         f'{{mode: "client", connect: {{endpoints: ["{served.endpoint}"]}}}}'
     )

@@ -142,7 +142,7 @@ def test_contacts_told_while_a_subscribers_link_is_cut_are_counted(
         now = seen(lambda leg: leg.unheard == lost).contacts
         seen(lambda leg: leg.contacts > now + 4 and leg.unheard == lost)
         assert (
-            f"{lost} contacts told and not heard here"
+            f"{lost} contacts reported but not received here"
             in rig.headline(feed.view(time.monotonic_ns())).plain
         )
     assert served.stop() == 0
@@ -194,7 +194,7 @@ def test_a_source_restarted_with_another_clock(serve: Any, rig: ModuleType, run:
         if run is None:
             assert "time_backwards 9" in watched
     assert served.stop() == 0
-    assert re.search(r"source began anew .*leg=rf", served.log.read_text())
+    assert re.search(r"source restarted .*leg=rf", served.log.read_text())
 
 
 def test_a_source_restarted_that_counts_anew(serve: Any, rig: ModuleType) -> None:

@@ -144,7 +144,7 @@ def test_contacts_that_did_not_arrive_are_counted() -> None:
     watch.event(event(2500), 4 * S)  # nor is twice more than once
     assert row(watch).unheard == 1
     watch.service(service())
-    assert "1 contact told and not heard here" in headline(watch.view(4 * S)).plain
+    assert "1 contact reported but not received here" in headline(watch.view(4 * S)).plain
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ class StateStore:
     def reopen(self) -> bool:
         """Try to get hold of the folder, if that has not worked yet; False where it does not.
 
-        One that was removed is made anew: a lock on what was there keeps nobody out.
+        One that was removed is made again: a lock on what was there keeps nobody out.
         """
         if self._lock is not None:
             if self._in_place(self._lock):
@@ -163,7 +163,7 @@ class StateStore:
             return 0
 
     def set_aside(self, path: Path) -> None:
-        """Take a refused state out of the way, keeping it for whoever wants to look."""
+        """Take a refused state out of the way, keeping it for inspection."""
         with contextlib.suppress(OSError):  # a read-only folder keeps it where it is
             if self.trouble is None:  # the newest and the one before may both be refused
                 self._rename(path.name, f"{path.name}{REFUSED}")

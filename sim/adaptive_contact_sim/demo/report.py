@@ -1,6 +1,6 @@
 """``report.png``: the run in one picture.
 
-Title in words; truth and events leg by leg; how well each model foretells its leg; what was found
+Title in words; truth and events leg by leg; how well each model predicts its leg; what was found
 and what was false before and after the drift; how long it took.
 """
 
@@ -273,10 +273,11 @@ def _bars(axes: Axes, verdict: Verdict, value: Callable[[Summary], tuple[float, 
 
 
 def _latency(axes: Axes, verdict: Verdict) -> None:
-    """Touch to event, all legs, the whole run."""
+    """Touch to event, all legs, before and after the drift."""
     outcomes = verdict.service.outcomes
     latency_ms = np.concatenate([o.touches.latency_ns[o.touches.found] for o in outcomes]) / 1e6
-    axes.set_title("from touch to event, ms")
+    axes.set_title("from touch to event")
+    axes.set_xlabel("ms; all legs, whole run", labelpad=2)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
     longest = max(60.0, float(latency_ms.max(initial=0.0)))

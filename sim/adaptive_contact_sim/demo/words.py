@@ -12,14 +12,14 @@ __all__ = ["outcome_words", "percent", "touches_words"]
 
 
 def touches_words(settings: DemoSettings, verdict: Verdict) -> str:
-    """How well contacts are told while nothing drifts."""
+    """How well contacts are found before the drift."""
     total = verdict.service.before.total
     counted = total.counted
     latency = counted.latency
-    delay = "" if latency is None else f", half of them within {latency.median_ms:.0f} ms"
+    delay = "" if latency is None else f", half within {latency.median_ms:.0f} ms"
     return (
-        f"{counted.found} of {counted.touches} touches found from servo positions alone{delay}, "
-        f"{_alarms(total)}"
+        f"Before the drift: {counted.found} of {counted.touches} touches found from servo "
+        f"positions{delay}, {_alarms(total)}"
     )
 
 
@@ -27,10 +27,10 @@ def outcome_words(settings: DemoSettings, verdict: Verdict) -> tuple[str, ...]:
     """What the drift did, and what became of it; one line each."""
     leg = verdict.drift_leg
     service, frozen = verdict.service, verdict.frozen
-    what = f"Then {drift_words(settings)} on leg {leg}"
+    what = f"After the drift ({drift_words(settings)} on leg {leg})"
     if not _hurt(frozen, leg):
         after = service.after.total
-        return (f"{what}: no harm done, {_share(after)} from then on, {_alarms(after)}.",)
+        return (f"{what}: no harm done, {_share(after)} touches found, {_alarms(after)}.",)
     old, own = frozen.after.legs[leg], service.after.legs[leg]
     rest = others(service.after, leg)
     if service.recovery is None:
@@ -40,7 +40,7 @@ def outcome_words(settings: DemoSettings, verdict: Verdict) -> tuple[str, ...]:
     else:
         back = f"The service follows the leg and is back after {_swings(service.recovery)}"
     return (
-        f"{what}: a frozen model finds {_share(old)} there, with {_alarms(old)}.",
+        f"{what}: a frozen model finds {_share(old)} touches of {leg}, with {_alarms(old)}.",
         f"{back}: {_share(own)}, {_alarms(own)}. The other legs: {_share(rest)}, {_alarms(rest)}.",
     )
 

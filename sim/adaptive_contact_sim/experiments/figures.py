@@ -284,7 +284,7 @@ def _collision(data: Any) -> Figure:
         "body attitude\n(deg)",
         "joint torque\n(N m)",
         "position error:\ncommand − reading\n(deg)",
-        "predicted error:\nreading − foretold\n(deg)",
+        "predicted error:\nreading − predicted\n(deg)",
         "change of\n|predicted error|\n(deg)",
     )
     events = [

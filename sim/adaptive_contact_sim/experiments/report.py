@@ -27,11 +27,13 @@ _CAPTIONS: Final = {
     "and what R² does not show. Violet: the λ picked on held-out swings; dashed: λ = 5; grey: some "
     "state has lost all its terms.",
     "paper-collision": "Figure 5 of the paper: one collision (the one drawn in the table). The "
-    "predicted error is the reading less what was foretold a tick before; the rule looks at the "
+    "predicted error is the reading less what was predicted a tick before; the rule looks at the "
     "change of its size.",
     "paper-roc": "Thresholds swept, on the headline's touches; circles: the aim of one false alarm "
     "per hour. Star: the default detector as it runs, squares: played at other aims; cross: the "
-    "ungated learner. What was never seen is drawn where half an alarm would be.",
+    "ungated learner. Left end: no false alarm was seen, drawn where half an alarm would be. Right "
+    "end: with a lower threshold so many free ticks pass that alarms are not counted. A curve that "
+    "falls to the right misses touches because of a false alarm shortly before.",
     "paper-tails": "Share of free ticks that score above a value, and above it the highest score "
     "within 120 ms of a headline touch (5, 50, 95 %): a detector finds the touches that score "
     "right of its threshold.",

@@ -33,7 +33,7 @@ STEPS: Final = {
     "mass100": ("100 g of mud at the foot", What("mass", 0.1)),
     "viscous4": ("four times the viscous friction", What("viscous", 4.0)),
     "winding16": ("motors 40 K warmer: 16 % more resistance", What("winding", 1.16)),
-    "backlash1": ("one degree of play in every gear", What("backlash", math.radians(1.0))),
+    "backlash1": ("one degree of backlash in every gear", What("backlash", math.radians(1.0))),
     "offset3": ("a horn slips by three steps", What("offset", 0.0153, turning=True)),
     "dropout3": ("3 % of readings stop coming", What("dropout", 0.03)),
 }

@@ -63,9 +63,9 @@ What stands in the way of each, and what was tried, is in
 """
 
 _KINDS: Final = """\
-Leg-runs by the kind of change that the status told last (`drift.kind`): rubbing is `friction`;
-supply, winding and compliance are `drive`; mud is `load`. Play, slipped horns and lost readings
-have no kind. Nothing is told of a leg that was never found changed, or while no kind explains
+Leg-runs by the kind of change that the status reported last (`drift.kind`): rubbing is `friction`;
+supply, winding and compliance are `drive`; mud is `load`. Backlash, slipped horns and lost readings
+have no kind. No kind is reported of a leg that was never found changed, or while no kind explains
 enough and more than the others.
 """
 
@@ -76,7 +76,7 @@ Every recording is simulated once and replayed through five learners side by sid
 
 | learner | what it does |
 |---|---|
-| `frozen` | the baseline, for ever |
+| `frozen` | the baseline, never updated |
 | `ungated` | recursive least squares over every tick, contacts and all |
 | `refit` | gated; sparse refits only, no recursion |
 | `rls` | gated; recursion only, no refits |
@@ -100,11 +100,11 @@ Every recording is simulated once and replayed through five learners side by sid
 - A *lock-out* is the longest run of swings with a missed touch or a false alarm, from the change
   on; swings that could not have shown a blind leg are passed over.
 - A learner is *valid* after the first swing that begins 20 of which it says so, one after the
-  other: a single swing that it doubts minutes later is no part of how it began.
+  other: a single ambiguous swing minutes later is not part of its start.
 - *Contact learned* is the share of the ticks a learner took for free on which the leg touched
   anything between the sample before and this one, by the simulator's truth. A foot that is caught
   counts as touching for as long as it is held. The swings that a cold start makes its first
-  model of are not in it: decision 14 tells what these held.
+  model of are not in it: decision 14 has what these held.
 - In pose the three legs of a tripod move in a run, each with its own trials and obstacles, while
   the robot stands on the other three; runs take turns between the tripods and the workspaces, and
   about half of the swings meet an obstacle. A foot is caught of a leg that moves alone. In a walk
@@ -252,7 +252,7 @@ def _full_table(table: Tree) -> str:
 
 
 def _kinds_table(table: Tree) -> list[str]:
-    """What the full learner took changes for, where it told of any."""
+    """What the full learner took changes for, if it reported any."""
     rows = []
     for name, tree in table.items():
         for mark, recovery in tree["variants"][Variant.FULL.value]["recovery"].items():
@@ -263,7 +263,7 @@ def _kinds_table(table: Tree) -> list[str]:
             rows.append(f"| {_link(name)} | {mark} | {counts} |")
     if not rows:
         return []
-    head = f"| scenario | after | {' | '.join(KINDS)} | {NOTHING} told |"
+    head = f"| scenario | after | {' | '.join(KINDS)} | no kind |"
     rule = "|---|---|" + "---|" * (len(KINDS) + 1)
     return ["## What changes were taken for\n", _KINDS, "\n".join([head, rule, *rows, ""])]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from adaptive_contact_sim.trials.canvas import COLOURS, INK, figure, save
+from adaptive_contact_sim.trials.goals import ALARMS_PER_HOUR, RECOVERY_MEDIAN
 from adaptive_contact_sim.trials.spec import Variant
 
 __all__ = ["draw_summary"]
@@ -22,6 +23,13 @@ _NEVER: Final = 400.0
 _ROW_IN: Final = 0.27
 # Between the learners of a scenario, so that none hides another.
 _SPREAD: Final = 0.16
+_LEARNERS: Final = {
+    Variant.FROZEN: "frozen: the baseline, never updated",
+    Variant.UNGATED: "ungated: recursive least squares on every tick",
+    Variant.REFIT: "refit: sparse refits only",
+    Variant.RLS: "rls: recursion only",
+    Variant.FULL: "full: the product",
+}
 
 
 def draw_summary(results: Tree, path: Path) -> None:
@@ -37,9 +45,10 @@ def draw_summary(results: Tree, path: Path) -> None:
     """
     table = results["scenarios"]
     names = list(table)
-    page = figure(11.5, 1.9 + _ROW_IN * len(names))
+    page = figure(15.0, 1.9 + _ROW_IN * len(names))
     page.suptitle(
-        "Every scenario, every learner: after the change, or over all of it",
+        "Every scenario, every learner: figures after the change, or of the whole recording where "
+        "nothing changes; less is better",
         x=0.01,
         ha="left",
         color=INK,
@@ -70,26 +79,46 @@ def draw_summary(results: Tree, path: Path) -> None:
     titles = (
         "Touches missed, %",
         "False alarms per robot-hour",
-        "Swings to recovery, median to p95",
+        "Swings to recovery: dot is the median, line ends at p95",
     )
-    limits = (None, 5.0, 10.0)
+    limits = (
+        None,
+        (ALARMS_PER_HOUR, f"goal of the steady scenarios: ≤ {ALARMS_PER_HOUR:g}"),
+        (RECOVERY_MEDIAN, f"goal of the median: ≤ {RECOVERY_MEDIAN:g}"),
+    )
     for ax, title, limit in zip(axes, titles, limits, strict=True):
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter("{x:g}")
-        ax.set_title(title)
+        ax.set_title(title, pad=20)
         ax.grid(axis="y", color="#eeeeee", lw=0.8, zorder=0)
         ax.tick_params(axis="y", length=0)
         if limit is not None:
-            ax.axvline(limit, color=INK, lw=0.8, ls=(0, (4, 3)))
+            value, words = limit
+            ax.axvline(value, color=INK, lw=0.8, ls=(0, (4, 3)))
+            ax.annotate(
+                words,
+                (value, 1.0),
+                (0, 3),
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                ha="center",
+                va="bottom",
+                color=INK,
+            )
     least = 100.0 * _LEAST_MISSED
     axes[0].set_xticks([least, 1, 10, 100], [f"≤ {least:g}", "1", "10", "100"])
     rates = [10**decade for decade in range(1, 5)]
     axes[1].set_xticks([_LEAST_RATE, *rates], [f"≤ {_LEAST_RATE:g}", *map(str, rates)])
     axes[2].set_xticks([_NONE, 1, 10, 100, _NEVER], ["0", "1", "10", "100", "never"])
-    axes[0].set_yticks(range(len(names)), names)
+    axes[0].set_yticks(range(len(names)), [table[name]["about"] for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
+    # What the report calls each of them.
+    codes = axes[2].secondary_yaxis("right")
+    codes.set_yticks(range(len(names)), names)
+    codes.tick_params(axis="y", length=0)
+    codes.spines["right"].set_visible(False)
     handles = [
-        axes[0].plot([], [], "o", color=COLOURS[variant], label=variant.value)[0]
+        axes[0].plot([], [], "o", color=COLOURS[variant], label=_LEARNERS[variant])[0]
         for variant in Variant
     ]
     page.legend(handles=handles, loc="outside lower left", ncols=len(handles))

@@ -237,7 +237,7 @@ def _scene() -> mujoco.MjModel:
     folder = resources.files("adaptive_contact_models").joinpath("quadruped")
     file = folder.joinpath("quadruped.xml")
     if not file.is_file():
-        raise ConfigurationError("the quadruped's model is missing; install adaptive-contact anew")
+        raise ConfigurationError("the quadruped's model is missing; install adaptive-contact again")
     spec = mujoco.MjSpec.from_string(file.read_text(encoding="utf-8"))
     for leg in LEGS:
         body = spec.worldbody.add_body(name=f"plate_{leg}", mocap=True, pos=list(_PARKED_M))

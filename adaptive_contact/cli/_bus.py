@@ -1,0 +1,129 @@
+"""What commands need that speak to servos on a bus: which robot, which ports, a handshake."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from adaptive_contact.cli._output import say
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+
+if TYPE_CHECKING:
+    from adaptive_contact.bridge.plan import PortPlan
+    from adaptive_contact.robot import Robot
+
+__all__ = [
+    "DeviceOption",
+    "described_in",
+    "devices_of",
+    "needs_sdk",
+    "plans_of",
+    "robot_of",
+    "shake_hands",
+]
+
+DeviceOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--device",
+        metavar="[PORT=]PATH",
+        help="Serial port instead of robot.toml's, such as /dev/ttyUSB0 or left=/dev/ttyUSB1; "
+        "repeatable.",
+        show_default=False,
+    ),
+]
+
+
+@contextlib.contextmanager
+def needs_sdk() -> Iterator[None]:
+    """Around imports of the bridge: a missing DynamixelSDK is told in one line."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] not in ("dynamixel_sdk", "serial"):
+            raise
+        raise MissingExtraError("the Dynamixel bridge", "dynamixel") from error
+
+
+def robot_of(config: Path | None) -> Robot:
+    """The robot described, or the shipped hexapod."""
+    from adaptive_contact.robot import load_robot, shipped_robot
+
+    return shipped_robot() if config is None else load_robot(config)
+
+
+def described_in(config: Path | None) -> str:
+    """Name the file of a description for a person."""
+    return "the shipped robot, as there is no --config" if config is None else str(config)
+
+
+def plans_of(
+    robot: Robot, config: Path | None, device: list[str] | None, baud: int | None = None
+) -> tuple[PortPlan, ...]:
+    """What each port has to do; an error names the robot's file.
+
+    Raises:
+        ConfigurationError: there is no port, no servo, or something is unknown.
+    """
+    from adaptive_contact.bridge.plan import plan_ports
+    from adaptive_contact.bridge.tables import BAUDS
+
+    if baud is not None and baud not in BAUDS:
+        raise ConfigurationError(
+            f"--baud {baud} is not supported; expected one of {', '.join(map(str, BAUDS))}"
+        )
+    devices = devices_of(device)
+    try:
+        return plan_ports(robot, devices, baud=baud)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{described_in(config)}: {error}") from error
+
+
+def devices_of(given: list[str] | None) -> dict[str, str]:
+    """Devices of ``--device``, by port.
+
+    Raises:
+        ConfigurationError: a port is given twice.
+    """
+    from adaptive_contact.bridge.plan import DEFAULT_PORT
+
+    devices: dict[str, str] = {}
+    for text in given or ():
+        name, equals, path = text.partition("=")
+        if not equals:
+            name, path = DEFAULT_PORT, text
+        if name in devices:
+            raise ConfigurationError(f"--device gives port '{name}' twice; give each once")
+        devices[name] = path
+    return devices
+
+
+def shake_hands(
+    plans: Sequence[PortPlan],
+    by: str = "adaptive-contact",
+    *,
+    configure: bool = False,
+    drive: bool = False,
+) -> None:
+    """Make sure that the servos are those described, and say what was set or should be.
+
+    Args:
+        plans: what is expected on each port.
+        by: which command says so.
+        configure: write what should be set differently, EEPROM included.
+        drive: they are to be driven, not only observed.
+
+    Raises:
+        BusError: something stands in the way.
+    """
+    with needs_sdk():
+        from adaptive_contact.bridge.handshake import check_ports
+
+    findings = check_ports(plans, configure=configure, drive=drive)
+    for line in findings.done + findings.advice:
+        say(f"{by}: {line}", err=True)
+    findings.raise_errors()
