@@ -155,7 +155,7 @@ def compare_parts(leg, parts, swing, ended):
         leg.swapped = leg.slow_swings >= SLOW_SWINGS
     elif slower and (ended or not swing):
         fall = parts[in_stance, FALL]
-        leg.swapped = fall > LEAST_FALL_M and parts[in_swing, FALL] <= FALL_SHARE * fall
+        leg.swapped = fall > LEAST_FALL_M * leg.size and parts[in_swing, FALL] <= FALL_SHARE * fall
 
 
 @compiled

@@ -83,6 +83,7 @@ LEG: Final = np.dtype(
     [
         # Description.
         ("has_lengths", b1),  # geometry is known: `lengths_m`
+        ("size", f8),  # of the leg, in the hexapod's; limits of lengths are in proportion
         ("quantum", f8),  # rad, position step of the servos
         ("max_step", f8),  # rad per tick, beyond which a reading is impossible
         ("length", i4),  # samples in a row before a prediction
@@ -285,7 +286,8 @@ def new_legs(count: int) -> NDArray[np.void]:
 
 _BEGINNING: Final = {
     "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
-    "sound": True, "variance_scale": 1.0, "loaded": True, "hole_ns": -1, "surface": -np.inf,
+    "sound": True, "size": 1.0, "variance_scale": 1.0, "loaded": True, "hole_ns": -1,
+    "surface": -np.inf,
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
     "apex": -np.inf, "asked_n": 1, "low_at_m": np.inf, "untouched_ns": -1, "phase_part": -1,
     "resolved_fallen": np.nan, "began_count": 1,

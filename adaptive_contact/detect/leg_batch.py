@@ -134,6 +134,7 @@ class LegBatch:
             legs_[row]["period_ns"] = period_ns
             legs_[row]["has_lengths"] = leg.chain is not None
             if leg.chain is not None:
+                legs_[row]["size"] = leg.chain.size
                 self.links[row], self.turns[row] = tabulate(leg.chain)
 
     @property

@@ -17,6 +17,7 @@ from adaptive_contact.detect.layout import ASKED, HEIGHTS, LOW_TICKS, PATH_TICKS
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, RISE_M, STILL_M, STILL_TICKS
 from adaptive_contact.robot.kinematics import Chain
 
+# Lengths are of a leg of 0.256 m, and in proportion for others (`Chain.size`).
 # A foot this far above where it stood has left the ground.  Ground that gives, and legs that were
 # pressed, let it rise before that: by less in all but one tick in a thousand on hard ground and
 # on soft.
@@ -155,11 +156,11 @@ def infer_phase(leg, height, low):
         least = height
         for k in range(leg.low_n):
             least = min(least, low[(leg.low_at - 1 - k) % LOW_TICKS])
-        if height > before and height - least > RISE_M:
+        if height > before and height - least > RISE_M * leg.size:
             leg.swing_phase, leg.apex, leg.still = True, height, 0
     else:
         leg.apex = max(leg.apex, height)
-        still = abs(height - before) < STILL_M and height < leg.apex - RISE_M
+        still = abs(height - before) < STILL_M * leg.size and height < leg.apex - RISE_M * leg.size
         leg.still = leg.still + 1 if still else 0
         if leg.still >= STILL_TICKS:
             leg.swing_phase = False
@@ -261,7 +262,9 @@ def follow_command(
             leg.rise = leg.moved = 0.0
             leg.asked_n = 1
             asked[0] = 0.0
-            leg.surface = leg.touch_before if start[2] < leg.touch_at - SUNK_M else -np.inf
+            leg.surface = (
+                leg.touch_before if start[2] < leg.touch_at - SUNK_M * leg.size else -np.inf
+            )
             leg.touch_at = leg.touch_before = -np.inf
             leg.top = leg.low_at_m = start[2]
             leg.fallen = np.nan
@@ -297,7 +300,7 @@ def follow_foot(
         leg.rising = half >= LIFT_TICKS and LIFT_OFF_TICKS < leg.ticks <= half
         return
     out = foot[2] > leg.surface or leg.ticks >= SOFT_TICKS
-    leg.cleared = out and (leg.rise > CLEARANCE_M or leg.ticks >= CLEAR_TICKS)
+    leg.cleared = out and (leg.rise > CLEARANCE_M * leg.size or leg.ticks >= CLEAR_TICKS)
     place_foot(reading, links, turns, now)
     leg.rising = now[2] > foot[2]
     for k in range(3):

@@ -24,7 +24,8 @@ __all__ = ["Landings", "Rollout", "SwingJudge"]
 _Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Rollout = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 
-# A command that takes the foot no further does not show whether the foot follows.
+# A command that takes the foot no further does not show whether the foot follows; of a leg of
+# 0.256 m, and in proportion for others.
 LEAST_WAY_M: Final = 0.015
 # A foot that has come less than this share of its command's way by the top of the lift is held:
 # caught ones 95 times in 100; free ones, those of tired legs among them, 1 to 4 times.  It is taken
@@ -84,6 +85,8 @@ class SwingJudge:
         self._leg = leg
         self._place = place
         self._unasked = 0  # lifts in a row that told nothing of a hold
+        size = 1.0 if leg.chain is None else leg.chain.size
+        self._lifted_m, self._least_way_m = LIFTED_M * size, LEAST_WAY_M * size
 
     @property
     def ticks(self) -> int:
@@ -103,12 +106,12 @@ class SwingJudge:
     @property
     def lifted(self) -> bool:
         """Whether the foot has come up at all; assumed without geometry."""
-        return self._leg.chain is None or float(self._place.leg["rise"]) > LIFTED_M
+        return self._leg.chain is None or float(self._place.leg["rise"]) > self._lifted_m
 
     @property
     def had_lifted(self) -> bool:
         """The same of the swing that has ended last."""
-        return self._leg.chain is None or float(self._place.leg["resolved_rise"]) > LIFTED_M
+        return self._leg.chain is None or float(self._place.leg["resolved_rise"]) > self._lifted_m
 
     @property
     def phase_unknown_note(self) -> str | None:
@@ -145,7 +148,7 @@ class SwingJudge:
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         count = int(leg["asked_n"])
         asked = float(batch.asked[row, (count - min(count, ASKED)) % ASKED])
-        if asked <= LEAST_WAY_M:
+        if asked <= self._least_way_m:
             # In a gait of small steps nothing would ever show that the foot is free again.
             self._unasked += 1
             if self._unasked >= FORGET_SWINGS:
@@ -165,7 +168,7 @@ class SwingJudge:
             start = batch.start[row].tolist()
             way = max((math.dist(place, start) for place in places), default=0.0)
             whole = len(places) == len(path)  # else the model ran away
-            if whole and LEAST_WAY_M < way < FREE_SHARE * asked:
+            if whole and self._least_way_m < way < FREE_SHARE * asked:
                 self.travel_ratio = moved / way
         if self._turned_around():
             self.travel_ratio = 0.0
@@ -180,13 +183,13 @@ class SwingJudge:
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         start = float(batch.start[row, 2])
         fell = start - float(leg["low_at_m"])
-        if self.lifted or fell < LEAST_WAY_M * TURNED_SHARE:
+        if self.lifted or fell < self._least_way_m * TURNED_SHARE:
             return False
         path = batch.path[row, : int(leg["path_n"])].tolist()
         heights = [self._foot(angles)[2] for angles in path]
         asked = max(heights) - min(heights[0], start)
         below = heights[-1] - float(batch.foot[row, 2])
-        return asked > LEAST_WAY_M and min(fell, below) > TURNED_SHARE * asked
+        return asked > self._least_way_m and min(fell, below) > TURNED_SHARE * asked
 
     def touched(self, ticks: int) -> None:
         """Note the foot's height at a contact, whose onset was so many ticks ago."""

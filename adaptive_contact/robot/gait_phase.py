@@ -20,6 +20,7 @@ from adaptive_contact.wire import Phase
 
 __all__ = ["Direction", "PhaseTracker", "directions", "infer_phase"]
 
+# Lengths are of a leg of 0.256 m, and in proportion for others (`Chain.size`).
 # A swing begins once the command has risen this far out of the low of the last LOW_TICKS.  The
 # posture control of a walking robot moves stance feet by less within a fifth of a second.
 RISE_M: Final = 0.004
@@ -41,9 +42,15 @@ class Direction(enum.IntEnum):
 
 @dataclasses.dataclass
 class PhaseTracker:
-    """Follows the height of one leg's commanded foot, one tick at a time."""
+    """Follows the height of one leg's commanded foot, one tick at a time.
+
+    Attributes:
+        phase: at the last tick.
+        size: of the leg, in the hexapod's.
+    """
 
     phase: Phase = "stance"
+    size: float = 1.0
     _heights: deque[float] = dataclasses.field(default_factory=lambda: deque(maxlen=LOW_TICKS))
     _apex: float = -np.inf
     _still: int = 0
@@ -57,14 +64,15 @@ class PhaseTracker:
         Returns:
             The phase at this tick.
         """
+        rise_m = RISE_M * self.size
         before = self._heights[-1] if self._heights else height
         self._heights.append(height)
         if self.phase == "stance":
-            if height > before and height - min(self._heights) > RISE_M:
+            if height > before and height - min(self._heights) > rise_m:
                 self.phase, self._apex, self._still = "swing", height, 0
         else:
             self._apex = max(self._apex, height)
-            still = abs(height - before) < STILL_M and height < self._apex - RISE_M
+            still = abs(height - before) < STILL_M * self.size and height < self._apex - rise_m
             self._still = self._still + 1 if still else 0
             if self._still >= STILL_TICKS:
                 self.phase = "stance"
@@ -77,7 +85,7 @@ def infer_phase(desired: NDArray[np.float64], leg: Leg) -> NDArray[np.bool_] | N
     """Swing mask of a stream of commands, (n, J) rad to (n,) bool; None without geometry."""
     if leg.chain is None:
         return None
-    tracker = PhaseTracker()
+    tracker = PhaseTracker(size=leg.chain.size)
     heights = leg.chain.foot(desired)[:, 2].tolist()
     return np.array([tracker.update(height) == "swing" for height in heights], dtype=bool)
 

@@ -58,6 +58,8 @@ AXES: Final[dict[str, Vector]] = {
     "pitch": (0.0, -1.0, 0.0),
     "yaw": (0.0, 0.0, 1.0),
 }
+# Reach of the leg on which limits of lengths were measured: the PhantomX-class hexapod's.
+HEXAPOD_REACH_M: Final = 0.256
 # A joint that raises the foot by less than this share of the leg's reach per rad does not.
 _LEAST_RISE: Final = 1e-9
 # Postures that are looked at to find out; no joint is at a singularity in all of them.
@@ -104,6 +106,11 @@ class Chain:
     def reach_m(self) -> float:
         """No foot is further from its first joint, m."""
         return sum(math.hypot(*origin) for origin in self.origins_m)
+
+    @cached_property
+    def size(self) -> float:
+        """Reach in those of the hexapod's legs, whose limits in m hold for others in proportion."""
+        return self.reach_m / HEXAPOD_REACH_M
 
     @cached_property
     def lifts(self) -> NDArray[np.bool_]:

@@ -101,9 +101,9 @@ def is_shipped(path: str | Path) -> bool:
 
 
 def recorded_as(name: str) -> Robot | None:
-    """Load the shipped robot whose description says this name; None if there is none."""
-    robots = (shipped_robot(folder) for folder in _shipped_names())
-    return next((robot for robot in robots if robot.name == name), None)
+    """Load the shipped robot of this name, its folder's or its own; None if there is none."""
+    robots = {folder: shipped_robot(folder) for folder in _shipped_names()}
+    return next((one for at, one in robots.items() if name in (at, one.name)), None)
 
 
 def _shipped_names() -> list[str]:

@@ -17,7 +17,6 @@ import numpy as np
 
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import PhaseTracker
-from adaptive_contact.robot.kinematics import foot
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.ports import Learner
 from adaptive_contact.wire import LegTrace, Rejected, ServoSample, decode, leg_of_key, trace_key
@@ -64,17 +63,18 @@ class _Leg:
         self.ticks: deque[_Tick] = deque(maxlen=MOST_TICKS)
         self.frame = None if described is None else AngleFrame(described)
         self._described = described
-        self._tracker = PhaseTracker()
+        chain = None if described is None else described.chain
+        self._tracker = PhaseTracker(size=1.0 if chain is None else chain.size)
 
     def swing(self, sample: ServoSample) -> bool | None:
         """Whether the sample, or else its command, says that the leg swings."""
         if sample.phase is not None:
             return sample.phase == "swing"
         leg = self._described
-        if leg is None or leg.lengths_m is None or len(sample.desired) != len(leg.joints):
+        if leg is None or leg.chain is None or len(sample.desired) != len(leg.joints):
             return None
         desired = sample.desired if self.frame is None else self.frame.angles(sample.desired)
-        height = float(foot(np.array([desired]), leg.lengths_m, leg.joint_axes)[0, 2])
+        height = leg.chain.point(desired)[2]
         return self._tracker.update(height) == "swing"
 
     def predicted(self, sample: ServoSample, residual: list[float]) -> list[float]:

@@ -8,6 +8,7 @@ import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import load_robot, parse_robot, shipped_robot
+from adaptive_contact.robot.load import is_shipped, recorded_as
 
 GOOD = """
 [robot]
@@ -139,6 +140,20 @@ def test_a_missing_file_and_a_missing_leg(tmp_path: Path) -> None:
     names = "there are hexapod, leg5, quadruped, quadruped12, others"
     with pytest.raises(ConfigurationError, match=names):
         shipped_robot("octopus")
+
+
+def test_a_name_is_a_robot_that_ships(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert load_robot("quadruped12") == shipped_robot("quadruped12")
+    assert is_shipped("hexapod")
+    assert not is_shipped("hexapod/robot.toml")
+    with pytest.raises(ConfigurationError, match=r"or a shipped robot's name \(hexapod, leg5, "):
+        load_robot("octopus")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hexapod").write_text(GOOD)  # a file of that name comes first
+    assert load_robot("hexapod") == parse_robot(GOOD, source="x")
+    for name in ("hexapod", "hexapod-ax12a"):
+        assert recorded_as(name) == shipped_robot("hexapod")
+    assert recorded_as("octopus") is None
 
 
 def test_an_axis_is_a_word_or_a_direction() -> None:

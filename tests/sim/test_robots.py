@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adaptive_contact.cli import main
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run, record_arrays
+from adaptive_contact_sim.demo import DemoSettings
 from adaptive_contact_sim.drift_spec import parse_drift
 from adaptive_contact_sim.gait import GAITS, Sway
 from adaptive_contact_sim.legs import ChainLegs, LegGeometry
 from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
 from adaptive_contact_sim.scenario import parse_scenario
 from adaptive_contact_sim.servo import STS3215, XM430_W210, ServoBank, ServoKind
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.training import TRAINING_RUNS, learn_shipped
 from adaptive_contact_sim.walk import WalkSettings
 
 
@@ -203,6 +213,102 @@ def test_a_scenario_names_its_robot() -> None:
     assert scenario.settings.period_s == 0.01
     with pytest.raises(ConfigurationError, match="x: no robot 'cat' is simulated"):
         parse_scenario('mode = "walk"\nrobot = "cat"', name="x", source="x")
+
+
+def test_a_recording_names_its_robot(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --config, and with the baseline that ships."""
+    base = SimulationSettings.of("leg5", "pose")
+    assert isinstance(base.motion, PoseSettings)
+    plates = dataclasses.replace(base.motion.obstacles, probability=0.6)
+    motion = dataclasses.replace(base.motion, obstacles=plates)
+    path, events = tmp_path / "leg.mcap", tmp_path / "leg.jsonl"
+    record_file(dataclasses.replace(base, motion=motion, seed=31), 60.0, path)
+    for command in (
+        ["replay", str(path), "--events", str(events)],
+        ["score", str(path), "--events", str(events), "--json"],
+    ):
+        monkeypatch.setattr(sys, "argv", ["adaptive-contact", *command])
+        with pytest.raises(SystemExit) as ended:
+            main.main()
+        assert ended.value.code in (0, None)
+    out, err = capfd.readouterr()
+    assert "taken for the shipped robot 'leg5' (leg; 20 ms)" in err
+    found = json.loads(out)
+    assert found["counted"]["touches"] > 20
+    assert found["counted"]["found"] >= found["counted"]["touches"] - 1
+    assert found["false_alarms"] <= 1
+
+
+@pytest.mark.parametrize(("gait", "seconds"), [("trot", 10.0), ("walk", 20.0)])
+def test_the_quadrupeds_baseline_finds_its_touches(gait: str, seconds: float) -> None:
+    run = quadruped(gait, "rough", seconds)
+    robot, baseline = shipped_robot("quadruped12"), shipped_baseline("quadruped12")
+    assert baseline is not None
+    touches = found = alarms = 0
+    for leg, stream in run.legs.items():
+        learner = ContactLearner(robot, leg, baseline)
+        begun = []
+        for k, t_ns in enumerate(run.t_ns.tolist()):
+            phase = "swing" if stream.swing[k] else "stance"
+            event = learner.update(
+                ServoSample(
+                    t_ns=t_ns,
+                    seq=k,
+                    measured=stream.measured[k].tolist(),
+                    desired=stream.desired[k].tolist(),
+                    phase=phase,  # type: ignore[arg-type]
+                )
+            )
+            if event is not None and event.contact:
+                begun.append(k)
+        # Of descents; a touch counts for an alarm in the sample before it, too.
+        onsets = [o.tick for o in stream.onsets if o.tick > 50]  # later than standing at first
+        onsets = [at for at in onsets if stream.swing[at - 12 : at].all()]
+        near = [any(-1 <= at - onset <= 12 for at in begun) for onset in onsets]
+        touches, found = touches + len(onsets), found + sum(near)
+        every = [o.tick for o in stream.onsets]
+        alarms += sum(not any(-2 <= at - onset <= 50 for onset in every) for at in begun)
+    assert touches > 20
+    assert found >= 0.97 * touches
+    assert alarms <= 1
+
+
+def test_shipped_baselines_are_of_the_runs_that_are_named() -> None:
+    assert set(TRAINING_RUNS) == set(ROBOTS)
+    seeds = [run.settings.seed for runs in TRAINING_RUNS.values() for run in runs]
+    assert len(set(seeds)) == len(seeds)
+    assert 1000 < min(seeds) <= max(seeds) < 5000  # reports use others
+    for name, runs in TRAINING_RUNS.items():
+        assert {run.settings.robot for run in runs} == {name}
+        baseline = shipped_baseline(ROBOTS[name].description.name)
+        assert baseline is not None
+        assert set(baseline.legs) == set(ROBOTS[name].layout.legs)
+        seconds = sum(run.seconds for run in runs)
+        said = f"{len(runs)} simulated runs, {seconds:.0f} s, seeds {runs[0].settings.seed} to "
+        assert said in baseline.origin
+        assert baseline.origin.endswith("; ".join(run.name for run in runs))
+
+
+def test_a_robot_learns_its_own_runs() -> None:
+    runs = tuple(run._replace(seconds=90.0) for run in TRAINING_RUNS["leg5"][:2])
+    training = learn_shipped("leg5", runs=runs, processes=1)
+    assert training.baseline.robot == "leg5"
+    figures = training.figures["leg"]
+    assert figures.swings > 200
+    assert max(figures.held_out_rms) < 0.5 * min(figures.naive_rms)
+    with pytest.raises(ConfigurationError, match="no robot 'cat' is simulated"):
+        learn_shipped("cat")
+
+
+def test_the_demo_takes_robots_that_walk() -> None:
+    assert DemoSettings().leg == "rf"
+    assert DemoSettings(robot="quadruped12").leg == "fr"
+    with pytest.raises(ConfigurationError, match="does not walk; expected hexapod or quadruped12"):
+        DemoSettings(robot="leg5")
+    with pytest.raises(ConfigurationError, match="no leg 'rf'; legs are fl fr rl rr"):
+        DemoSettings(robot="quadruped12", leg="rf")
 
 
 def test_every_description_names_what_the_layout_does() -> None:

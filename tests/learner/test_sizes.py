@@ -1,0 +1,84 @@
+"""Limits of lengths hold for legs of any size: decisions depend on proportions alone."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import shipped_baseline
+from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact.robot.gait_phase import infer_phase
+from adaptive_contact.wire import ContactEvent, ServoSample
+from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
+from adaptive_contact_sim.drift_spec import parse_drift
+from adaptive_contact_sim.robots import simulated_robot
+from adaptive_contact_sim.simulation import SimulationSettings
+
+NAME, LEG = "quadruped12", "fr"
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """A walk in which joints begin to rub: there is much to be labelled."""
+    layout = simulated_robot(NAME).layout
+    settings = SimulationSettings.of(NAME, "walk", "walk")
+    drift = (parse_drift("friction:value=4@6s", layout),)
+    return record_arrays(dataclasses.replace(settings, drift=drift, seed=21), 22.0)
+
+
+def sized(factor: float) -> Robot:
+    """The robot, so many times as large; powers of two scale every float exactly."""
+    robot = shipped_robot(NAME)
+    legs = []
+    for leg in robot.legs:
+        assert leg.origins_m is not None
+        origins = tuple(tuple(factor * x for x in origin) for origin in leg.origins_m)
+        legs.append(msgspec.structs.replace(leg, origins_m=origins))
+    return msgspec.structs.replace(robot, legs=tuple(legs))
+
+
+def decided(
+    robot: Robot, leg: LegArrays, t_ns: list[int], *, says: bool
+) -> tuple[list[ContactEvent], list[int]]:
+    """Events of a leg, and the ticks that were taken for free."""
+    learner = ContactLearner(robot, LEG, shipped_baseline(NAME))
+    events = []
+    for k, at_ns in enumerate(t_ns):
+        event = learner.update(
+            ServoSample(
+                t_ns=at_ns,
+                seq=k,
+                measured=leg.measured[k].tolist(),
+                desired=leg.desired[k].tolist(),
+                phase=("swing" if leg.swing[k] else "stance") if says else None,
+            )
+        )
+        if event is not None:
+            events.append(event)
+    return events, learner.drain_confirmed()
+
+
+@pytest.mark.parametrize("says", [True, False])
+def test_decisions_do_not_depend_on_the_size_of_a_leg(run: Run, says: bool) -> None:
+    leg, t_ns = run.legs[LEG], run.t_ns.tolist()
+    usual = decided(sized(1.0), leg, t_ns, says=says)
+    assert sum(event.contact for event in usual[0]) > 5
+    assert len(usual[1]) > 100
+    for factor in (0.25, 4.0):
+        assert decided(sized(factor), leg, t_ns, says=says) == usual
+
+
+def test_an_inferred_phase_does_not_depend_on_the_size_of_a_leg(run: Run) -> None:
+    leg = run.legs[LEG]
+    usual = infer_phase(leg.desired, sized(1.0).leg(LEG))
+    assert usual is not None
+    assert (usual == leg.swing).mean() > 0.95
+    for factor in (0.25, 4.0):
+        assert np.array_equal(usual, infer_phase(leg.desired, sized(factor).leg(LEG)))
+    hexapod = shipped_robot().leg("rf").chain
+    assert hexapod is not None
+    assert hexapod.size == 1.0  # exactly: figures published of it stay
