@@ -38,6 +38,8 @@ LEAST_GAIN: Final = 0.1
 UNDETERMINED: Final = 10.0
 # Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
 KEPT_GAIN: Final = 0.9
+# Times the noise by which a tick is judged that is told to be like no other.
+LONE_SPREAD: Final = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,6 +173,7 @@ class Sweep:
         errors: λ to (J,) held-out root mean square, over what could be known there.
         residual: (n, J) held out, at the λ that was chosen, over what could be known there.
         certain: (n, J) the same, over what may be expected there of a motion that is new.
+        lone: ticks in which that is ten times the noise and more, as no other motion is like them.
     """
 
     manner: Manner
@@ -178,6 +181,7 @@ class Sweep:
     errors: dict[float, Array]
     residual: Array
     certain: Array
+    lone: int = 0
 
 
 def swept(
@@ -218,8 +222,10 @@ def swept(
     least = max(gains.values()) - math.log(TOLERANCE)
     chosen = max(value for value, gain in gains.items() if gain >= least)
     residual = residuals[chosen]
-    certain = residual * spread / held.spread(manner)[:, None]
-    return Sweep(manner, chosen, errors, residual, certain)
+    expected = held.spread(manner)
+    certain = residual * spread / expected[:, None]
+    lone = int(np.count_nonzero(expected > LONE_SPREAD))
+    return Sweep(manner, chosen, errors, residual, certain, lone)
 
 
 def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> float | None:

@@ -85,6 +85,10 @@ class LegFigures:
         naive_rms: (J,) rad of predicting no motion.
         terms: (J,) kept, of ``library_size``.
         condition: of the scaled regressors.
+        strength: how firmly the fit holds on to what is known of any leg; None where the motions
+            determine all terms (:mod:`~adaptive_contact.fit.shrinkage`).
+        lone: ticks in which a motion went beyond all others, so that thresholds there are ten times
+            the noise and more.
         spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
             summed over so many.
     """
@@ -100,6 +104,8 @@ class LegFigures:
     terms: tuple[int, ...]
     library_size: int
     condition: float
+    strength: float | None
+    lone: int
     spans: dict[int, tuple[Array, Array]]
 
 
@@ -288,6 +294,8 @@ def learn_leg(
         terms=tuple(int(n) for n in model.support.sum(axis=0)),
         library_size=library.size,
         condition=fit.condition,
+        strength=manner.strength,
+        lone=best.lone,
         spans=_spans(best.residual, rows),
     )
     scale = held.whole.scale()
