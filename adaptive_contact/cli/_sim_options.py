@@ -25,13 +25,24 @@ if TYPE_CHECKING:
         WalkSettings,
     )
 
-__all__ = ["ReactOption", "RunOptions", "execute", "given", "needs_simulator"]
+__all__ = ["ReactOption", "RunOptions", "SchedulerOption", "execute", "given", "needs_simulator"]
 
 M = TypeVar("M", "PoseSettings", "WalkSettings")
 
 _RUN: Final = "Run"
 _OUT: Final = "Output"
 _ROBOT: Final = "Robot"
+
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Let the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786 "
+        "(extra 'cluster'). What they write must be on a file system that they share.",
+        show_default=False,
+    ),
+]
 
 # Of the motions, each with a default of its own.
 ReactOption = Annotated[

@@ -9,7 +9,7 @@ import typer
 
 from adaptive_contact.cli._options import JsonOption
 from adaptive_contact.cli._output import say
-from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
 
 __all__ = ["baseline"]
 
@@ -27,6 +27,7 @@ def baseline(
     processes: Annotated[
         int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
     ] = 2,
+    scheduler: SchedulerOption = None,
     json: JsonOption = False,
 ) -> None:
     """Record a simulated robot and learn its baseline; the result depends on no clock."""
@@ -38,9 +39,10 @@ def baseline(
     with needs_simulator():
         from adaptive_contact_sim import simulated_robot
         from adaptive_contact_sim.training import learn_shipped
+        from adaptive_contact_sim.workers import on_cluster
 
     description = simulated_robot(robot).description
-    with threadpool_limits(1):
+    with threadpool_limits(1), on_cluster(scheduler, None):
         training = learn_shipped(
             robot, processes=processes, progress=lambda line: say(line, err=True)
         )

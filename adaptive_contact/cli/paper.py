@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
 from adaptive_contact.errors import ConfigurationError
 
 __all__ = ["paper"]
@@ -25,6 +25,7 @@ def paper(
     workers: Annotated[
         int, typer.Option("--workers", min=0, help="Processes, 0 for one per core.")
     ] = 0,
+    scheduler: SchedulerOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, max=90, help="Of all streams.")] = 0,
     stage: Annotated[
         list[str] | None,
@@ -45,6 +46,7 @@ def paper(
     with needs_simulator():
         from adaptive_contact_sim.experiments.plan import FULL, QUICK
         from adaptive_contact_sim.experiments.run import STAGES, run_paper
+        from adaptive_contact_sim.workers import on_cluster
     import dataclasses
 
     from threadpoolctl import threadpool_limits
@@ -62,14 +64,16 @@ def paper(
         "--out": [out] if out != _OUT else [],
         "--seed": [seed] if seed else [],
         "--workers": [workers] if workers else [],
+        "--scheduler": [scheduler] if scheduler else [],
         "--stage": [*(stage or ())],
         "--logs": [logs] if logs is not None and logs != _LOGS else [],
         "--docs": [docs] if docs is not None else [],
     }
     try:
-        with threadpool_limits(1):  # matrices this small only wait for each other in threads
+        # Matrices this small only wait for each other in threads.
+        with threadpool_limits(1), on_cluster(scheduler, out):
             results = run_paper(
-                out,
+                out.resolve() if scheduler else out,
                 plan,
                 workers=workers,
                 stages=stages,

@@ -12,7 +12,7 @@ import typer
 
 from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -119,6 +119,7 @@ def run(
     processes: Annotated[
         int, typer.Option("--processes", min=1, max=64, help="Recordings worked on at a time.")
     ] = 2,
+    scheduler: SchedulerOption = None,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Draw plots.")] = True,
     out: OutOption = DEFAULT_OUT,
     json: JsonOption = False,
@@ -146,6 +147,7 @@ def run(
         from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
         from adaptive_contact_sim.trials.spec import GOALS_VARIANTS
         from adaptive_contact_sim.trials.words import results_table
+        from adaptive_contact_sim.workers import on_cluster
 
     from adaptive_contact.cli._console import table_console
 
@@ -173,11 +175,12 @@ def run(
         form = f"goals-{form}"
         chosen = [dataclasses.replace(s, variants=GOALS_VARIANTS) for s in chosen]
     console = table_console(stderr=True)
-    folders = Folders.of(out, form)
+    folders = Folders.of(out.resolve() if scheduler else out, form)
     try:
         # Said before the hours of work, not after.
         refuse_to_lose(folders.results, belongs(sizes, size), [s.name for s in chosen])
-        problems = _work(jobs(chosen, folders), folders, processes, console)
+        with on_cluster(scheduler, out):
+            problems = _work(jobs(chosen, folders), folders, processes, console)
         judgements = [judge_scenario(scenario, folders) for scenario in chosen]
         empty = [j.scenario.name for j in judgements if not j.leg_runs]
         if empty:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import IdentificationError
+from adaptive_contact.errors import IdentificationError, TooLittleDataError
 from adaptive_contact.fit.outliers import inliers, untouched
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
 from adaptive_contact.model.factor import Factor
@@ -162,6 +162,7 @@ def learn(
     legs: dict[str, LegBaseline] = {}
     figures: dict[str, LegFigures] = {}
     skipped: dict[str, str] = {}
+    short: list[TooLittleDataError] = []
     statistics: list[Array] = []
     for leg in robot.legs:
         stretches = streams.get(leg.id)
@@ -175,8 +176,13 @@ def learn(
             )
         except IdentificationError as error:  # a leg that only stood, perhaps
             skipped[leg.id] = str(error)
+            if isinstance(error, TooLittleDataError):
+                short.append(error)
             continue
         statistics.append(values)
+    if short and not legs:
+        worst = max(short, key=lambda error: error.needed / max(error.have, 1))
+        raise TooLittleDataError(_of_all(skipped), worst.have, worst.needed)
     if not legs:
         raise IdentificationError(
             _of_all(skipped)
@@ -299,9 +305,11 @@ def learn_leg(
 
 def _check_enough(leg: Leg, library: Library, ticks: int) -> None:
     if ticks < 4 * library.size:
-        raise IdentificationError(
+        raise TooLittleDataError(
             f"leg '{leg.id}': {ticks} free swing ticks for {library.size} terms; "
-            f"expected at least {4 * library.size}: record more swings"
+            f"expected at least {4 * library.size}: record more swings",
+            ticks,
+            4 * library.size,
         )
 
 

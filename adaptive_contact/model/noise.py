@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import IdentificationError
+from adaptive_contact.errors import IdentificationError, TooLittleDataError
 
 __all__ = ["WINDOWS", "NoiseModel", "context", "context_of", "fit_noise", "lagged"]
 
@@ -123,13 +123,15 @@ def fit_noise(
         The noise model.
 
     Raises:
-        IdentificationError: too few usable ticks.
+        TooLittleDataError: too few usable ticks.
     """
     usable = np.isfinite(residual[:, : WINDOWS[-1]]).all(axis=(1, 2))
     residual, where = residual[usable], where[usable]
     if len(residual) < min_ticks:
-        raise IdentificationError(
-            f"noise: {len(residual)} free ticks; expected at least {min_ticks}: record more swings"
+        raise TooLittleDataError(
+            f"noise: {len(residual)} free ticks; expected at least {min_ticks}: record more swings",
+            len(residual),
+            min_ticks,
         )
     joints = residual.shape[-1]
     floor = np.eye(joints) * quantum_rad**2 / 12.0

@@ -82,6 +82,9 @@ _STEP_CHANCE: Final = 1e-2
 _DEGREE_RAD: Final = math.pi / 180.0
 # A grid is found in so many of a joint's different readings as well as in those of an hour.
 _MOST_VALUES: Final = 400
+# Densities of lines that are looked at together, eight to a peak's half width.
+_BLOCK: Final = 256
+_PEAK: Final = 16
 _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -490,17 +493,19 @@ def _multiple(values: Array, step_rad: float, span: float, expected_rad: float |
 def _on_grid(values: Array, least: float, most: float, span: float, share: float) -> float | None:
     """The first grid, of ``least`` to ``most`` steps per rad, that so many of the values lie on."""
     centred = values - values.mean()
-    density = np.arange(least, most, 1.0 / (8.0 * span))
-    block = 1024
-    for begin in range(0, len(density), block):
-        part = density[begin : begin + block]
-        phases = np.exp(2j * math.pi * np.outer(part, centred))
-        length = np.abs(phases.mean(axis=1))
-        above = np.flatnonzero(length > share)
+    step = 1.0 / (8.0 * span)
+    count = math.ceil((most - least) / step)
+    # Phases of a block of densities are those of its first, turned on by the same steps.
+    turns = np.exp(2j * math.pi * np.outer(np.arange(_BLOCK) * step, centred))
+    # Each block goes on a peak's width into the next, so that no peak is cut.
+    for begin in range(0, count, _BLOCK - _PEAK):
+        first = least + begin * step
+        length = np.abs(turns @ np.exp(2j * math.pi * first * centred)) / len(values)
+        above = np.flatnonzero(length[: min(_BLOCK - _PEAK, count - begin)] > share)
         if len(above):
-            first = int(above[0])
-            peak = first + int(np.argmax(length[first : first + 16]))
-            return float(1.0 / part[peak])
+            k = int(above[0])
+            peak = k + int(np.argmax(length[k : k + _PEAK]))
+            return 1.0 / (first + peak * step)
     return None
 
 

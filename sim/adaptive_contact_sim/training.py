@@ -26,7 +26,7 @@ from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_sim.workers import worker_pool
+from adaptive_contact_sim.workers import alone, worker_pool
 
 __all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of", "truth_of"]
 
@@ -166,7 +166,7 @@ def _record(
     runs: tuple[TrainingRun, ...], processes: int, progress: Callable[[str], None]
 ) -> Iterator[Run]:
     """The runs in their order, however many at a time."""
-    if processes <= 1:
+    if alone(processes, len(runs)):
         for spec in runs:
             yield record_arrays(spec.settings, spec.seconds)
             progress(f"recorded {spec.name}")

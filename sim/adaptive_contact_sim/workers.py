@@ -8,33 +8,79 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextvars import ContextVar
 from multiprocessing.process import BaseProcess
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
-__all__ = ["worker_pool"]
+__all__ = ["alone", "on_cluster", "worker_pool"]
 
 # How a worker ends that was interrupted.
 _INTERRUPTED: Final = 130
 
 
+class _Cluster(NamedTuple):
+    scheduler: str
+    folder: Path | None
+
+
+_cluster: ContextVar[_Cluster | None] = ContextVar("cluster", default=None)
+
+
 @contextlib.contextmanager
-def worker_pool(processes: int, *, finish: bool = False) -> Iterator[ProcessPoolExecutor]:
+def on_cluster(scheduler: str | None, folder: Path | None) -> Iterator[None]:
+    """Let :func:`worker_pool` hand its work to a Dask cluster, in this block.
+
+    Args:
+        scheduler: address; None leaves the work to this computer.
+        folder: that all workers have to see.
+    """
+    token = _cluster.set(None if scheduler is None else _Cluster(scheduler, folder))
+    try:
+        yield
+    finally:
+        _cluster.reset(token)
+
+
+def alone(processes: int, items: int) -> bool:
+    """Tell whether work is done in this process, as others would not speed it up."""
+    return items <= 1 or (processes <= 1 and _cluster.get() is None)
+
+
+@contextlib.contextmanager
+def worker_pool(processes: int, *, finish: bool = False) -> Iterator[Executor]:
+    """Open the processes that work is handed to: a cluster's, or some of this computer.
+
+    Args:
+        processes: at most so many of this computer.
+        finish: on Ctrl-C the items in hand are finished instead, and those that wait are not begun.
+
+    Yields:
+        The pool.
+    """
+    cluster = _cluster.get()
+    if cluster is None:
+        with _local_pool(processes, finish=finish) as pool:
+            yield pool
+        return
+    from adaptive_contact_sim.cluster import cluster_pool
+
+    with cluster_pool(*cluster) as far:
+        yield far
+
+
+@contextlib.contextmanager
+def _local_pool(processes: int, *, finish: bool) -> Iterator[ProcessPoolExecutor]:
     """Spawned processes of one BLAS thread each, which end when this one does, however it ends.
 
     Matrices as small as a leg's gain nothing from threads, and threads that wait for each other
     by spinning take the cores from the other processes.  Ctrl-C goes to the whole group: workers
     leave silently and the parent speaks; what they write is written under another name first.
-
-    Args:
-        processes: at most so many.
-        finish: on Ctrl-C the items in hand are finished instead, and those that wait are not begun.
-
-    Yields:
-        The pool; the environment says one thread for as long as it is open, as workers start when
-        there is something to do.
+    The environment says one thread for as long as the pool is open, as workers start when there is
+    something to do.
     """
     before = {name: os.environ.get(name) for name in ONE_BLAS_THREAD}
     os.environ.update(ONE_BLAS_THREAD)

@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 from adaptive_contact.bridge.freeswing import free_swings
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli._robot_learning import free_file
+from adaptive_contact.cli._robot_learning import fit_samples, free_file
+from adaptive_contact.cli.fit import gather
 from adaptive_contact.errors import AdaptiveContactError, TooLittleDataError
 from adaptive_contact.model.model_file import load_baseline
 from adaptive_contact.robot import Robot
@@ -102,6 +103,17 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any) -> None:
     with pytest.raises(TooLittleDataError, match=r"with --more b.mcap --more b-2.mcap to add"):
         learn(*words, "--more", "b.mcap")
     assert len(samples_of(Path("b-2.mcap"), "l0")) > 60
+
+
+@pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520])
+def test_what_falls_short_of_any_least_is_told_in_seconds(
+    robot: Any, tmp_path: Path, ticks: int
+) -> None:
+    """Of the terms of a library, or of a noise model, from some free ticks less than are used."""
+    recorded(robot.robot, ticks, tmp_path / "early.mcap")
+    gathered = gather([tmp_path / "early.mcap"], robot.robot)
+    with pytest.raises(TooLittleDataError, match=r"leg l0 \d+ of \d+ free ticks, \d+ s more"):
+        fit_samples(robot.robot, gathered, "a test")
 
 
 def test_a_recording_that_needs_a_little_more_says_so(robot: Any, tmp_path: Path) -> None:

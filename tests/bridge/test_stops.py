@@ -1,4 +1,7 @@
-"""What a driven robot does when commands stop, when the service dies, and when it is back."""
+"""What a driven robot does when commands stop, when the service dies, and when it is back.
+
+With a controller of the test's own, and with the example's, as docs/bridge.md has it.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
+from adaptive_contact.robot import Limits
 from adaptive_contact.robot.write import write_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import Command, command_key
@@ -25,14 +30,15 @@ from adaptive_contact.wire import Command, command_key
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(120)]
 
 AX = {"model": "AX-12A", "protocol": 1}
+EXAMPLE = str(Path(__file__).parents[2] / "examples" / "gait_controller.py")
 
 
 class Program:
-    """A process of ours, and the lines it has said."""
+    """A process of Python, and the lines it has said."""
 
     def __init__(self, state: Path, *words: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "adaptive_contact", *words],
+            [sys.executable, "-u", *words],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             env={**os.environ, "XDG_STATE_HOME": str(state)},
         )  # fmt: skip
@@ -58,6 +64,13 @@ class Program:
             if found:
                 return found[found.lastindex or 0]
 
+    def send(self, number: int) -> None:
+        self._process.send_signal(number)
+
+    def code(self, timeout_s: float = 20.0) -> int:
+        """Wait for its end; its exit code."""
+        return self._process.wait(timeout_s)
+
     def kill(self) -> None:
         self._process.kill()
         self._process.wait()
@@ -78,7 +91,9 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
     running: list[Program] = []
 
     def make(*words: str) -> Program:
-        running.append(Program(tmp_path, *words))
+        """A command of ours, or an example."""
+        module = () if words[0].endswith(".py") else ("-m", "adaptive_contact")
+        running.append(Program(tmp_path, *module, *words))
         return running[-1]
 
     yield make
@@ -167,3 +182,55 @@ def test_a_leg_is_held_when_commands_stop_or_the_service_dies_and_goes_on_gently
     bridge.end()
     assert servo.drives
     assert servo.value("goal_position") == aim
+
+
+def test_the_gait_controller_goes_on_after_it_hung_and_commands_nothing_without_samples(
+    rig: Callable, start: Callable[..., Program], tmp_path: Path
+) -> None:
+    """What acts on contacts, in place of the commands above; `serve` is the router again."""
+    r = rig(**AX, legs=1)
+    [leg] = r.robot.legs
+    limits = Limits(lower_rad=(-2.5,) * 3, upper_rad=(2.5,) * 3)
+    leg = msgspec.structs.replace(leg, lengths_m=(0.052, 0.066, 0.133), limits=limits)
+    robot = str(tmp_path / "robot.toml")
+    Path(robot).write_text(write_robot(msgspec.structs.replace(r.robot, legs=(leg,))))
+    servos = [r.servo(number) for number in (1, 2, 3)]
+
+    def goals() -> list[int]:
+        return [servo.value("goal_position") for servo in servos]
+
+    def moves() -> None:
+        before = goals()
+        until(lambda: goals() != before)
+
+    def holds() -> None:
+        """No goal is written in 20 more of the bridge's requests, and torque stays on."""
+        held, enough = goals(), r.requests + 20
+        until(lambda: r.requests >= enough)
+        assert goals() == held
+        assert all(servo.drives for servo in servos)
+
+    service = start("serve", "--no-state", "--config", robot, "--listen", "tcp/127.0.0.1:0")
+    endpoint = service.wait(r"listening on (tcp/\S+?)[;,]")
+    bridge = start("bridge", "dynamixel", "--drive", "--config", robot, "--connect", endpoint)
+    steps = (EXAMPLE, "--config", robot, "--leg", "l0", "--connect", endpoint, "--steps", "99")
+    controller = start(*steps)  # waits for samples
+    bridge.wait("driving 3 servos")
+    moves()
+
+    controller.send(signal.SIGSTOP)
+    bridge.wait("leg l0: no command for 200 ms, holding the last goal")
+    holds()
+    controller.send(signal.SIGCONT)
+    bridge.wait("leg l0: commands are back")
+    moves()
+
+    service.kill()
+    controller.wait("gait_controller: no sample of leg 'l0' for 1 s")
+    assert controller.code() == 2
+    bridge.wait("leg l0: no command for 200 ms, holding the last goal")
+    holds()
+    start("serve", "--no-state", "--config", robot, "--listen", endpoint)
+    start(*steps)  # waits for the router, too
+    bridge.wait("leg l0: commands are back")
+    moves()

@@ -200,7 +200,7 @@ def serve(
         with log.open("w") as stderr:
             process = command(
                 str(HERE / "fake_service.py"),
-                *("--config", str(config), *where, *args),
+                *("--save-often", "--config", str(config), *where, *args),
                 stdout=subprocess.PIPE,
                 stderr=stderr,
             )

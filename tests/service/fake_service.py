@@ -1,6 +1,7 @@
 """`adaptive-contact serve` with a learner that needs no learning; run as a script, or imported.
 
-Contact is ``|measured[0] - desired[0]| > 0.2`` rad.  Everything else is the real command.
+Contact is ``|measured[0] - desired[0]| > 0.2`` rad.  Everything else is the real command.  With
+``--save-often``, ours alone, states are saved every second instead of every tenth.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from adaptive_contact.wire import (
 )
 
 MAX_LEGS = 8
+SAVE_PERIOD_S = 1.0
 
 
 class FakeLearner:
@@ -176,6 +178,13 @@ def main() -> None:
     process.start_process = no_process  # type: ignore[attr-defined]
     process.end_process = None  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.service.refit_process"] = process
+    if "--save-often" in sys.argv:
+        sys.argv.remove("--save-often")
+        from adaptive_contact.service.state.keeper import StateKeeper
+
+        defaults = StateKeeper.__init__.__kwdefaults__
+        assert defaults is not None
+        defaults["period_s"] = SAVE_PERIOD_S
     import typer
 
     from adaptive_contact.cli._output import protect_output

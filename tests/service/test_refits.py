@@ -264,7 +264,7 @@ def test_a_process_that_hangs_before_a_large_job_is_replaced(
         return start()
 
     monkeypatch.setattr(refits, "start_process", patient)
-    refitter._timeout_s = 2.0
+    refitter._timeout_s = 1.0
     # The job fills the pipe, so that writing it never ends by itself.
     refitter.submit(large(2))
     found = wait(refitter, "rf", 2)
@@ -295,7 +295,7 @@ def test_processes_that_hang_are_given_up(
         return process
 
     monkeypatch.setattr(refits, "start_process", hangs)
-    refitter._timeout_s = 2.0
+    refitter._timeout_s = 1.0
     with capture_logs() as logs:
         refitter.submit(large(1))
         found = wait(refitter, "rf", 1)

@@ -31,7 +31,7 @@ from adaptive_contact_sim.experiments.store import (
 )
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.training import stretch_of
-from adaptive_contact_sim.workers import worker_pool
+from adaptive_contact_sim.workers import alone, worker_pool
 
 __all__ = ["Stream", "join", "load", "parallel", "record_all"]
 
@@ -228,7 +228,7 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
     Raises:
         ConfigurationError: the source was changed since this process began.
     """
-    if workers <= 1 or len(items) <= 1:
+    if alone(workers, len(items)):
         for item in items:
             yield item, work(item)
         return

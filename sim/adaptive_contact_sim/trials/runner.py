@@ -25,7 +25,7 @@ from adaptive_contact_sim.trials.replay import (
     save_replay,
 )
 from adaptive_contact_sim.trials.spec import RecordingSpec, ReplaySpec, Scenario
-from adaptive_contact_sim.workers import worker_pool
+from adaptive_contact_sim.workers import alone, worker_pool
 
 __all__ = ["FULL", "RESULTS", "Done", "Folders", "Job", "jobs", "run"]
 
@@ -150,7 +150,7 @@ def run(
             problems.append(done.problem)
         progress(done)
 
-    if processes <= 1 or len(work) <= 1:
+    if alone(processes, len(work)):
         with threadpool_limits(1):  # as in a worker
             for job in work:
                 note(_do(job, folders))
