@@ -32,6 +32,7 @@ __all__ = [
     "gather",
     "print_training",
     "refuse_useless",
+    "undetermined",
 ]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
@@ -109,7 +110,7 @@ def fit(
                 "record free swings, or with truth, to learn from all of them"
             )
         if known.strength is not None:
-            say_note(_undetermined(leg_id, known))
+            say_note(undetermined(leg_id, known))
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
         say_note(
@@ -124,7 +125,7 @@ def fit(
     say(f"baseline written to {out}", err=True)
 
 
-def _undetermined(leg: str, known: LegFigures) -> str:
+def undetermined(leg: str, known: LegFigures) -> str:
     """Say that a recording does not determine all terms, and what that means."""
     line = (
         f"leg '{leg}': its motions are too few, or too alike, to determine all terms; what is "

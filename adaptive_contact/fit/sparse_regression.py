@@ -147,6 +147,8 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
             axis=1,
         )
     support = scaled != 0.0
+    if settings.prior is not None:  # a column of zeros has a coefficient of rounding errors
+        support &= np.isfinite(settings.prior.rows)
     coefficients = np.zeros((p, joints))
     for joint, (theta, target) in enumerate(systems):
         kept = support[:, joint]

@@ -85,12 +85,12 @@ class LegFigures:
         naive_rms: (J,) rad of predicting no motion.
         terms: (J,) kept, of ``library_size``.
         condition: of the scaled regressors.
+        spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
+            summed over so many.
         strength: how firmly the fit holds on to what is known of any leg; None where the motions
             determine all terms (:mod:`~adaptive_contact.fit.shrinkage`).
         lone: ticks in which a motion went beyond all others, so that thresholds there are ten times
             the noise and more.
-        spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
-            summed over so many.
     """
 
     rows: int
@@ -104,9 +104,9 @@ class LegFigures:
     terms: tuple[int, ...]
     library_size: int
     condition: float
-    strength: float | None
-    lone: int
     spans: dict[int, tuple[Array, Array]]
+    strength: float | None = None
+    lone: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
