@@ -25,7 +25,15 @@ if TYPE_CHECKING:
         WalkSettings,
     )
 
-__all__ = ["ReactOption", "RunOptions", "SchedulerOption", "execute", "given", "needs_simulator"]
+__all__ = [
+    "ReactOption",
+    "RunOptions",
+    "SchedulerOption",
+    "execute",
+    "given",
+    "needs_simulator",
+    "needs_studies",
+]
 
 M = TypeVar("M", "PoseSettings", "WalkSettings")
 
@@ -224,14 +232,19 @@ class RunOptions:
 
 
 @contextlib.contextmanager
-def needs_simulator() -> Iterator[None]:
+def needs_simulator(what: str = "the simulator", extra: str = "sim") -> Iterator[None]:
     """Around imports of the simulator: a missing mujoco is told in one line."""
     try:
         yield
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "mujoco":
             raise
-        raise MissingExtraError("the simulator", "sim") from error
+        raise MissingExtraError(what, extra) from error
+
+
+def needs_studies() -> contextlib.AbstractContextManager[None]:
+    """Around imports of the studies, likewise."""
+    return needs_simulator("a study", "studies")
 
 
 def given(**options: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import typer
 
 from adaptive_contact.cli._options import JsonOption
 from adaptive_contact.cli._output import say
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 
 __all__ = ["baseline"]
 
@@ -36,10 +36,10 @@ def baseline(
     from adaptive_contact.cli.fit import print_training
     from adaptive_contact.model import save_baseline
 
-    with needs_simulator():
+    with needs_studies():
         from adaptive_contact_sim import simulated_robot
-        from adaptive_contact_sim.training import learn_shipped
-        from adaptive_contact_sim.workers import on_cluster
+        from adaptive_contact_studies.training import learn_shipped
+        from adaptive_contact_studies.workers import on_cluster
 
     description = simulated_robot(robot).description
     with threadpool_limits(1), on_cluster(scheduler, None):

@@ -9,7 +9,7 @@ import typer
 
 from adaptive_contact.cli._options import BaselineOption, JsonOption
 from adaptive_contact.cli._output import say_json
-from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
@@ -41,13 +41,13 @@ def bench(
     from adaptive_contact.robot import shipped_robot
     from adaptive_contact.score.tables import summary_json
 
-    with needs_simulator():
+    with needs_studies():
         from adaptive_contact_sim import SimulationSettings, TerrainSettings, WalkSettings
         from adaptive_contact_sim.arrays import record_arrays
-        from adaptive_contact_sim.benchmark import real_time_factor
-        from adaptive_contact_sim.experiments.compression import compare_full
-        from adaptive_contact_sim.headline import HEADLINE_RUNS, run_headline
-        from adaptive_contact_sim.speed import restore_speed, tick_speed
+        from adaptive_contact_studies.benchmark import real_time_factor
+        from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
+        from adaptive_contact_studies.paper.compression import compare_full
+        from adaptive_contact_studies.speed import restore_speed, tick_speed
 
     from adaptive_contact.cli._console import table_console
 

@@ -10,7 +10,7 @@ import typer
 
 from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._output import say_json
-from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._sim_options import needs_studies
 
 __all__ = ["app"]
 
@@ -35,10 +35,10 @@ def logs(
     json: JsonOption = False,
 ) -> None:
     """Fit and test the libraries on recordings of real servos."""
-    with needs_simulator():
-        from adaptive_contact_sim.experiments.logs import run_logs
-    from adaptive_contact_sim.experiments.store import plain
-    from adaptive_contact_sim.experiments.tables import sections
+    with needs_studies():
+        from adaptive_contact_studies.paper.logs import run_logs
+    from adaptive_contact_studies.paper.store import plain
+    from adaptive_contact_studies.paper.tables import sections
 
     tree = plain(run_logs(path))
     if json:

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError
 
 __all__ = ["paper"]
@@ -43,16 +43,16 @@ def paper(
     ] = None,
 ) -> None:
     """Run the paper's experiments in the simulator: figures, results.json, report.html."""
-    with needs_simulator():
-        from adaptive_contact_sim.experiments.plan import FULL, QUICK
-        from adaptive_contact_sim.experiments.run import STAGES, run_paper
-        from adaptive_contact_sim.workers import on_cluster
+    with needs_studies():
+        from adaptive_contact_studies.paper.plan import FULL, QUICK
+        from adaptive_contact_studies.paper.run import STAGES, run_paper
+        from adaptive_contact_studies.workers import on_cluster
     import dataclasses
 
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.cli._console import table_console
-    from adaptive_contact_sim.experiments.report import write_document
+    from adaptive_contact_studies.paper.report import write_document
 
     unknown = [name for name in stage or () if name not in STAGES]
     if unknown:

@@ -12,14 +12,14 @@ import typer
 
 from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from adaptive_contact_sim.trials.figures import Judgement
-    from adaptive_contact_sim.trials.runner import Done, Folders, Job
+    from adaptive_contact_studies.scenarios.figures import Judgement
+    from adaptive_contact_studies.scenarios.runner import Done, Folders, Job
 
 __all__ = ["app"]
 
@@ -42,8 +42,8 @@ LOG_SHARE = 0.05
 @app.command("list")
 def list_(json: JsonOption = False) -> None:
     """Show all scenarios: their names, what happens, how much is simulated."""
-    with needs_simulator():
-        from adaptive_contact_sim.trials.registry import scenarios
+    with needs_studies():
+        from adaptive_contact_studies.scenarios.registry import scenarios
 
     known = scenarios().values()
     if json:
@@ -132,10 +132,10 @@ def run(
     What was made is kept and never made again: after Ctrl-C, the same command goes on where it
     stopped, and ends with the same numbers.
     """
-    with needs_simulator():
-        from adaptive_contact_sim.trials.figures import judge_scenario
-        from adaptive_contact_sim.trials.registry import named, scenarios
-        from adaptive_contact_sim.trials.results import (
+    with needs_studies():
+        from adaptive_contact_studies.scenarios.figures import judge_scenario
+        from adaptive_contact_studies.scenarios.registry import named, scenarios
+        from adaptive_contact_studies.scenarios.results import (
             belongs,
             form_of,
             merge,
@@ -143,11 +143,11 @@ def run(
             results,
             write_results,
         )
-        from adaptive_contact_sim.trials.runner import Folders, jobs
-        from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
-        from adaptive_contact_sim.trials.spec import GOALS_VARIANTS
-        from adaptive_contact_sim.trials.words import results_table
-        from adaptive_contact_sim.workers import on_cluster
+        from adaptive_contact_studies.scenarios.runner import Folders, jobs
+        from adaptive_contact_studies.scenarios.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
+        from adaptive_contact_studies.scenarios.spec import GOALS_VARIANTS
+        from adaptive_contact_studies.scenarios.words import results_table
+        from adaptive_contact_studies.workers import on_cluster
 
     from adaptive_contact.cli._console import table_console
 
@@ -214,10 +214,10 @@ def report(
 
     Forms are never mixed: each has figures and pictures of its own.
     """
-    with needs_simulator():
-        from adaptive_contact_sim.trials.report import write_report
-        from adaptive_contact_sim.trials.results import best_form, read_results
-        from adaptive_contact_sim.trials.runner import FULL, Folders
+    with needs_studies():
+        from adaptive_contact_studies.scenarios.report import write_report
+        from adaptive_contact_studies.scenarios.results import best_form, read_results
+        from adaptive_contact_studies.scenarios.runner import FULL, Folders
 
     form = best_form(out)
     folders = Folders.of(out, form)
@@ -236,7 +236,7 @@ def _work(work: list[Job], folders: Folders, processes: int, console: Console) -
         TimeRemainingColumn,
     )
 
-    from adaptive_contact_sim.trials.runner import run as run_jobs
+    from adaptive_contact_studies.scenarios.runner import run as run_jobs
 
     if not work:
         return []
@@ -271,9 +271,9 @@ def _draw(
     judgements: list[Judgement], tree: dict[str, Any], folders: Folders, console: Console
 ) -> None:
     """Draw the pages, or say why there are none."""
-    from adaptive_contact_sim.trials.pages import draw_page
-    from adaptive_contact_sim.trials.report import SUMMARY
-    from adaptive_contact_sim.trials.summary_page import draw_summary
+    from adaptive_contact_studies.scenarios.pages import draw_page
+    from adaptive_contact_studies.scenarios.report import SUMMARY
+    from adaptive_contact_studies.scenarios.summary_page import draw_summary
 
     try:
         with console.status("drawing"):

@@ -1,14 +1,13 @@
 """MuJoCo simulator of an AX-12A hexapod: servo law, gaits, terrain, contact truth, drift.
 
-The only package of the project that imports mujoco (extra ``sim``).  For science, the shortest
-way is :func:`record_arrays`; for control loops, :class:`Simulation`; for the wire and files,
-:func:`run`.
+Besides ``adaptive_contact_studies`` the only package that imports mujoco (extra ``sim``).  For
+science, the shortest way is :func:`record_arrays`; for control loops, :class:`Simulation`; for the
+wire and files, :func:`run`.
 """
 
 from __future__ import annotations
 
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run, record_arrays
-from adaptive_contact_sim.benchmark import Speed, real_time_factor
 from adaptive_contact_sim.drift import KINDS, Injection, Kind
 from adaptive_contact_sim.drift_spec import drift_from, parse_drift
 from adaptive_contact_sim.elements import JOINTS, LEGS
@@ -51,7 +50,6 @@ __all__ = [
     "SimulatedRobot",
     "Simulation",
     "SimulationSettings",
-    "Speed",
     "TerrainSettings",
     "Tick",
     "Truth",
@@ -62,7 +60,6 @@ __all__ = [
     "manufactured",
     "parse_drift",
     "parse_scenario",
-    "real_time_factor",
     "record_arrays",
     "record_file",
     "run",

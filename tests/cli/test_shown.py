@@ -34,7 +34,7 @@ TYPED: Final = HOSTILE.replace("\x00", "")  # no command line has a zero
 def test_commands_print_through_one_helper() -> None:
     """Another way to print would be another place to forget what the wire may hold."""
     found = []
-    for path in sorted(CLI.glob("*.py")):
+    for path in sorted(CLI.rglob("*.py")):
         if path.name in ("_output.py", "_console.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

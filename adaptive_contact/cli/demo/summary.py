@@ -1,0 +1,125 @@
+"""The figures: ``summary.json`` for programs, a table for the person who ran the demo."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from adaptive_contact.cli.demo.conduct import Take
+from adaptive_contact.cli.demo.settings import DemoSettings
+from adaptive_contact.cli.demo.verdict import RECOVERY_SWINGS, Judged, Verdict
+from adaptive_contact.cli.demo.words import outcome_words, percent, touches_words
+from adaptive_contact.files import write_file
+from adaptive_contact.score import Summary
+from adaptive_contact.score.tables import as_json
+
+__all__ = ["as_table", "figures", "write_summary"]
+
+VERSION: Final = 1
+
+
+def figures(settings: DemoSettings, take: Take, verdict: Verdict) -> dict[str, Any]:
+    """Everything that was found, as a tree of numbers and texts; what is not known is None."""
+    return {
+        "v": VERSION,
+        "result": [touches_words(settings, verdict), *outcome_words(settings, verdict)],
+        "settings": {
+            "seconds": settings.seconds,
+            "seed": settings.seed,
+            "robot": settings.robot,
+            "motion": _motion(settings),
+            "drift": {
+                "leg": settings.leg,
+                "injected": msgspec.to_builtins(settings.drifts),
+                "holds": take.holds,
+                "t_ns": take.drift_ns,
+                "after_s": (verdict.drift_ns - verdict.start_ns) / 1e9,
+            },
+            "version": _version(),
+        },
+        "recording": settings.recording.name,
+        "simulator": take.simulator,
+        "service": {
+            **_detector(verdict.service),
+            "model_versions": verdict.versions,
+            "status": msgspec.to_builtins(take.service),
+        },
+        "frozen": _detector(verdict.frozen),
+    }
+
+
+def write_summary(path: Path, tree: dict[str, Any]) -> None:
+    """Write the figures.
+
+    Raises:
+        AdaptiveContactError: the file cannot be written.
+    """
+    data = msgspec.json.format(msgspec.json.encode(tree), indent=2) + b"\n"
+    write_file(path, data, advice="give a folder with --out that is writable and has room")
+
+
+def _motion(settings: DemoSettings) -> str:
+    walk = settings.simulated.walk
+    gait = walk.gait if walk is not None else ""
+    return f"{gait} walk on rough ground, stop on truth"
+
+
+def as_table(settings: DemoSettings, verdict: Verdict) -> RenderableType:
+    """Before and after, leg by leg, and the same for the frozen model."""
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    shown.add_column("leg")
+    for when in ("before", "after"):
+        shown.add_column(f"touches {when}", justify="right")
+        shown.add_column("found", justify="right")
+        shown.add_column("median", justify="right")
+        shown.add_column("false", justify="right")
+    for leg in verdict.service.whole.legs:
+        drifted = leg == verdict.drift_leg
+        shown.add_row(
+            f"{leg}, drifted" if drifted else leg,
+            *_cells(verdict.service.before.legs[leg]),
+            *_cells(verdict.service.after.legs[leg]),
+            style="bold yellow" if drifted else "",
+        )
+    for name, judged in (("all", verdict.service), ("all, model frozen", verdict.frozen)):
+        shown.add_section()
+        shown.add_row(name, *_cells(judged.before.total), *_cells(judged.after.total))
+    return Group(
+        Text(touches_words(settings, verdict), style="bold"),
+        *(Text(line, style="bold") for line in outcome_words(settings, verdict)),
+        shown,
+    )
+
+
+def _detector(judged: Judged) -> dict[str, Any]:
+    return {
+        "before": as_json(judged.before),
+        "after": as_json(judged.after),
+        "whole": as_json(judged.whole),
+        "recovery": {"swings": judged.recovery, "reliable_swings": RECOVERY_SWINGS},
+    }
+
+
+def _cells(summary: Summary) -> tuple[str, ...]:
+    counted = summary.counted
+    median = f"{counted.latency.median_ms:.0f} ms" if counted.latency else "-"
+    return (
+        str(counted.touches),
+        percent(counted.recall),
+        median,
+        str(summary.false_alarms),
+    )
+
+
+def _version() -> str:
+    try:
+        return metadata.version("adaptive-contact")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        return "source"
