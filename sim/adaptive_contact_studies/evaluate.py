@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptive_contact.leg_group import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
@@ -16,18 +17,41 @@ from adaptive_contact.score import (
     Events,
     LegOutcome,
     LegStream,
+    TruthChanges,
     find_swings,
     lift_by_height,
     match,
-    truth_changes,
 )
 from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_sim.arrays import Run
-from adaptive_contact_studies.training import truth_of
 
-__all__ = ["Played", "leg_stream", "play", "samples_of", "score_run"]
+__all__ = ["LegRows", "Played", "Streams", "leg_stream", "play", "samples_of", "score_run"]
 
 MakeLearner = Callable[[Robot, str, Baseline | None], ContactLearner]
+
+
+class LegRows(Protocol):
+    """One leg's stream and the truth about it, as a run or a file has it; rows are ticks."""
+
+    @property
+    def measured(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def desired(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def valid(self) -> NDArray[np.bool_]: ...  # noqa: D102
+    @property
+    def swing(self) -> NDArray[np.bool_]: ...  # noqa: D102
+    @property
+    def truth(self) -> TruthChanges: ...  # noqa: D102
+
+
+class Streams(Protocol):
+    """Legs that were recorded together."""
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]: ...  # noqa: D102
+    @property
+    def legs(self) -> Mapping[str, LegRows]: ...  # noqa: D102
 
 
 class Played(NamedTuple):
@@ -44,7 +68,7 @@ class Played(NamedTuple):
     seconds: float
 
 
-def samples_of(run: Run, leg: str) -> list[ServoSample]:
+def samples_of(run: Streams, leg: str) -> list[ServoSample]:
     """A leg's stream as the messages that the simulator would have sent."""
     arrays = run.legs[leg]
     good: list[bool] = np.asarray(arrays.valid.all(axis=1)).tolist()
@@ -103,7 +127,7 @@ def play(
     return Played(events, learners, spent)
 
 
-def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
+def leg_stream(run: Streams, leg: str, robot: Robot) -> LegStream:
     """A leg's run as the scoring takes it."""
     arrays, described = run.legs[leg], robot.leg(leg)
     assert described.chain is not None
@@ -113,11 +137,13 @@ def leg_stream(run: Run, leg: str, robot: Robot) -> LegStream:
         leg=leg,
         t_ns=run.t_ns,
         swing=arrays.swing,
-        truth=truth_changes(truth_of(arrays)),
+        truth=arrays.truth,
         lift=lift_by_height(swings, height),
     )
 
 
-def score_run(run: Run, robot: Robot, events: dict[str, list[ContactEvent]]) -> list[LegOutcome]:
+def score_run(
+    run: Streams, robot: Robot, events: dict[str, list[ContactEvent]]
+) -> list[LegOutcome]:
     """Judge every leg's events against the run's truth."""
     return [match(leg_stream(run, leg, robot), Events.of(e)) for leg, e in events.items()]

@@ -18,8 +18,7 @@ import numpy as np
 
 from adaptive_contact.fit.recordings import untouched
 from adaptive_contact.fit.train import Stretch, Training, learn
-from adaptive_contact.wire import ContactTruth
-from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
+from adaptive_contact_sim.arrays import Run, record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.robots import simulated_robot
@@ -28,7 +27,7 @@ from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.workers import alone, worker_pool
 
-__all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of", "truth_of"]
+__all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of"]
 
 
 class TrainingRun(NamedTuple):
@@ -89,24 +88,6 @@ _LEG5: Final = (
 TRAINING_RUNS: Final = {"hexapod": _HEXAPOD, "quadruped12": _QUADRUPED12, "leg5": _LEG5}
 
 
-def truth_of(leg: LegArrays) -> list[ContactTruth]:
-    """A leg's changes of contact as messages, in order of time."""
-    onsets = [
-        ContactTruth(
-            t_ns=o.t_ns,
-            contact=True,
-            force=o.force_n,
-            speed_m_s=o.speed_m_s,
-            surface=o.surface,
-            part=o.part,
-            grazing=o.grazing,
-        )
-        for o in leg.onsets
-    ]
-    releases = [ContactTruth(t_ns=t, contact=False, force=0.0) for t in leg.releases_ns]
-    return sorted([*onsets, *releases], key=lambda change: (change.t_ns, change.contact))
-
-
 def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
     """A leg's run as a stretch to learn from, ticks near a touch marked as not free."""
     arrays = run.legs[leg]
@@ -114,7 +95,7 @@ def stretch_of(run: Run, leg: str, period_s: float = 0.02) -> Stretch:
         measured=arrays.measured,
         desired=arrays.desired,
         swing=arrays.swing,
-        free=untouched(run.t_ns, truth_of(arrays), round(period_s * 1e9)),
+        free=untouched(run.t_ns, arrays.changes, round(period_s * 1e9)),
         sound=np.asarray(arrays.valid.all(axis=1)),
     )
 

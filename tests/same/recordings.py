@@ -40,7 +40,7 @@ from adaptive_contact_sim import (
     record_arrays,
 )
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.virtual import quadruped_trials
+from adaptive_contact_studies import quadruped_trials
 from adaptive_contact_studies.scenarios.spec import Staging
 from adaptive_contact_studies.scenarios.staging import stagehand
 from adaptive_contact_studies.training import stretch_of

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
-from adaptive_contact_sim import SimulationSettings, WalkSettings, cluster
+from adaptive_contact_sim import SimulationSettings, WalkSettings
 from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_studies import cluster
 from adaptive_contact_studies.workers import alone, on_cluster, worker_pool
 
 pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")

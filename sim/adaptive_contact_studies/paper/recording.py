@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact_sim.arrays import LegArrays, Onset
-from adaptive_contact_sim.elements import LEGS, PARTS
+from adaptive_contact_sim.arrays import LegArrays, record_run
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.pose import PoseMotion, PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
@@ -81,48 +80,4 @@ def record_leg(settings: SimulationSettings, leg: str, seconds: float) -> LegArr
     Raises:
         SimulationDivergedError: the physics blew up.
     """
-    sim = simulation_of(settings)
-    i = LEGS.index(leg)
-    own = slice(3 * i, 3 * i + 3)
-    n = round(seconds / settings.period_s)
-    measured, desired, angle = (np.zeros((n, 3)) for _ in range(3))
-    valid, swing = np.ones((n, 3), dtype=bool), np.zeros(n, dtype=bool)
-    force = np.zeros(n)
-    onsets: list[Onset] = []
-    releases: list[int] = []
-    for k in range(n):
-        angle[k] = sim.plant.joint_angles[own]
-        sim.advance()
-        measured[k], desired[k] = sim.reading.angle_rad[own], sim.desired[own]
-        valid[k] = sim.reading.valid[own]
-        swing[k] = sim.phase[i] == "swing"
-        force[k] = sim.plant.forces[:, i].mean()
-        for change in sim.changes:
-            if change.leg != i:
-                continue
-            t_ns, touch = sim.time_of_step(change.step), change.touch
-            if not change.contact:
-                releases.append(t_ns)
-                continue
-            onsets.append(
-                Onset(
-                    t_ns=t_ns,
-                    tick=max(change.step - 1, 0) // sim.plant.substeps,
-                    force_n=change.force_n,
-                    speed_m_s=None if touch is None else touch.speed_m_s,
-                    part=None if touch is None else PARTS[touch.part],
-                    surface=None if touch is None else sim.surface_of(touch.other),
-                    grazing=touch is not None and touch.grazing,
-                )
-            )
-    return LegArrays(
-        measured=measured,
-        desired=desired,
-        valid=valid,
-        swing=swing,
-        contact=force > 0.0,
-        force_n=force,
-        angle=angle,
-        onsets=tuple(onsets),
-        releases_ns=tuple(releases),
-    )
+    return record_run(simulation_of(settings), seconds, legs=(leg,)).legs[leg]

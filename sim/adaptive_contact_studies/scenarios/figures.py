@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.score import LegOutcome, Summary, is_harmful, match, summarise
+from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.scenarios.judge import Judged, judge, within
 from adaptive_contact_studies.scenarios.learners import robot
 from adaptive_contact_studies.scenarios.recording import Recording, file_of, load
@@ -68,8 +69,8 @@ def judge_scenario(scenario: Scenario, folders: Folders) -> Judgement:
             continue
         described = robot(scenario.robot)
         for leg in replay.recording.legs:
-            stream = own[0].stream(leg, described)
-            twin_stream = stream if other is own else other[0].stream(leg, described)
+            stream = leg_stream(own[0], leg, described)
+            twin_stream = stream if other is own else leg_stream(other[0], leg, described)
             learners = other[1][leg]
             reference.append(match(twin_stream, learners[Variant.FROZEN].events))
             full_reference.append(match(twin_stream, learners[Variant.FULL].events))

@@ -18,15 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact_sim
-from adaptive_contact.robot import Robot
 from adaptive_contact.score import (
-    LegStream,
     TruthChanges,
     contacts_of,
-    find_swings,
-    lift_by_height,
+    truth_changes,
 )
-from adaptive_contact.wire import ServoSample
+from adaptive_contact.wire import ContactTruth
+from adaptive_contact_sim.arrays import record_run
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
@@ -90,39 +88,6 @@ class Recording:
     t_ns: Times
     legs: dict[str, LegRecord]
 
-    def samples(self, leg: str) -> list[ServoSample]:
-        """A leg's stream as messages."""
-        record = self.legs[leg]
-        good: list[bool] = np.asarray(record.valid.all(axis=1)).tolist()
-        rows = zip(
-            self.t_ns.tolist(),
-            record.measured.tolist(),
-            record.desired.tolist(),
-            record.swing.tolist(),
-            good,
-            strict=True,
-        )
-        return [
-            ServoSample(
-                t_ns=t_ns,
-                seq=seq,
-                measured=measured,
-                desired=desired,
-                phase="swing" if swing else "stance",
-                valid=None if sound else record.valid[seq].tolist(),
-            )
-            for seq, (t_ns, measured, desired, swing, sound) in enumerate(rows)
-        ]
-
-    def stream(self, leg: str, robot: Robot) -> LegStream:
-        """A leg's stream as the scoring takes it."""
-        record, described = self.legs[leg], robot.leg(leg)
-        assert described.chain is not None
-        height = described.chain.foot(record.desired)[:, 2]
-        swings = find_swings(self.t_ns, record.swing)
-        lift = lift_by_height(swings, height)
-        return LegStream(leg, self.t_ns, record.swing, record.truth, lift)
-
     def touching(self, leg: str) -> Flags:
         """(n,) whether the leg touched anything between the sample before and this one."""
         contacts = contacts_of(self.legs[leg].truth, int(self.t_ns[0]))
@@ -138,44 +103,16 @@ def record(spec: RecordingSpec) -> Recording:
     Raises:
         SimulationDivergedError: the physics blew up.
     """
-    settings = spec.settings
-    sim = Simulation(settings)
-    n = round(spec.seconds / settings.period_s)
-    layout = sim.layout
-    rows = [layout.legs.index(leg) for leg in spec.legs]
-    measured = np.zeros((n, len(rows), len(layout.joints)))
-    desired = np.zeros_like(measured)
-    valid = np.ones(measured.shape, dtype=np.bool_)
-    swing = np.zeros((n, len(rows)), dtype=np.bool_)
-    changes: list[list[dict[str, Any]]] = [[] for _ in layout.legs]
+    sim = Simulation(spec.settings)
     with stagehand(sim, spec.staging, spec.legs[0]) as hand:
-        for k in range(n):
-            hand.before_tick()
-            sim.advance()
-            measured[k] = sim.reading.angle_rad.reshape(len(layout.legs), -1)[rows]
-            desired[k] = sim.desired.reshape(len(layout.legs), -1)[rows]
-            valid[k] = sim.reading.valid.reshape(len(layout.legs), -1)[rows]
-            swing[k] = [sim.phase[row] == "swing" for row in rows]
-            for change in sim.changes:
-                touch = change.touch
-                changes[change.leg].append(
-                    {
-                        "t_ns": sim.time_of_step(change.step),
-                        "contact": change.contact,
-                        "speed_m_s": np.nan if touch is None else touch.speed_m_s,
-                        "soft": touch is not None and sim.surface_of(touch.other) == "soft",
-                        "grazing": touch is not None and touch.grazing,
-                        "force_n": change.force_n,
-                    }
-                )
-    t_ns = settings.epoch_ns + np.arange(n, dtype=np.int64) * round(settings.period_s * 1e9)
+        run = record_run(sim, spec.seconds, legs=spec.legs, before_tick=hand.before_tick)
     legs = {}
-    for i, leg in enumerate(spec.legs):
-        truth = _truth(changes[rows[i]])
+    for leg, of in run.legs.items():
+        truth = of.truth
         if hand.held_ns is not None and leg == spec.legs[0]:
             truth = hold(truth, *hand.held_ns)
-        legs[leg] = LegRecord(measured[:, i], desired[:, i], valid[:, i], swing[:, i], truth)
-    return Recording(t_ns, legs)
+        legs[leg] = LegRecord(of.measured, of.desired, of.valid, of.swing, truth)
+    return Recording(run.t_ns, legs)
 
 
 def hold(truth: TruthChanges, from_ns: int, to_ns: int) -> TruthChanges:
@@ -190,9 +127,9 @@ def hold(truth: TruthChanges, from_ns: int, to_ns: int) -> TruthChanges:
     until = truth.t_ns <= to_ns
     after = bool(truth.contact[until][-1]) if until.any() else False
     rest = TruthChanges._make(column[~inside] for column in truth)
-    begin = {"t_ns": from_ns, "contact": True, "speed_m_s": np.nan, "force_n": 0.0}
-    end = {"t_ns": to_ns, "contact": after, "speed_m_s": np.nan, "force_n": 0.0}
-    added = _truth([row | {"soft": True, "grazing": False} for row in (begin, end)])
+    ends = [(from_ns, True), (to_ns, after)]
+    told = [ContactTruth(t_ns=t, contact=on, force=0.0, surface="soft") for t, on in ends]
+    added = truth_changes(told)
     both = TruthChanges._make(np.concatenate(pair) for pair in zip(rest, added, strict=True))
     order = np.argsort(both.t_ns, kind="stable")
     return TruthChanges._make(column[order] for column in both)
@@ -303,13 +240,3 @@ _STREAMS: Final = ("measured", "desired", "valid", "swing")
 def _leg(arrays: Mapping[str, NDArray[Any]], leg: str) -> LegRecord:
     truth = TruthChanges._make(arrays[f"{leg}.truth.{name}"] for name in _TRUTH)
     return LegRecord(**{name: arrays[f"{leg}.{name}"] for name in _STREAMS}, truth=truth)
-
-
-def _truth(rows: list[dict[str, Any]]) -> TruthChanges:
-    types = {"t_ns": np.int64, "contact": bool, "soft": bool, "grazing": bool}
-    return TruthChanges(
-        **{
-            name: np.array([row[name] for row in rows], dtype=types.get(name, np.float64))
-            for name in _TRUTH
-        }
-    )

@@ -25,6 +25,7 @@ from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
 from adaptive_contact_sim.robots import ROBOTS
+from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.scenarios.files import (
     code_digest,
     name_of,
@@ -210,7 +211,7 @@ def replay(spec: ReplaySpec, recording: Recording) -> Replayed:
     """
     legs = spec.recording.legs
     ticks = len(recording.t_ns)
-    streams = [recording.samples(leg) for leg in legs]
+    streams = [samples_of(recording, leg) for leg in legs]
     swings = [recording.legs[leg].swing for leg in legs]
     # The page shows one leg; to trace them all would take as long as the learners do.
     watches = [

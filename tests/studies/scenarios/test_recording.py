@@ -21,6 +21,7 @@ from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.scenarios.learners import robot
 from adaptive_contact_studies.scenarios.recording import (
     LegRecord,
@@ -35,7 +36,6 @@ from adaptive_contact_studies.scenarios.recording import (
     save,
 )
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, Staging
-from adaptive_contact_studies.training import truth_of
 
 POSE = SimulationSettings(
     motion=PoseSettings(legs=("lm",), obstacles=ObstacleSettings(probability=0.5)), seed=9100
@@ -55,7 +55,7 @@ def test_it_is_the_simulators_own_stream(recording: Recording) -> None:
     np.testing.assert_array_equal(own.measured, other.measured)
     np.testing.assert_array_equal(own.desired, other.desired)
     np.testing.assert_array_equal(own.swing, other.swing)
-    messages = truth_of(other)
+    messages = other.changes
     assert own.truth.t_ns.tolist() == [m.t_ns for m in messages]
     assert own.truth.contact.tolist() == [m.contact for m in messages]
     assert own.truth.grazing.tolist() == [m.grazing for m in messages]
@@ -73,7 +73,7 @@ def test_a_file_gives_back_what_was_saved(recording: Recording, tmp_path: Path) 
         )
     for mine, theirs in zip(recording.legs["lm"].truth, back.legs["lm"].truth, strict=True):
         np.testing.assert_array_equal(mine, theirs)
-    assert back.samples("lm") == recording.samples("lm")
+    assert samples_of(back, "lm") == samples_of(recording, "lm")
 
 
 def test_a_damaged_file_is_made_anew(recording: Recording, tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_another_process_finds_the_same_file() -> None:
 def test_samples_tell_bad_readings() -> None:
     faulty = replace(POSE, encoder=replace(POSE.encoder, dropped=0.1))
     taken = record(RecordingSpec(faulty, 2.0, ("lm",)))
-    samples = taken.samples("lm")
+    samples = samples_of(taken, "lm")
     bad = ~taken.legs["lm"].valid.all(axis=1)
     assert bad.any()
     for sample, told in zip(samples, bad.tolist(), strict=True):
