@@ -37,7 +37,7 @@ def logs(
     """Fit and test the libraries on recordings of real servos."""
     with needs_studies():
         from adaptive_contact_studies.paper.logs import run_logs
-    from adaptive_contact_studies.paper.store import plain
+    from adaptive_contact_studies.cache import plain
     from adaptive_contact_studies.paper.tables import sections
 
     tree = plain(run_logs(path))

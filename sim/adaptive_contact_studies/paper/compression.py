@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from adaptive_contact.fit import FitSettings, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.robot import Robot
+from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.paper.data import Stream, join, load, record_all
 from adaptive_contact_studies.paper.identification import PAPER_WINDOW
 from adaptive_contact_studies.paper.plan import FULL
 from adaptive_contact_studies.paper.rows import free_rows, residual_unit
-from adaptive_contact_studies.paper.store import Store
 
 __all__ = ["Comparison", "compare", "compare_all", "compare_full"]
 

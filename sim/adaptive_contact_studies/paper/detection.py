@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, shipped_robot
 from adaptive_contact.score import LegOutcome, Row, poisson_mean, summarise
 from adaptive_contact_sim.servo import ServoParameters
+from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.paper.comparison_rules import Calibration
 from adaptive_contact_studies.paper.detectors import DETECTORS, Bench
 from adaptive_contact_studies.paper.evaluation import (
@@ -29,7 +30,6 @@ from adaptive_contact_studies.paper.evaluation import (
 )
 from adaptive_contact_studies.paper.models import learned
 from adaptive_contact_studies.paper.plan import Plan, Role
-from adaptive_contact_studies.paper.store import Store
 from adaptive_contact_studies.paper.touched import (
     SLIP_MS,
     Touched,

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Events
+from adaptive_contact_studies.cache import Store, plain
 from adaptive_contact_studies.paper.comparison_events import alarm_ticks
 from adaptive_contact_studies.paper.data import Stream, load
 from adaptive_contact_studies.paper.detectors import DETECTORS, Evidence, evidence_of
 from adaptive_contact_studies.paper.models import Learned, learned, models_key
 from adaptive_contact_studies.paper.online import play_streams
 from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan
-from adaptive_contact_studies.paper.store import Store, plain
 from adaptive_contact_studies.paper.variants import (
     AIMS,
     aim_name,

@@ -19,6 +19,7 @@ from adaptive_contact.model.model_file import Baseline, dump_baseline, parse_bas
 from adaptive_contact.model.noise import NoiseModel
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact_studies.cache import Store, plain
 from adaptive_contact_studies.paper.analytical import Gains, NominalLeg, predict, tune_gains
 from adaptive_contact_studies.paper.comparison_rules import Calibration
 from adaptive_contact_studies.paper.data import Stream, load
@@ -28,15 +29,10 @@ from adaptive_contact_studies.paper.detectors import (
     evidence_of,
     tune_bench,
 )
+from adaptive_contact_studies.paper.fingerprints import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.identification import PAPER_WINDOW
 from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan
 from adaptive_contact_studies.paper.rows import rms_deg
-from adaptive_contact_studies.paper.store import (
-    Store,
-    physics_fingerprint,
-    plain,
-    source_fingerprint,
-)
 
 __all__ = ["Learned", "learn_robot", "learned", "models_key"]
 

@@ -1,6 +1,6 @@
 """All experiments in one run: stage by stage, resumable, with progress.
 
-Every stage is kept under a key of what decides it (:mod:`~adaptive_contact_studies.paper.store`).
+Every stage is kept under a key of what decides it (:mod:`~adaptive_contact_studies.cache`).
 Interrupted, the same command goes on from there and ends with the same numbers.
 """
 
@@ -21,24 +21,20 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact_studies.cache import Store, plain
 from adaptive_contact_studies.paper.collisions import ten_collisions
 from adaptive_contact_studies.paper.compression import compare_all
 from adaptive_contact_studies.paper.data import Stream, join, load, parallel, record_all
 from adaptive_contact_studies.paper.detection import detection
 from adaptive_contact_studies.paper.detectors import DETECTORS
 from adaptive_contact_studies.paper.evaluation import ONLINE, evaluate, jobs_of
+from adaptive_contact_studies.paper.fingerprints import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.identification import identification
 from adaptive_contact_studies.paper.logs import run_logs
 from adaptive_contact_studies.paper.models import learn_robot, learned
 from adaptive_contact_studies.paper.plan import Piece, Plan, Role
 from adaptive_contact_studies.paper.report import write_report
 from adaptive_contact_studies.paper.responses import responses
-from adaptive_contact_studies.paper.store import (
-    Store,
-    physics_fingerprint,
-    plain,
-    source_fingerprint,
-)
 from adaptive_contact_studies.paper.workspace import (
     study_leg_run,
     workspace,

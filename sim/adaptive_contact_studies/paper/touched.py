@@ -31,6 +31,7 @@ from adaptive_contact.score import (
     match,
     summarise,
 )
+from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.paper.comparison_events import alarm_ticks
 from adaptive_contact_studies.paper.data import load
@@ -43,7 +44,6 @@ from adaptive_contact_studies.paper.evaluation import (
     read_job,
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan
-from adaptive_contact_studies.paper.store import Store
 from adaptive_contact_studies.paper.variants import AIMS, aim_name
 
 __all__ = [

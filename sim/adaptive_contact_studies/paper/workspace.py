@@ -22,7 +22,9 @@ from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact_studies.cache import Store, plain
 from adaptive_contact_studies.paper.data import Stream, join, load
+from adaptive_contact_studies.paper.fingerprints import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.identification import PAPER_WINDOW, told_condition
 from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan, Role
 from adaptive_contact_studies.paper.rows import (
@@ -34,12 +36,6 @@ from adaptive_contact_studies.paper.rows import (
     pick,
     rms_deg,
     worst,
-)
-from adaptive_contact_studies.paper.store import (
-    Store,
-    physics_fingerprint,
-    plain,
-    source_fingerprint,
 )
 from adaptive_contact_studies.paper.workspace_maps import (
     cylinder,

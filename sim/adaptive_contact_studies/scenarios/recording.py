@@ -33,8 +33,8 @@ from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.cache import code_digest, name_of, read_arrays, write_arrays
 from adaptive_contact_studies.scenarios import staging
-from adaptive_contact_studies.scenarios.files import code_digest, name_of, read_arrays, write_arrays
 from adaptive_contact_studies.scenarios.spec import RecordingSpec
 from adaptive_contact_studies.scenarios.staging import stagehand
 

@@ -8,7 +8,6 @@ For the page of plots, one recording of a scenario is traced tick by tick.
 from __future__ import annotations
 
 import functools
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,13 +24,14 @@ from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.score import Events
 from adaptive_contact.wire import ContactEvent, Status
 from adaptive_contact_sim.robots import ROBOTS
-from adaptive_contact_studies.evaluate import samples_of
-from adaptive_contact_studies.scenarios.files import (
+from adaptive_contact_studies.cache import (
     code_digest,
     name_of,
     read_arrays,
+    sources_digest,
     write_arrays,
 )
+from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.scenarios.learners import learner, reference_baseline
 from adaptive_contact_studies.scenarios.recording import Recording, key_of
 from adaptive_contact_studies.scenarios.spec import ReplaySpec, Variant
@@ -281,9 +281,7 @@ def learner_fingerprint() -> str:
     """Hash of the learner's source, of this module's, and of the shipped baselines."""
     product = Path(adaptive_contact.__file__).parent
     files = [f for name in _LEARNING for f in sorted((product / name).glob("*.py"))]
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.name.encode() + file.read_bytes())
+    digest = sources_digest(files)
     own = Path(__file__).read_text(encoding="utf-8")
     digest.update(code_digest(own, imports=False).encode())
     for name in ROBOTS:

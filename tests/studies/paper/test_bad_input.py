@@ -12,6 +12,7 @@ import pytest
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.model import Window, leg_library
 from adaptive_contact.robot import Robot
+from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.paper import identification as study
 from adaptive_contact_studies.paper.collisions import ten_collisions
 from adaptive_contact_studies.paper.compression import compare
@@ -19,7 +20,6 @@ from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.figures import draw_all
 from adaptive_contact_studies.paper.responses import fitted, responses
 from adaptive_contact_studies.paper.rows import free_rows, worst
-from adaptive_contact_studies.paper.store import plain
 from adaptive_contact_studies.paper.tables import headline, sections
 from adaptive_contact_studies.paper.workspace import compare_regions, workspace
 

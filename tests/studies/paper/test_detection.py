@@ -14,13 +14,13 @@ from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events, LegStream, Row, TruthChanges, summarise
+from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.paper import detection as study
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.evaluation import AIM, FACTORS, _tail
 from adaptive_contact_studies.paper.online import play_streams
 from adaptive_contact_studies.paper.plan import FULL, LegRun, Piece
-from adaptive_contact_studies.paper.store import plain
 from adaptive_contact_studies.paper.tables_limits import limits_section
 from adaptive_contact_studies.paper.touched import (
     BOTH,

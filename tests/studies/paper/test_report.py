@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
+from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.paper.detection import _rate
 from adaptive_contact_studies.paper.identification import (
     SINGULAR,
     _sparsest,
     told_condition,
 )
-from adaptive_contact_studies.paper.store import plain
 from adaptive_contact_studies.paper.tables import headline
 from adaptive_contact_studies.paper.tables_detection import _free
 from adaptive_contact_studies.paper.tables_format import per_joint

@@ -11,11 +11,11 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.model import leg_library
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact_studies.cache import Store, plain
 from adaptive_contact_studies.paper import data
 from adaptive_contact_studies.paper.evaluation import jobs_of
 from adaptive_contact_studies.paper.plan import FULL, QUICK, Plan
 from adaptive_contact_studies.paper.rows import free_rows
-from adaptive_contact_studies.paper.store import Store, plain
 
 SMALL = dataclasses.replace(
     QUICK,
@@ -138,7 +138,7 @@ def test_damaged_results_are_made_anew(tmp_path: Path) -> None:
 def test_source_that_changes_meanwhile_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from adaptive_contact_studies.paper import store
+    from adaptive_contact_studies.paper import fingerprints as store
 
     store.source_fingerprint()
     store.require_unchanged_source()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adaptive_contact_studies.paper.store import plain
+from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.paper.tables import sections
 from adaptive_contact_studies.paper.workspace import (
     _difference,
