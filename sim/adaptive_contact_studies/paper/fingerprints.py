@@ -41,7 +41,6 @@ _SHOWING: Final = frozenset(
         "report.py",
         "tables.py",
         "tables_detection.py",
-        "tables_format.py",
         "tables_identification.py",
         "tables_limits.py",
         "tables_logs.py",

@@ -12,16 +12,16 @@ from typing import Any, Final, NamedTuple
 
 from adaptive_contact_studies.paper.rows import noise_floor
 from adaptive_contact_studies.paper.tables_detection import detection_sections
-from adaptive_contact_studies.paper.tables_format import (
+from adaptive_contact_studies.paper.tables_identification import identification_sections
+from adaptive_contact_studies.paper.tables_logs import logs_sections
+from adaptive_contact_studies.paper.tables_workspace import workspace_section
+from adaptive_contact_studies.show.tables import (
     Section,
     Table,
     number,
     per_joint,
     percent,
 )
-from adaptive_contact_studies.paper.tables_identification import identification_sections
-from adaptive_contact_studies.paper.tables_logs import logs_sections
-from adaptive_contact_studies.paper.tables_workspace import workspace_section
 
 __all__ = ["Headline", "headline", "sections"]
 

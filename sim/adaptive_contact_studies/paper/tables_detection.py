@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from adaptive_contact_studies.paper.tables_format import (
+from adaptive_contact_studies.paper.tables_limits import alarms_section, limits_section
+from adaptive_contact_studies.paper.touched import BOTH, SLOW_FAST
+from adaptive_contact_studies.paper.verdicts import HALF, losses, losses_table, sentence
+from adaptive_contact_studies.show.tables import (
     Section,
     Table,
     interval,
@@ -13,9 +16,6 @@ from adaptive_contact_studies.paper.tables_format import (
     per_joint,
     percent,
 )
-from adaptive_contact_studies.paper.tables_limits import alarms_section, limits_section
-from adaptive_contact_studies.paper.touched import BOTH, SLOW_FAST
-from adaptive_contact_studies.paper.verdicts import HALF, losses, losses_table, sentence
 
 __all__ = ["detection_sections"]
 

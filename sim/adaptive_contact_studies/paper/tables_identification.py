@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from adaptive_contact_studies.paper.rows import NO_MODEL
-from adaptive_contact_studies.paper.tables_format import Section, Table, number, per_joint
+from adaptive_contact_studies.show.tables import Section, Table, number, per_joint
 
 __all__ = ["identification_sections"]
 

@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from adaptive_contact_studies.paper.tables_format import (
+from adaptive_contact_studies.paper.verdicts import losses, sentence
+from adaptive_contact_studies.show.tables import (
     Section,
     Table,
     interval,
     number,
     percent,
 )
-from adaptive_contact_studies.paper.verdicts import losses, sentence
 
 __all__ = ["alarms_section", "limits_section"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from adaptive_contact_studies.paper.tables_format import (
+from adaptive_contact_studies.show.tables import (
     Section,
     Table,
     number,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from adaptive_contact_studies.paper.tables_format import (
+from adaptive_contact_studies.show.tables import (
     Section,
     Table,
     number,

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-from adaptive_contact_studies.paper.tables_format import Table, number, percent
+from adaptive_contact_studies.show.tables import Table, number, percent
 
 __all__ = ["HALF", "Loss", "losses", "losses_table", "sentence"]
 

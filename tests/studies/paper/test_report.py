@@ -15,7 +15,7 @@ from adaptive_contact_studies.paper.identification import (
 )
 from adaptive_contact_studies.paper.tables import headline
 from adaptive_contact_studies.paper.tables_detection import _free
-from adaptive_contact_studies.paper.tables_format import per_joint
+from adaptive_contact_studies.show.tables import per_joint
 
 
 def found(
