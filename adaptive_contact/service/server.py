@@ -119,7 +119,8 @@ class Service:
         self._strays = Strays(link)
         self._stray_keys: dict[str, str] = {}
         self._status = link.publisher(SERVICE_STATUS, history=1)
-        self._look_ns = self._status_ns = now_ns
+        self._look_ns = self._status_ns = self._note_ns = now_ns
+        self._amiss: list[bool] = []  # which complaints the last status had
         self._latency_ns = now_ns + _LATENCY_LOG_NS
         self._visited = 0
         for leg in robot.legs:
@@ -217,6 +218,12 @@ class Service:
             self._visited = (self._visited + 1) % len(self._desks)
         self._look_ns = max(self._look_ns, now_ns)
         self._surroundings.look(now_ns)
+        if now_ns >= self._note_ns:
+            self._note_ns = now_ns + _LOOK_NS
+            # A complaint that comes or goes is published at once, its figures with the next status.
+            amiss = [one is not None for one in self._complaints(now_ns)]
+            if amiss != self._amiss:
+                self._amiss, self._status_ns = amiss, now_ns
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
             desks = (self._desks.get(leg) for leg in self._robot.leg_ids)
@@ -232,22 +239,9 @@ class Service:
         for latency_ns in self._outbox.latencies():
             self._event_latency.add(latency_ns)
         state = None if self._keeper is None else self._keeper.facts
-        failing = None if state is None or state.error is None else f"state: {state.error}"
-        held_ns = self._outbox.busy_ns(now_ns)
-        held = (
-            f"a subscriber that hangs has held up contact events for {held_ns / 1e9:.1f} s"
-            if held_ns > HELD_UP_NS
-            else None
-        )
-        dropped = (
-            f"{self._outbox.cut_off} links dropped since the start, as they held up contact "
-            "events: their subscribers hang or are gone"
-            if self._outbox.dropped_within(now_ns, _REPORTED_NS)
-            else None
-        )
         return ServiceStatus(
             instance=self._surroundings.instance,
-            note="; ".join(filter(None, (self._surroundings.note, held, dropped, failing))) or None,
+            note="; ".join(filter(None, self._complaints(now_ns))) or None,
             events_lost=self._outbox.lost,
             slow_puts=self._outbox.slow,
             cut_off=self._outbox.cut_off,
@@ -267,6 +261,24 @@ class Service:
             tick_latency=self._ticks_latency.quantiles(),
             event_latency=self._event_latency.quantiles(),
         )
+
+    def _complaints(self, now_ns: int) -> tuple[str | None, ...]:
+        """What is wrong with the service, each cause in its own place."""
+        held_ns = self._outbox.busy_ns(now_ns)
+        held = (
+            f"a subscriber that hangs has held up contact events for {held_ns / 1e9:.1f} s"
+            if held_ns > HELD_UP_NS
+            else None
+        )
+        dropped = (
+            f"{self._outbox.cut_off} links dropped since the start, as they held up contact "
+            "events: their subscribers hang or are gone"
+            if self._outbox.dropped_within(now_ns, _REPORTED_NS)
+            else None
+        )
+        error = None if self._keeper is None else self._keeper.facts.error
+        failing = None if error is None else f"state: {error}"
+        return self._surroundings.note, held, dropped, failing
 
     def log_figures(self) -> None:
         """Log what was done and how fast."""

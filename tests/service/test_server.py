@@ -15,6 +15,7 @@ from adaptive_contact.service import server
 from adaptive_contact.service.intake import Raw, Round
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
+from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
@@ -59,6 +60,25 @@ class Lockstep:
         self.service.work(Round(samples=raws), now_ns)
         self.service.finish()
         self.service.look(now_ns)
+
+
+class OneDisk:
+    """A keeper that saves nothing and reports what its disk is set to."""
+
+    def __init__(self) -> None:
+        self.error: str | None = None
+
+    @property
+    def facts(self) -> StateFacts:
+        return StateFacts(
+            folder="kept", restored=[], refused=[], saved=0, failed=0, error=self.error
+        )
+
+    def restore(self, *_: object) -> None:
+        return None
+
+    def due(self, *_: object) -> bool:
+        return False
 
 
 @pytest.fixture
@@ -242,6 +262,25 @@ def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> No
     step.service.work(Round(strangers=4, stranger="robot/leg/*/servo"), 1)
     step.service.look(2 * S)
     assert got.wait(1)[-1].rejects == {Reject.UNKNOWN_LEG: 4}
+
+
+def test_a_complaint_that_comes_or_goes_is_published_at_once(
+    router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot, inbox: Any
+) -> None:
+    """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
+    disk: Any = OneDisk()
+    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
+    client = join(router.endpoints[0])
+    got = inbox(ServiceStatus)
+    client.subscribe(SERVICE_STATUS, got, history=True)
+    client.query(SERVICE_STATUS)
+    errors = [None, None, "disk full", "disk full, still", None, None]
+    for tick, error in enumerate(errors):
+        disk.error = error
+        service.look(tick * 100 * MS)
+    service.look(S + 400 * MS)
+    notes = [(status.note, status.uptime_s) for status in got.wait(4)]
+    assert notes == [(None, 0.0), ("state: disk full", 0.2), (None, 0.4), (None, 1.4)]
 
 
 def test_models_are_told_when_asked(
