@@ -16,7 +16,7 @@ from adaptive_contact.cli._output import protect_output, say
 from adaptive_contact.errors import AdaptiveContactError, LinkError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
-from adaptive_contact.service.probe import Finding
+from adaptive_contact.service.settings import Finding
 from adaptive_contact.wire import ServoSample, bridge_status_key, command_key, servo_key
 
 __all__ = ["ZenohOutlet", "listen", "work"]

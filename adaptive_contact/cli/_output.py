@@ -23,7 +23,7 @@ from adaptive_contact.printable import printable, printable_json
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.settings import Finding
 
 __all__ = [
     "OutputLost",

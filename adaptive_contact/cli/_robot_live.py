@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.livecheck import LegView, LiveReport
     from adaptive_contact.service.settings import LinkSettings
-    from adaptive_contact.service.traffic import Received
     from adaptive_contact.wire import ServoSample
 
 __all__ = ["check_live", "collect_live"]

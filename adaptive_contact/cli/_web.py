@@ -17,8 +17,7 @@ from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.probe import Finding
-    from adaptive_contact.service.settings import LinkSettings
+    from adaptive_contact.service.settings import Finding, LinkSettings
     from adaptive_contact.web import LivePage, WebSettings
 
 __all__ = [
@@ -102,7 +101,7 @@ def live_page(settings: WebSettings, *, browse: bool) -> Iterator[LivePage]:
 def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bool) -> None:
     """Serve the page until Ctrl-C."""
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.probe import NoRouterError
+    from adaptive_contact.service.settings import NoRouterError
 
     # No exception: one that strikes inside a library may be lost there.
     stop = stoppable()

@@ -21,7 +21,7 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.errors import LinkError
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.settings import Finding
 
 __all__ = ["foxglove", "ros2"]
 

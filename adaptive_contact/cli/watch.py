@@ -83,8 +83,8 @@ def watch(
         serve_page(page_settings, settings, browse=not no_browser)
         return
     stop = stoppable()
-    from adaptive_contact.service.feed import Feed
     from adaptive_contact.service.link import Link, NoRouterError
+    from adaptive_contact.service.watch import Feed
 
     # A script that looks once is not to stand still where there is no router.
     patience_s = wait if once else math.inf

@@ -21,9 +21,9 @@ from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, axis_text
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
 
 __all__ = ["Flatness", "JointView", "LegView", "LiveCheck", "LiveReport"]

@@ -30,7 +30,7 @@ from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.service.link import Link, Publisher, Received
-from adaptive_contact.service.probe import REMEDY, Finding
+from adaptive_contact.service.settings import REMEDY, Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,

@@ -1,12 +1,16 @@
-"""The Zenoh configuration of a link.
+"""The Zenoh configuration of a link, and what Zenoh logs.
 
 A configuration file comes first; ``DEFAULTS`` hold where it says nothing; our own settings
-(mode, endpoints, namespace) always hold.
+(mode, endpoints, namespace) always hold.  Zenoh reads such a file itself but fills in its own
+defaults, and then nobody can tell what the file says from what it does not say; so its keys are
+read here too.
 """
 
 from __future__ import annotations
 
 import json
+import logging
+import os
 import re
 import socket
 from collections.abc import Mapping
@@ -16,7 +20,6 @@ from typing import Final, NamedTuple
 import zenoh
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.service.json5 import keys_of
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
@@ -25,16 +28,6 @@ from adaptive_contact.service.settings import (
     shown,
     tcp_address,
 )
-
-__all__ = [
-    "DEFAULTS",
-    "MAX_MESSAGE_BYTES",
-    "MAX_SESSIONS",
-    "Facts",
-    "configure",
-    "first_line",
-    "router_failure",
-]
 
 # Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
 # is Zenoh's own and cannot be interrupted.
@@ -327,3 +320,138 @@ def _with_free_port(text: str) -> str:
         ) from error
     head, _, tail = text.rpartition(":0")
     return f"{head}:{port}{tail}"
+
+
+_DEEPEST: Final = 64
+_SPACE = re.compile(r"(?:\s|\ufeff|//[^\n\r\u2028\u2029]*|/\*.*?\*/)*", re.DOTALL)
+_STRING = re.compile(r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'", re.DOTALL)
+# Names of keys, and numbers and words as values: all that stands without quotes.
+_WORD = re.compile(r"[^\s\"'{}\[\],:/]+")
+_ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|(.))", re.DOTALL)
+
+_SHORT: Final = {
+    "b": "\b",
+    "f": "\f",
+    "n": "\n",
+    "r": "\r",
+    "t": "\t",
+    "v": "\v",
+    "0": "\0",
+    "\n": "",  # a line that goes on
+}
+
+
+class _UnreadableError(ValueError):
+    """The text is no JSON5."""
+
+
+def keys_of(text: str) -> frozenset[str]:
+    """Paths of all settings in a JSON5 text.
+
+    Args:
+        text: whose outermost value is an object.
+
+    Returns:
+        Paths as ``scouting/multicast/enabled``, those of objects included; empty for what is no
+        JSON5 object.
+    """
+    found: set[str] = set()
+    try:
+        _Reader(text, found).read()
+    except _UnreadableError:
+        return frozenset()
+    return frozenset(found)
+
+
+class _Reader:
+    def __init__(self, text: str, found: set[str]) -> None:
+        self._text = text
+        self._at = 0
+        self._found = found
+
+    def read(self) -> None:
+        self._value((), 0)
+        self._peek()
+        if self._at != len(self._text):
+            raise _UnreadableError
+
+    def _peek(self) -> str:
+        """The next character that counts, empty at the end."""
+        space = _SPACE.match(self._text, self._at)
+        self._at = self._at if space is None else space.end()
+        return self._text[self._at : self._at + 1]
+
+    def _take(self, pattern: re.Pattern[str]) -> str:
+        match = pattern.match(self._text, self._at)
+        if match is None:
+            raise _UnreadableError
+        self._at = match.end()
+        return match.group()
+
+    def _value(self, path: tuple[str, ...] | None, depth: int) -> None:
+        if depth > _DEEPEST:
+            raise _UnreadableError
+        first = self._peek()
+        if first == "{":
+            self._members("}", path, depth)
+        elif first == "[":
+            self._members("]", None, depth)
+        elif first in ('"', "'"):
+            self._take(_STRING)
+        else:
+            self._take(_WORD)
+
+    def _members(self, end: str, path: tuple[str, ...] | None, depth: int) -> None:
+        """Members of an object, or of an array, whose objects have no path."""
+        self._at += 1
+        while (first := self._peek()) != end:
+            inner: tuple[str, ...] | None = None
+            if end == "}":
+                key = self._key(first)
+                if path is not None:
+                    inner = (*path, key)
+                    self._found.add("/".join(inner))
+                if self._peek() != ":":
+                    raise _UnreadableError
+                self._at += 1
+            self._value(inner, depth + 1)
+            if self._peek() == ",":
+                self._at += 1
+            elif self._peek() != end:
+                raise _UnreadableError
+        self._at += 1
+
+    def _key(self, first: str) -> str:
+        if first not in ('"', "'"):
+            return self._take(_WORD)
+        return _ESCAPE.sub(_unescape, self._take(_STRING)[1:-1])
+
+
+def _unescape(match: re.Match[str]) -> str:
+    code = match[1] or match[2]
+    return chr(int(code, 16)) if code else _SHORT.get(match[3], match[3])
+
+
+class _CallbackFaults(logging.Handler):
+    """Counts exceptions in callbacks; Zenoh logs them and goes on."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.count += 1
+
+
+def callback_faults() -> int:
+    """Exceptions raised in callbacks of any session, since this process began."""
+    return _faults.count
+
+
+_faults = _CallbackFaults()
+logging.getLogger("zenoh.handlers").addHandler(_faults)
+if "RUST_LOG" in os.environ:
+    # At debug the one part of Zenoh writes the whole configuration, passwords and all; the other
+    # writes whole endpoints, in which a key may stand, with every connection that fails.
+    os.environ["RUST_LOG"] += ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=off"
+    zenoh.try_init_log_from_env()

@@ -28,8 +28,8 @@ from adaptive_contact_sim.pace import Pace
 from adaptive_contact_sim.simulation import Simulation, Tick
 
 if TYPE_CHECKING:
+    from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
-    from adaptive_contact.service.traffic import Received
 
 __all__ = ["Outcome", "run_live", "run_offline"]
 

@@ -19,8 +19,8 @@ import pytest
 from adaptive_contact.bridge.status import BridgeStatus, Quantiles, ServoCounts
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.robot.write import write_robot
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, router_settings
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     MSGPACK,
     Command,

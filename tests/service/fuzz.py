@@ -29,10 +29,9 @@ from adaptive_contact.detect.stream import (
     Accepted,
     StreamGuard,
 )
-from adaptive_contact.service.intake import Raw, read
-from adaptive_contact.service.meters import LatencyMs
+from adaptive_contact.service.sample_queue import Raw, read
 from adaptive_contact.service.state import Identity, Record, StateFacts, pack
-from adaptive_contact.service.status import LegFacts, ServiceStatus
+from adaptive_contact.service.status import LatencyMs, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,

@@ -19,9 +19,9 @@ from typing import Any
 
 from rich.console import Console
 
-from adaptive_contact.service.feed import Feed
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.watch import Feed
 from adaptive_contact.service.watch_table import headline, table
 from adaptive_contact.wire import (
     ALL_CONTACT,

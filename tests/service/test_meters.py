@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.service.meters import Brake, Latency
+from adaptive_contact.service.logs import LogThrottle
+from adaptive_contact.service.status import Latency
 
 
 def test_no_values_no_quantiles() -> None:
@@ -34,7 +35,7 @@ def test_only_the_newest_count(values: list[int]) -> None:
 
 
 def test_a_brake_lets_one_line_per_period_through_and_counts_the_rest() -> None:
-    brake = Brake(period_s=10.0)
+    brake = LogThrottle(period_s=10.0)
     assert brake.passes("a", 0) == 1
     assert brake.passes("a", 1_000_000_000, times=5) is None
     assert brake.passes("b", 1_000_000_000) == 1
@@ -43,7 +44,7 @@ def test_a_brake_lets_one_line_per_period_through_and_counts_the_rest() -> None:
 
 
 def test_a_brake_forgets_rather_than_grows() -> None:
-    brake = Brake()
+    brake = LogThrottle()
     for kind in range(10_000):
         assert brake.passes(kind, kind) == 1
     assert len(brake._kinds) <= 256
@@ -51,4 +52,4 @@ def test_a_brake_forgets_rather_than_grows() -> None:
 
 @pytest.mark.parametrize("times", [1, 7])
 def test_a_line_stands_for_what_happened_at_once(times: int) -> None:
-    assert Brake().passes("x", 5, times=times) == times
+    assert LogThrottle().passes("x", 5, times=times) == times

@@ -19,12 +19,11 @@ from adaptive_contact.cli.demo.listening import Listening
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.service.recording.recorder import Recorder
 from adaptive_contact.service.status import ServiceStatus
-from adaptive_contact.service.watch import View
+from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
 
