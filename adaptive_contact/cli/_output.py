@@ -25,17 +25,6 @@ if TYPE_CHECKING:
 
     from adaptive_contact.service.settings import Finding
 
-__all__ = [
-    "OutputLost",
-    "make_stdout_optional",
-    "overwrite",
-    "protect_output",
-    "say",
-    "say_json",
-    "say_note",
-    "say_waiting",
-]
-
 
 def say(line: object, *, err: bool = False) -> None:
     """Print one line for people; control characters in it are shown.

@@ -21,8 +21,6 @@ from adaptive_contact.errors import ConfigurationError, MissingExtraError, Recor
 from adaptive_contact.files import write_file
 from adaptive_contact.service.replay_trace import LegTrace, Spans
 
-__all__ = ["check_plot", "write_plot"]
-
 # Of all legs together: 400 000 ticks are 2 MB of text, 20 minutes of six legs at 50 Hz.
 _MAX_POINTS: Final = 400_000
 _MAX_SPANS: Final = 60_000

@@ -22,6 +22,7 @@ from adaptive_contact.cli._options import (
     Network,
     check_output,
     flatten,
+    option,
     seconds_option,
     stoppable,
 )
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
-
-__all__ = ["check"]
 
 _PIPE_WIDTH: Final = 110
 # How long to look at a bus, and at a source that walks.
@@ -51,32 +50,19 @@ def check(
     config: ConfigOption = None,
     device: DeviceOption = None,
     live: Annotated[
-        bool,
-        typer.Option(
-            "--live", help="Judge the samples of any source on the wire; no bus is opened."
-        ),
+        bool, option("--live", "Judge the samples of any source on the wire; no bus is opened.")
     ] = False,
     picture: Annotated[
-        Path | None,
-        typer.Option(
-            "--picture",
-            metavar="FILE.svg",
-            help="Draw the legs as they stand now.",
-            show_default=False,
-        ),
+        Path | None, option("--picture", "Draw the legs as they stand now.", "FILE.svg")
     ] = None,
     seconds: Annotated[
         float | None,
         seconds_option(
-            "--seconds",
-            least=0.2,
-            most=600.0,
-            help="How long to look: 1 unless given, 20 with --live.",
-            show_default=False,
+            "--seconds", "How long to look: 1 unless given, 20 with --live.", least=0.2, most=600.0
         ),
     ] = None,
     network: Network,
-    json: Annotated[bool, typer.Option("--json", help="With --live: print JSON.")] = False,
+    json: Annotated[bool, option("--json", "With --live: print JSON.")] = False,
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
 
@@ -141,8 +127,8 @@ def _check_bus(
     stop: threading.Event,
 ) -> None:
     with needs_sdk():
-        from adaptive_contact.bridge.collect import collect
         from adaptive_contact.bridge.compare import compare, read_servos
+        from adaptive_contact.bridge.training import collect
 
     from rich.live import Live
 

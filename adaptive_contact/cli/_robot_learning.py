@@ -17,6 +17,7 @@ from adaptive_contact.cli._options import (
     RealtimeOption,
     check_output,
     flatten,
+    option,
     seconds_option,
     stoppable,
 )
@@ -27,14 +28,12 @@ from adaptive_contact.files import holds_content
 if TYPE_CHECKING:
     import numpy as np
 
-    from adaptive_contact.bridge.collect import Script
     from adaptive_contact.bridge.plan import PortPlan
+    from adaptive_contact.bridge.training import Script
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import Stretch, Training
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
-
-__all__ = ["free_file", "learn", "losses", "pose_of"]
 
 # Free ticks per term of the library below which a fit is refused (adapt.training).
 _LEAST_ROWS: Final = 4
@@ -50,64 +49,53 @@ def learn(
     *,
     config: ConfigOption = None,
     device: DeviceOption = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes.")
-    ] = Path("baseline.json"),
+    out: Annotated[Path, option("--out", "Where the baseline goes.", "FILE", short="-o")] = Path(
+        "baseline.json"
+    ),
     drive: Annotated[
         bool,
-        typer.Option(
+        option(
             "--drive",
-            help="Let the bridge swing the legs.  Without it, your own controller has to swing "
+            "Let the bridge swing the legs.  Without it, your own controller has to swing "
             "them in free air meanwhile.",
         ),
     ] = False,
     live: Annotated[
         bool,
-        typer.Option(
-            "--live",
-            help="Learn from the samples of any source on the wire; no bus is opened.",
-        ),
+        option("--live", "Learn from the samples of any source on the wire; no bus is opened."),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
+    yes: Annotated[bool, option("--yes", "The robot hangs free; do not ask.")] = False,
     seconds: Annotated[
-        float, seconds_option("--seconds", least=1.0, most=3600.0, help="How long to swing.")
+        float, seconds_option("--seconds", "How long to swing.", least=1.0, most=3600.0)
     ] = 60.0,
     amplitude: Annotated[
-        float,
-        typer.Option("--amplitude", min=0.05, max=1.5, help="Of driven swings, rad, each way."),
+        float, option("--amplitude", "Of driven swings, rad, each way.", min=0.05, max=1.5)
     ] = 0.4,
     pose: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--pose",
-            metavar="RAD,RAD,...",
-            help="Joint angles to swing around, as the legs stand when they walk; where they are "
+            "Joint angles to swing around, as the legs stand when they walk; where they are "
             "found without it.",
-            show_default=False,
+            "RAD,RAD,...",
         ),
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(
-            "--recording",
-            metavar="FILE.mcap",
-            help="Where what is recorded goes; beside --out without it.",
-            show_default=False,
-        ),
+        option("--recording", "Where what is recorded goes; beside --out without it.", "FILE.mcap"),
     ] = None,
     more: Annotated[
         list[Path] | None,
-        typer.Option(
+        option(
             "--more",
-            metavar="FILE.mcap",
-            help="Learn from this recording of an earlier run as well; repeatable.",
-            show_default=False,
+            "Learn from this recording of an earlier run as well; repeatable.",
+            "FILE.mcap",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    seed: Annotated[int, option("--seed", min=0)] = 0,
     realtime: RealtimeOption = False,
     network: Network,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: Annotated[bool, option("--json", "Print JSON.")] = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
     stop = stoppable()
@@ -146,7 +134,7 @@ def learn(
         samples = collect_live(robot, link, seconds, stop=stop)
     else:
         with needs_sdk():
-            from adaptive_contact.bridge.collect import collect
+            from adaptive_contact.bridge.training import collect
 
         plans = plans_of(robot, config, device)
         home = None if pose is None else pose_of(pose, robot, plans)
@@ -245,7 +233,7 @@ def swings_of(
     """Free swings of every leg, each with a stream of randomness of its own."""
     import numpy as np
 
-    from adaptive_contact.bridge.freeswing import free_swings
+    from adaptive_contact.bridge.training import free_swings
 
     steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}
     seeds = np.random.SeedSequence(seed).spawn(len(robot.legs))

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.wire import ServoSample
 
-__all__ = ["check_live", "collect_live"]
-
 _BACKLOG: Final = 50_000
 _POLL_S: Final = 0.05
 _REDRAW_S: Final = 0.2

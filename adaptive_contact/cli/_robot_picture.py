@@ -19,8 +19,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Mount, Robot
 
-__all__ = ["chain", "draw", "write_picture"]
-
 Array = NDArray[np.float64]
 
 # With mounts of so many legs told, the robot is drawn as a whole.

@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import JsonOption
+from adaptive_contact.cli._options import JsonOption, option
 from adaptive_contact.cli._output import say
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
-
-__all__ = ["baseline"]
 
 
 def baseline(
@@ -19,13 +17,10 @@ def baseline(
         Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON).")
     ] = Path("baseline.json"),
     robot: Annotated[
-        str,
-        typer.Option(
-            "--robot", metavar="NAME", help="Which robot: hexapod, quadruped12, leg5. [hexapod]"
-        ),
+        str, option("--robot", "Which robot: hexapod, quadruped12, leg5. [hexapod]", "NAME")
     ] = "hexapod",
     processes: Annotated[
-        int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
+        int, option("--processes", "Runs simulated at a time.", min=1, max=64)
     ] = 2,
     scheduler: SchedulerOption = None,
     json: JsonOption = False,

@@ -12,8 +12,6 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import typer
-
 from adaptive_contact.cli import gateways
 from adaptive_contact.cli._bus import (
     DeviceOption,
@@ -29,6 +27,7 @@ from adaptive_contact.cli._options import (
     RealtimeOption,
     check_output,
     flatten,
+    option,
     seconds_option,
     stoppable,
 )
@@ -39,8 +38,6 @@ from adaptive_contact.errors import ConfigurationError
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.service.link import LinkSettings
-
-__all__ = ["app"]
 
 app = Commands(
     help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
@@ -57,25 +54,23 @@ def dynamixel(
     config: ConfigOption = None,
     drive: Annotated[
         bool,
-        typer.Option(
+        option(
             "--drive",
-            help="Write the goals that arrive on robot/leg/*/command.  Without it the bridge only "
+            "Write the goals that arrive on robot/leg/*/command.  Without it the bridge only "
             "reads, and another controller moves the robot.",
         ),
     ] = False,
     configure: Annotated[
         bool,
-        typer.Option(
+        option(
             "--configure",
-            help="Set return delays to 0, and let servos answer that answer pings only (status "
+            "Set return delays to 0, and let servos answer that answer pings only (status "
             "return level 2), in the servos' EEPROM.",
         ),
     ] = False,
     realtime: RealtimeOption = False,
     device: DeviceOption = None,
-    baud: Annotated[
-        int | None, typer.Option("--baud", help="Instead of robot.toml's.", show_default=False)
-    ] = None,
+    baud: Annotated[int | None, option("--baud", "Instead of robot.toml's.")] = None,
     network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
@@ -161,80 +156,54 @@ class _Crew:
 @flatten
 def virtual(
     *,
-    directory: Annotated[
-        Path,
-        typer.Option("--dir", metavar="DIR", help="Where the ports appear, as links."),
-    ] = Path("bus"),
+    directory: Annotated[Path, option("--dir", "Where the ports appear, as links.", "DIR")] = Path(
+        "bus"
+    ),
     config: ConfigOption = None,
     robot: Annotated[
-        str, typer.Option("--robot", metavar="NAME", help="Which shipped robot is simulated.")
+        str, option("--robot", "Which shipped robot is simulated.", "NAME")
     ] = "hexapod",
     ports: Annotated[
         int | None,
-        typer.Option(
-            "--ports",
-            min=1,
-            help="For a robot without ports of its own; one if left out.",
-            show_default=False,
-        ),
+        option("--ports", "For a robot without ports of its own; one if left out.", min=1),
     ] = None,
     write_config: Annotated[
-        Path | None,
-        typer.Option(
-            "--write-config",
-            metavar="FILE",
-            help="Write the robot.toml of this bus.",
-            show_default=False,
-        ),
+        Path | None, option("--write-config", "Write the robot.toml of this bus.", "FILE")
     ] = None,
     scenario: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--scenario",
-            metavar="NAME",
-            help="The robot moves by itself, as in `sim`; without it, it hangs on a stand and "
+            "The robot moves by itself, as in `sim`; without it, it hangs on a stand and "
             "does what the bus says.",
-            show_default=False,
+            "NAME",
         ),
     ] = None,
-    height: Annotated[
-        float, typer.Option("--height", help="Of the stand: body over the floor, m.")
-    ] = 1.0,
+    height: Annotated[float, option("--height", "Of the stand: body over the floor, m.")] = 1.0,
     fault: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--fault",
-            metavar="SPEC",
-            help="What goes wrong: silent, late, flip, stale, error, hangup, such as "
+            "What goes wrong: silent, late, flip, stale, error, hangup, such as "
             "silent:id=3@5+2 (servo 3, from 5 s, for 2 s); repeatable.",
-            show_default=False,
+            "SPEC",
         ),
     ] = None,
     return_delay: Annotated[
-        int, typer.Option("--return-delay", min=0, max=254, help="Register, 2 us each.")
+        int, option("--return-delay", "Register, 2 us each.", min=0, max=254)
     ] = 0,
     wire_time: Annotated[
-        bool, typer.Option("--wire-time/--no-wire-time", help="Packets take their time.")
+        bool, option("--wire-time/--no-wire-time", "Packets take their time.")
     ] = True,
     realtime: RealtimeOption = False,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
-    robot_seed: Annotated[int, typer.Option("--robot-seed", min=0)] = 0,
-    seconds: Annotated[
-        float | None,
-        seconds_option("--seconds", help="Otherwise until Ctrl-C.", show_default=False),
-    ] = None,
+    seed: Annotated[int, option("--seed", min=0)] = 0,
+    robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0,
+    seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None,
     record: Annotated[
         Path | None,
-        typer.Option(
-            "--record",
-            metavar="FILE.mcap",
-            help="Of a scenario: the simulator's own samples and truth.",
-            show_default=False,
-        ),
+        option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
     ] = None,
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Publish robot/leg/*/truth over Zenoh.")
-    ] = False,
+    truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False,
     network: Network,
     json: JsonPayloadOption = False,
 ) -> None:
@@ -249,9 +218,9 @@ def virtual(
     from adaptive_contact.robot import load_robot, shipped_robot
 
     _check_shipped(robot)
-    for path, option in ((write_config, "--write-config"), (record, "--record")):
+    for path, name in ((write_config, "--write-config"), (record, "--record")):
         if path is not None:
-            check_output(path, option)
+            check_output(path, name)
     plan = VirtualPlan(
         robot=shipped_robot(robot) if config is None else load_robot(config),
         simulated=robot,

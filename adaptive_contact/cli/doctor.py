@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.doctor import Diagnosis
     from adaptive_contact.service.findings import Finding, Level
 
-__all__ = ["doctor", "print_findings"]
-
 _PIPE_WIDTH: Final = 140
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -35,7 +33,7 @@ def doctor(
     *,
     network: Network,
     seconds: Annotated[
-        float, seconds_option("--seconds", least=0.5, most=600.0, help="How long to listen.")
+        float, seconds_option("--seconds", "How long to listen.", least=0.5, most=600.0)
     ] = 3.0,
     json: JsonOption = False,
 ) -> None:

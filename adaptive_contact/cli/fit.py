@@ -12,6 +12,7 @@ from adaptive_contact.cli._options import (
     ConfigOption,
     JsonOption,
     check_output,
+    option,
     recorded_robot,
     say_damage,
 )
@@ -24,15 +25,6 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.findings import Finding
     from adaptive_contact.wire import Rejected, ServoSample
-
-__all__ = [
-    "check_conventions",
-    "check_streams",
-    "fit",
-    "gather",
-    "print_training",
-    "refuse_useless",
-]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -54,29 +46,21 @@ def fit(
     ] = Path("baseline.json"),
     config: ConfigOption = None,
     free: Annotated[
-        bool,
-        typer.Option(
-            "--free",
-            help="Nothing was touched: without truth, use the swings to their ends.",
-        ),
+        bool, option("--free", "Nothing was touched: without truth, use the swings to their ends.")
     ] = False,
     library: Annotated[
-        Literal["servo", "paper", "linear"],
-        typer.Option("--library", help="Candidate terms."),
+        Literal["servo", "paper", "linear"], option("--library", "Candidate terms.")
     ] = "servo",
     threshold: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--threshold",
-            metavar="λ",
+            "STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
+            "λ",
             min=0.0,
-            help="STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
-            show_default=False,
         ),
     ] = None,
-    equations: Annotated[
-        bool, typer.Option("--equations", help="Print every leg's equations, too.")
-    ] = False,
+    equations: Annotated[bool, option("--equations", "Print every leg's equations, too.")] = False,
     json: JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""

@@ -6,8 +6,6 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from adaptive_contact.cli._bus import described_in, robot_of
 from adaptive_contact.cli._options import (
     ConfigOption,
@@ -15,6 +13,7 @@ from adaptive_contact.cli._options import (
     Network,
     RealtimeOption,
     flatten,
+    option,
     stoppable,
 )
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
@@ -23,8 +22,6 @@ from adaptive_contact.errors import LinkError
 if TYPE_CHECKING:
     from adaptive_contact.service.settings import Finding
 
-__all__ = ["foxglove", "ros2"]
-
 
 @flatten
 def ros2(
@@ -32,22 +29,20 @@ def ros2(
     config: ConfigOption = None,
     ros_connect: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--ros-connect",
-            metavar="ENDPOINT",
-            help="Router of ROS 2, rmw_zenohd (default tcp/127.0.0.1:7447); repeatable.",
-            show_default=False,
-            rich_help_panel="Network",
+            "Router of ROS 2, rmw_zenohd (default tcp/127.0.0.1:7447); repeatable.",
+            "ENDPOINT",
+            panel="Network",
         ),
     ] = None,
     ros_zenoh_config: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--ros-zenoh-config",
-            metavar="FILE",
-            help="Zenoh configuration file (JSON5) for that router.",
-            show_default=False,
-            rich_help_panel="Network",
+            "Zenoh configuration file (JSON5) for that router.",
+            "FILE",
+            panel="Network",
         ),
     ] = None,
     realtime: RealtimeOption = False,
@@ -103,12 +98,8 @@ def ros2(
 @flatten
 def foxglove(
     *,
-    host: Annotated[
-        str, typer.Option("--host", metavar="ADDRESS", help="Where Foxglove connects to.")
-    ] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65_535, help="0 takes a free one.")
-    ] = 8765,
+    host: Annotated[str, option("--host", "Where Foxglove connects to.", "ADDRESS")] = "127.0.0.1",
+    port: Annotated[int, option("--port", "0 takes a free one.", "N", min=0, max=65_535)] = 8765,
     network: Network,
 ) -> None:
     """Show the running robot in Foxglove, over its websocket protocol."""

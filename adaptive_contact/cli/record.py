@@ -14,6 +14,7 @@ import typer
 from adaptive_contact.cli._options import (
     Network,
     flatten,
+    option,
     seconds_option,
     stoppable,
 )
@@ -21,8 +22,6 @@ from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, s
 from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
-
-__all__ = ["record"]
 
 
 @flatten
@@ -32,19 +31,12 @@ def record(
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to write.", show_default=False)
     ],
     key: Annotated[
-        str, typer.Option("--key", metavar="EXPR", help="Zenoh key expression of what to record.")
+        str, option("--key", "Zenoh key expression of what to record.", "EXPR")
     ] = "robot/**",
     seconds: Annotated[
-        float | None,
-        seconds_option(
-            "--seconds",
-            help="Stop after so long; otherwise at Ctrl-C.",
-            show_default=False,
-        ),
+        float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace the file if it is there already.")
-    ] = False,
+    force: Annotated[bool, option("--force", "Replace the file if it is there already.")] = False,
     network: Network,
 ) -> None:
     """Record messages of any key, byte for byte, until Ctrl-C."""

@@ -22,6 +22,7 @@ from adaptive_contact.cli._options import (
     WhenAmbiguous,
     check_output,
     flatten,
+    option,
     recorded_robot,
     say_damage,
     speed_of,
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts
 
-__all__ = ["replay"]
-
 
 @flatten
 def replay(
@@ -53,43 +52,38 @@ def replay(
     ],
     speed: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--speed",
-            metavar="X|max",
-            help="How much faster than recorded; 'max' takes as little time as it can. [1]",
-            show_default=False,
+            "How much faster than recorded; 'max' takes as little time as it can. [1]",
+            "X|max",
         ),
     ] = None,
     events: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--events",
-            metavar="OUT.jsonl",
-            help="Use no network: feed the learners and write one contact event per line "
+            "Use no network: feed the learners and write one contact event per line "
             "('-' for standard output).",
-            show_default=False,
+            "OUT.jsonl",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--plot",
-            metavar="FILE.html|png",
-            help="Use no network: feed the learners and draw per leg what was detected and missed, "
+            "Use no network: feed the learners and draw per leg what was detected and missed, "
             "and how far below the threshold.",
-            show_default=False,
+            "FILE.html|png",
         ),
     ] = None,
     baseline: BaselineOption = None,
     config: ConfigOption = None,
     when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
     everything: Annotated[
-        bool,
-        typer.Option("--all", help="Also publish recorded events, status and COMMANDS."),
+        bool, option("--all", "Also publish recorded events, status and COMMANDS.")
     ] = False,
     keep_run: Annotated[
-        bool,
-        typer.Option("--keep-run", help="Leave `run` in the samples as recorded, not a new start."),
+        bool, option("--keep-run", "Leave `run` in the samples as recorded, not a new start.")
     ] = False,
     network: Network,
 ) -> None:

@@ -11,6 +11,7 @@ import typer
 from adaptive_contact.cli._options import (
     ConfigOption,
     JsonOption,
+    option,
     recorded_robot,
     seconds_option,
 )
@@ -19,8 +20,6 @@ from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.wire import ContactEvent
-
-__all__ = ["score"]
 
 
 def score(
@@ -34,20 +33,16 @@ def score(
     ],
     events: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--events",
-            metavar="FILE.jsonl",
-            help="Score these events, one ContactEvent per line, instead of the recorded ones.",
-            show_default=False,
+            "Score these events, one ContactEvent per line, instead of the recorded ones.",
+            "FILE.jsonl",
         ),
     ] = None,
     json: JsonOption = False,
     config: ConfigOption = None,
-    from_s: Annotated[float, seconds_option("--from", help="Judge swings from here on.")] = 0.0,
-    to_s: Annotated[
-        float | None,
-        seconds_option("--to", help="And up to here.", show_default=False),
-    ] = None,
+    from_s: Annotated[float, seconds_option("--from", "Judge swings from here on.")] = 0.0,
+    to_s: Annotated[float | None, seconds_option("--to", "And up to here.")] = None,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""
     from adaptive_contact.score import score_messages

@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.state import StateKeeper
 
-__all__ = ["serve"]
-
 # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox would wait
 # as long for the worker.  At half a millisecond the hand-over costs nothing that can be measured.
 _SWITCH_S: Final = 0.0005

@@ -14,6 +14,7 @@ from adaptive_contact.cli._options import (
     JsonPayloadOption,
     Network,
     flatten,
+    option,
     seconds_option,
     stoppable,
 )
@@ -28,8 +29,6 @@ from adaptive_contact.cli._sim_options import (
 from adaptive_contact.cli.baseline import baseline
 from adaptive_contact.errors import ConfigurationError, LinkError
 
-__all__ = ["app"]
-
 app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 
 
@@ -37,25 +36,18 @@ app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_
 @flatten
 def pose(
     *,
-    leg: Annotated[
-        str | None, typer.Option("--leg", metavar="LEG|all", help="Which leg moves. [rf]")
-    ] = None,
+    leg: Annotated[str | None, option("--leg", "Which leg moves. [rf]", "LEG|all")] = None,
     obstacles: Annotated[
-        float | None, typer.Option("--obstacles", help="Share of descents onto an obstacle. [0]")
+        float | None, option("--obstacles", "Share of descents onto an obstacle. [0]")
     ] = None,
-    soft: Annotated[
-        float | None, typer.Option("--soft", help="Share of obstacles that yield. [0]")
-    ] = None,
+    soft: Annotated[float | None, option("--soft", "Share of obstacles that yield. [0]")] = None,
     approach: Annotated[
-        str | None,
-        typer.Option("--approach", metavar="descent|slow|forward|graze", help="How legs come."),
+        str | None, option("--approach", "How legs come.", "descent|slow|forward|graze")
     ] = None,
     workspace: Annotated[
-        str | None, typer.Option("--workspace", metavar="paper|whole", help="Where legs move.")
+        str | None, option("--workspace", "Where legs move.", "paper|whole")
     ] = None,
-    path: Annotated[
-        str | None, typer.Option("--path", metavar="cartesian|joint", help="What is straight.")
-    ] = None,
+    path: Annotated[str | None, option("--path", "What is straight.", "cartesian|joint")] = None,
     react_ms: ReactOption = None,
     run: RunOptions,
     network: Network,
@@ -84,33 +76,22 @@ def pose(
 def walk(
     *,
     gait: Annotated[
-        str | None,
-        typer.Option(
-            "--gait", metavar="GAIT", help="tripod, ripple, wave; trot, walk of a quadruped."
-        ),
+        str | None, option("--gait", "tripod, ripple, wave; trot, walk of a quadruped.", "GAIT")
     ] = None,
     terrain: Annotated[
-        str | None,
-        typer.Option(
-            "--terrain", metavar="flat|steps|rough|soft|holes", help="The ground. [rough]"
-        ),
+        str | None, option("--terrain", "The ground. [rough]", "flat|steps|rough|soft|holes")
     ] = None,
-    relief: Annotated[
-        float | None, typer.Option("--relief", metavar="M", help="Lowest to highest. [0.035]")
-    ] = None,
+    relief: Annotated[float | None, option("--relief", "Lowest to highest. [0.035]", "M")] = None,
     stop_on: Annotated[
-        str | None,
-        typer.Option(
-            "--stop-on", metavar="truth|service|never", help="Who stops a descent. [truth]"
-        ),
+        str | None, option("--stop-on", "Who stops a descent. [truth]", "truth|service|never")
     ] = None,
     react_ms: ReactOption = None,
     phase: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--phase",
-            metavar="touch|planned",
-            help="When it says stance: stopped by a touch, or as planned. [touch]",
+            "When it says stance: stopped by a touch, or as planned. [touch]",
+            "touch|planned",
         ),
     ] = None,
     run: RunOptions,
@@ -140,15 +121,13 @@ def inject(
         str | None,
         typer.Argument(metavar="KIND", help="What drifts (`sim list`); without it, what holds."),
     ] = None,
-    value: Annotated[
-        float | None, typer.Option("--value", help="Absolute, in the kind's unit.")
-    ] = None,
+    value: Annotated[float | None, option("--value", "Absolute, in the kind's unit.")] = None,
     *,
-    leg: Annotated[str, typer.Option("--leg", metavar="LEG|all")] = "all",
-    joint: Annotated[str, typer.Option("--joint", metavar="JOINT|all")] = "all",
-    shape: Annotated[str, typer.Option("--shape", metavar="step|ramp|pulse|walk")] = "step",
-    duration: Annotated[float, seconds_option("--duration", help="Of a shape.")] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of a random walk.")] = 0,
+    leg: Annotated[str, option("--leg", metavar="LEG|all")] = "all",
+    joint: Annotated[str, option("--joint", metavar="JOINT|all")] = "all",
+    shape: Annotated[str, option("--shape", metavar="step|ramp|pulse|walk")] = "step",
+    duration: Annotated[float, seconds_option("--duration", "Of a shape.")] = 0.0,
+    seed: Annotated[int, option("--seed", "Of a random walk.", min=0)] = 0,
     network: Network,
     json: JsonOption = False,
 ) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption, StateOption
+from adaptive_contact.cli._options import Commands, JsonOption, StateOption, option
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
@@ -26,17 +26,13 @@ if TYPE_CHECKING:
 
     from adaptive_contact.service.state import Record, Stored
 
-__all__ = ["app"]
-
 app = Commands(
     help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
 )
 
 _PIPE_WIDTH: Final = 160
-RobotOption = Annotated[
-    str | None, typer.Option("--robot", metavar="NAME", help="Only of this robot.")
-]
-LegOption = Annotated[str | None, typer.Option("--leg", metavar="ID", help="Only of this leg.")]
+RobotOption = Annotated[str | None, option("--robot", "Only of this robot.", "NAME")]
+LegOption = Annotated[str | None, option("--leg", "Only of this leg.", "ID")]
 
 
 @app.command()
@@ -127,7 +123,7 @@ def reset(
     state: StateOption = None,
     robot: RobotOption = None,
     leg: LegOption = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    yes: Annotated[bool, option("--yes", "Do not ask.", short="-y")] = False,
 ) -> None:
     """Forget what was learned: the service starts from its baseline again.
 

@@ -7,12 +7,11 @@ import sys
 import time
 from typing import TYPE_CHECKING, Annotated, Final
 
-import typer
-
 from adaptive_contact.cli._options import (
     JsonOption,
     Network,
     flatten,
+    option,
     seconds_option,
     stoppable,
 )
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
 
     Look = Callable[[], View]
 
-__all__ = ["watch"]
-
 _REFRESH_S: Final = 0.25
 _PIPE_WIDTH: Final = 160
 
@@ -47,28 +44,25 @@ _PIPE_WIDTH: Final = 160
 def watch(
     *,
     network: Network,
-    once: Annotated[
-        bool, typer.Option("--once", help="Look for a while, print one table and end.")
-    ] = False,
+    once: Annotated[bool, option("--once", "Look for a while, print one table and end.")] = False,
     seconds: Annotated[
         float,
         seconds_option(
             "--seconds",
+            "How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
             least=0.1,
             most=3600.0,
-            help="How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
         ),
     ] = 2.0,
     wait: Annotated[
         float,
         seconds_option(
-            "--wait", most=3600.0, help="How long --once waits for a router before it gives up."
+            "--wait", "How long --once waits for a router before it gives up.", most=3600.0
         ),
     ] = 10.0,
     json: JsonOption = False,
     web: Annotated[
-        bool,
-        typer.Option("--web", help="Show it as a page in the browser.", rich_help_panel=WEB_PANEL),
+        bool, option("--web", "Show it as a page in the browser.", panel=WEB_PANEL)
     ] = False,
     port: PortOption = None,
     host: HostOption = None,

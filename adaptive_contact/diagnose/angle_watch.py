@@ -26,8 +26,6 @@ from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import Phase
 
-__all__ = ["ConventionJob", "ConventionWatch", "MotionTrack"]
-
 Array = NDArray[np.float64]
 
 # When the motion is judged, s of samples; a tripod's 20 swings take 28 s.  After the last, it is

@@ -31,8 +31,6 @@ from adaptive_contact.printable import printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
 from adaptive_contact.robot.kinematics import Vector
 
-__all__ = ["Urdf", "UrdfLegs", "read_urdf"]
-
 Array = NDArray[np.float64]
 
 MOST_BYTES: Final = 8_000_000

@@ -16,8 +16,6 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.wire import LearnerStatus
 
-__all__ = ["Attention", "remedy_of"]
-
 # What each note asks for, in the order of `docs/operating.md`; the first that fits is meant.
 _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
     (re.compile(words), remedy)

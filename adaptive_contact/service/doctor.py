@@ -44,16 +44,6 @@ from adaptive_contact.wire import (
     namespace_of,
 )
 
-__all__ = [
-    "Diagnosis",
-    "Examination",
-    "KeyTraffic",
-    "about_learner",
-    "all_lost",
-    "diagnose",
-    "examine",
-]
-
 # A flood is measured by its count; its samples need not all be looked at.
 _SAMPLES_KEPT: Final = 3000
 _KEYS_KEPT: Final = 400

@@ -9,8 +9,6 @@ from __future__ import annotations
 import gc
 from typing import Final
 
-__all__ = ["Sweeper"]
-
 # The learners make no cycles (0 in 150 s of six walking legs); others may, on bad days.
 _PERIOD_NS: Final = 60_000_000_000
 # So many objects more than at the last collection, some 4 MB, wait for no pause.

@@ -26,8 +26,6 @@ from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
 
-__all__ = ["Flatness", "JointView", "LegView", "LiveCheck", "LiveReport"]
-
 Array = NDArray[np.float64]
 
 # Samples kept of a leg: two minutes at 50 Hz.

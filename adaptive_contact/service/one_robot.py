@@ -25,8 +25,6 @@ from adaptive_contact.wire import (
     namespace_of,
 )
 
-__all__ = ["OneRobot"]
-
 # Of each leg, samples and refusals that are looked at.
 _KEPT: Final = 1000
 _STRAYS: Final = 100  # keys of which each is counted

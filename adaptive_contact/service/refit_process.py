@@ -16,8 +16,6 @@ from typing import Final
 import adaptive_contact
 from adaptive_contact.service.refit_worker import HURRY
 
-__all__ = ["ONE_BLAS_THREAD", "end_process", "start_process"]
-
 _MODULE: Final = "adaptive_contact.service.refit_worker"
 # Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
 ONE_BLAS_THREAD: Final = {

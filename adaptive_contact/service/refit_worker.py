@@ -16,8 +16,6 @@ from typing import IO, Final
 
 from adaptive_contact.priority import yield_priority
 
-__all__ = ["HURRY", "main", "read_frame", "write_frame"]
-
 # Says that nobody is disturbed yet by what it imports.
 HURRY: Final = "--hurry"
 

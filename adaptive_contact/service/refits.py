@@ -28,8 +28,6 @@ from adaptive_contact.learn.cold_start import ColdJob, ColdResult
 from adaptive_contact.service.refit_process import end_process, start_process
 from adaptive_contact.service.refit_worker import read_frame, write_frame
 
-__all__ = ["ProcessRefitter", "WaitingRefitter"]
-
 _log = structlog.get_logger()
 
 JOB_TIMEOUT_S: Final = 60.0

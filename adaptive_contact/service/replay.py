@@ -32,8 +32,6 @@ from adaptive_contact.wire import (
     leg_of_key,
 )
 
-__all__ = ["Counts", "LegBank", "WirePlayer", "control_ticks", "replay_events"]
-
 # What a source sends.  Events and status are the service's own to send, and a command would move
 # whatever robot listens.
 SOURCE_KINDS: Final = frozenset({"servo", "truth"})

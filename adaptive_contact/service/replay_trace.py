@@ -22,8 +22,6 @@ from adaptive_contact.score import ROWS, Contacts, Gatherer, LegOutcome, contact
 from adaptive_contact.service.recording import Record
 from adaptive_contact.wire import ContactEvent, ServoSample
 
-__all__ = ["LegTrace", "Touch", "TraceBank", "TracedRecords"]
-
 _NS_PER_S: Final = 1_000_000_000
 
 Floats = NDArray[np.float64]

@@ -41,8 +41,6 @@ from adaptive_contact.wire import (
     servo_key,
 )
 
-__all__ = ["Gateway", "shown_of_ros"]
-
 # A controller state of 64 legs has 20 kB.
 MAX_BYTES: Final = 256 * 1024
 # Messages of one topic that may wait; at 100 Hz more than half a second.

@@ -41,8 +41,6 @@ from adaptive_contact.wire import (
     trace_key,
 )
 
-__all__ = ["Service", "version"]
-
 _log = structlog.get_logger()
 
 # How often each status is looked at for a change, and the longest a stop goes unnoticed.

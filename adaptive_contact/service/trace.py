@@ -21,8 +21,6 @@ from adaptive_contact.service.interfaces import Learner
 from adaptive_contact.service.link import Link
 from adaptive_contact.wire import LegTrace, Rejected, ServoSample, decode, leg_of_key, trace_key
 
-__all__ = ["LEASE_S", "MOST_TICKS", "Judged", "TraceReader", "Tracer", "judged_tick"]
-
 # Ticks are kept for so long after a question; a page asks ten times a second.
 LEASE_S: Final = 3.0
 # Of a leg: two seconds at 200 Hz.  Who asks less often misses ticks.

@@ -25,8 +25,6 @@ from typing import Final
 
 import structlog
 
-__all__ = ["EXIT_CODE", "Watchdog", "give_up"]
-
 _log = structlog.get_logger()
 
 LOOK_S: Final = 0.25

@@ -23,8 +23,6 @@ from adaptive_contact.web.frames import Frames, Table
 from adaptive_contact.web.server import Site, WebSettings
 from adaptive_contact.wire import ModelReport, Rejected, decode, model_key
 
-__all__ = ["FRAME_S", "LivePage"]
-
 FRAME_S: Final = 0.1
 # The table of legs is looked at every so many frames: its figures come once a second.
 _TABLE_FRAMES: Final = 3

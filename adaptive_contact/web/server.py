@@ -31,8 +31,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web.http import MOST_HEAD_BYTES, Refused, Request, read_request, write_answer
 from adaptive_contact.wire import is_leg_id
 
-__all__ = ["MOST_STREAMS", "History", "Site", "WebSettings"]
-
 # A request of a browser is a kilobyte; cookies of other ports of this host come along.
 # Browsers that look at once, and connections: each takes up to half a megabyte while it hangs.
 MOST_STREAMS: Final = 128

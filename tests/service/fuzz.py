@@ -22,7 +22,6 @@ from typing import Any
 
 import msgspec
 
-from adaptive_contact.bridge.status import BridgeStatus, Quantiles
 from adaptive_contact.detect.stream import (
     CONFIRM_SAMPLES,
     MOST_DOUBTS,
@@ -36,6 +35,7 @@ from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,
     MSGPACK,
+    BridgeStatus,
     Command,
     ContactEvent,
     ContactTruth,
@@ -44,6 +44,7 @@ from adaptive_contact.wire import (
     Message,
     ModelReport,
     ModelTerm,
+    Quantiles,
     Reject,
     Rejected,
     ServoSample,

@@ -27,8 +27,6 @@ from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
 
-__all__ = ["StoppedError", "Take", "conduct"]
-
 _READY = re.compile(r"listening on (\S+?)[;,]")
 _INJECTED = re.compile(r"^\{.*\}$")
 _REFRESH_S: Final = 0.25

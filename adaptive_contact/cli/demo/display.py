@@ -14,8 +14,6 @@ from adaptive_contact.service.watch_table import table
 if TYPE_CHECKING:
     from adaptive_contact.service.watch import LegView, View
 
-__all__ = ["Display", "display"]
-
 # Between two plain lines, s of simulated time.
 _LINE_EVERY_S: Final = 5.0
 

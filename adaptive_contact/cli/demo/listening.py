@@ -8,8 +8,6 @@ from typing import Self
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.recording.recorder import Recorder
 
-__all__ = ["Listening"]
-
 
 class Listening:
     """Records from the beginning of ``with`` to :meth:`end`, or to the end of ``with``.

@@ -25,8 +25,6 @@ from adaptive_contact.cli.demo.words import outcome_words, percent, touches_word
 from adaptive_contact.files import write_file
 from adaptive_contact.score import LegOutcome, Summary
 
-__all__ = ["draw"]
-
 # Told apart by people who confuse red and green, too (Okabe and Ito's palette).
 _SERVICE: Final = "#0072B2"
 _FROZEN: Final = "#E69F00"

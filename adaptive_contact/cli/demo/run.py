@@ -16,8 +16,6 @@ from adaptive_contact.cli.demo.verdict import Verdict, judge
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.web import LivePage
 
-__all__ = ["run_demo"]
-
 
 def run_demo(
     settings: DemoSettings,

@@ -20,8 +20,6 @@ from adaptive_contact.files import write_file
 from adaptive_contact.score import Summary
 from adaptive_contact.score.tables import as_json
 
-__all__ = ["as_table", "figures", "write_summary"]
-
 VERSION: Final = 1
 
 

@@ -8,8 +8,6 @@ from adaptive_contact.cli.demo.settings import DemoSettings, drift_words
 from adaptive_contact.cli.demo.verdict import Judged, Verdict, others
 from adaptive_contact.score import Summary
 
-__all__ = ["outcome_words", "percent", "touches_words"]
-
 
 def touches_words(settings: DemoSettings, verdict: Verdict) -> str:
     """How well contacts are found before the drift."""

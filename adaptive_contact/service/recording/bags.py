@@ -23,8 +23,6 @@ from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
 
-__all__ = ["Bag"]
-
 _SHOWN: Final = 6
 
 

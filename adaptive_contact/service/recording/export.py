@@ -45,8 +45,6 @@ from adaptive_contact.wire import (
     json_text,
 )
 
-__all__ = ["ExportFormat", "Exported", "export_recording"]
-
 # Larger than a recorder's, for nobody loses what an export has not written out: fewer, and packed
 # tighter.
 _CHUNK_BYTES: Final = 1 << 20

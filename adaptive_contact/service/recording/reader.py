@@ -39,8 +39,6 @@ from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_ZENOH,
 if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
 
-__all__ = ["MAX_CHUNK_BYTES", "MAX_RATIO", "Recording", "is_bag", "read_recording"]
-
 # Of a chunk, packed and unpacked.  Writers make chunks of 32 kB (ours) to a few MB.
 MAX_CHUNK_BYTES: Final = 64 << 20
 # All chunks together may unpack to this many times the file, or to one chunk of the largest size.

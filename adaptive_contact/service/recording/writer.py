@@ -17,8 +17,6 @@ from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_MCAP, 
 from adaptive_contact.service.recording.schemas import json_schema, kind_of_key, schema_name
 from adaptive_contact.wire import MSGPACK, Message, encode
 
-__all__ = ["Counted", "RecordingWriter"]
-
 # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough that a
 # damaged chunk costs little, large enough that zstd still halves it.
 CHUNK_BYTES: Final = 32 * 1024

@@ -20,8 +20,6 @@ from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.state.format import Identity, Record, Refused
 from adaptive_contact.service.state.store import StateStore
 
-__all__ = ["Keepable", "Kept", "Position", "StateFacts", "StateKeeper"]
-
 _log = structlog.get_logger()
 
 SAVE_PERIOD_S: Final = 10.0

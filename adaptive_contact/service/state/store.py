@@ -33,8 +33,6 @@ from adaptive_contact.service.state.format import (
     unpack,
 )
 
-__all__ = ["StateStore", "Stored", "is_of_leg", "list_rest", "list_states", "robot_folder"]
-
 NEWEST: Final = ".state"
 BEFORE: Final = ".before"
 REFUSED: Final = ".refused"

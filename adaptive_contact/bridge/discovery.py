@@ -20,21 +20,11 @@ from adaptive_contact.bridge.handshake import (
     scan,
     scan_again,
 )
-from adaptive_contact.bridge.law import read_slope
+from adaptive_contact.bridge.modes import read_slope
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
-
-__all__ = [
-    "Found",
-    "Wanted",
-    "describe",
-    "find_servos",
-    "group",
-    "steepness",
-    "wanted_legs",
-]
 
 _PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last heard, all are asked again.
