@@ -22,19 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = [
-    "AdaptiveContactError",
-    "BaselineError",
-    "BusError",
-    "ConfigurationError",
-    "IdentificationError",
-    "LinkError",
-    "MissingExtraError",
-    "RecordingError",
-    "SimulationDivergedError",
-    "TooLittleDataError",
-]
-
 
 class AdaptiveContactError(Exception):
     """Base of everything this package raises on purpose."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import (
     DeviceOption,
     described_in,
@@ -17,15 +18,7 @@ from adaptive_contact.cli._bus import (
     robot_of,
     shake_hands,
 )
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    Network,
-    check_output,
-    flatten,
-    option,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError
 
@@ -44,10 +37,10 @@ _LIVE_S: Final = 20.0
 _LIVE_TICKS: Final = 500
 
 
-@flatten
+@opt.flatten
 def check(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     device: DeviceOption = None,
     live: Annotated[
         bool, option("--live", "Judge the samples of any source on the wire; no bus is opened.")
@@ -61,7 +54,7 @@ def check(
             "--seconds", "How long to look: 1 unless given, 20 with --live.", least=0.2, most=600.0
         ),
     ] = None,
-    network: Network,
+    network: opt.Network,
     json: Annotated[bool, option("--json", "With --live: print JSON.")] = False,
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
@@ -71,9 +64,9 @@ def check(
     --live, each move is said with its joint and its way, and a robot that walks is judged by its
     motion; exit code 1 where something is wrong, 2 without a router.
     """
-    stop = stoppable()
+    stop = opt.stoppable()
     if picture is not None:
-        check_output(picture, "--picture")
+        opt.check_output(picture, "--picture")
     if live:
         if device:
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")

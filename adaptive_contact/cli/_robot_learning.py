@@ -10,17 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    Network,
-    RealtimeOption,
-    check_output,
-    flatten,
-    option,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
 from adaptive_contact.files import holds_content
@@ -44,10 +36,10 @@ _LEAST_TICKS: Final = 12
 _ENOUGH_READ: Final = 0.97
 
 
-@flatten
+@opt.flatten
 def learn(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     device: DeviceOption = None,
     out: Annotated[Path, option("--out", "Where the baseline goes.", "FILE", short="-o")] = Path(
         "baseline.json"
@@ -93,12 +85,12 @@ def learn(
         ),
     ] = None,
     seed: Annotated[int, option("--seed", min=0)] = 0,
-    realtime: RealtimeOption = False,
-    network: Network,
+    realtime: opt.RealtimeOption = False,
+    network: opt.Network,
     json: Annotated[bool, option("--json", "Print JSON.")] = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
-    stop = stoppable()
+    stop = opt.stoppable()
     _check_source(
         live=live,
         of_bus={"--device": device, "--drive": drive, "--pose": pose, "--realtime": realtime},
@@ -114,9 +106,9 @@ def learn(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    check_output(out, "--out")
+    opt.check_output(out, "--out")
     kept = free_file(out) if recording is None else recording
-    check_output(kept, "--recording")
+    opt.check_output(kept, "--recording")
     if holds_content(kept):
         raise ConfigurationError(f"{kept} is there already; give another --recording")
     robot = robot_of(config)

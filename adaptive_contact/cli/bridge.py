@@ -12,6 +12,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli import gateways
 from adaptive_contact.cli._bus import (
     DeviceOption,
@@ -19,18 +20,7 @@ from adaptive_contact.cli._bus import (
     robot_of,
     shake_hands,
 )
-from adaptive_contact.cli._options import (
-    Commands,
-    ConfigOption,
-    JsonPayloadOption,
-    Network,
-    RealtimeOption,
-    check_output,
-    flatten,
-    option,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator
 from adaptive_contact.errors import ConfigurationError
@@ -39,7 +29,7 @@ if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.service.link import LinkSettings
 
-app = Commands(
+app = opt.Commands(
     help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
 )
 
@@ -48,10 +38,10 @@ _END_S: Final = 3.0
 
 
 @app.command()
-@flatten
+@opt.flatten
 def dynamixel(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     drive: Annotated[
         bool,
         option(
@@ -68,15 +58,15 @@ def dynamixel(
             "return level 2), in the servos' EEPROM.",
         ),
     ] = False,
-    realtime: RealtimeOption = False,
+    realtime: opt.RealtimeOption = False,
     device: DeviceOption = None,
     baud: Annotated[int | None, option("--baud", "Instead of robot.toml's.")] = None,
-    network: Network,
-    json: JsonPayloadOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Publish the servos' positions and goals at the control rate, a process per port."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     plans = plans_of(robot_of(config), config, device, baud)
     settings = network.client(json=json)
     shake_hands(plans, "adaptive-contact bridge", configure=configure, drive=drive)
@@ -153,13 +143,13 @@ class _Crew:
 
 
 @app.command()
-@flatten
+@opt.flatten
 def virtual(
     *,
     directory: Annotated[Path, option("--dir", "Where the ports appear, as links.", "DIR")] = Path(
         "bus"
     ),
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     robot: Annotated[
         str, option("--robot", "Which shipped robot is simulated.", "NAME")
     ] = "hexapod",
@@ -195,7 +185,7 @@ def virtual(
     wire_time: Annotated[
         bool, option("--wire-time/--no-wire-time", "Packets take their time.")
     ] = True,
-    realtime: RealtimeOption = False,
+    realtime: opt.RealtimeOption = False,
     seed: Annotated[int, option("--seed", min=0)] = 0,
     robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0,
     seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None,
@@ -204,12 +194,12 @@ def virtual(
         option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
     ] = None,
     truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False,
-    network: Network,
-    json: JsonPayloadOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """A bus on pseudo-terminals whose servos are the simulated robot."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     with needs_simulator():
         from adaptive_contact_sim.virtual import parse_fault
         from adaptive_contact_sim.virtual.assembly import VirtualSettings
@@ -220,7 +210,7 @@ def virtual(
     _check_shipped(robot)
     for path, name in ((write_config, "--write-config"), (record, "--record")):
         if path is not None:
-            check_output(path, name)
+            opt.check_output(path, name)
     plan = VirtualPlan(
         robot=shipped_robot(robot) if config is None else load_robot(config),
         simulated=robot,

@@ -8,14 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    JsonOption,
-    check_output,
-    option,
-    recorded_robot,
-    say_damage,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
@@ -44,7 +38,7 @@ def fit(
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON)."),
     ] = Path("baseline.json"),
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     free: Annotated[
         bool, option("--free", "Nothing was touched: without truth, use the swings to their ends.")
     ] = False,
@@ -61,7 +55,7 @@ def fit(
         ),
     ] = None,
     equations: Annotated[bool, option("--equations", "Print every leg's equations, too.")] = False,
-    json: JsonOption = False,
+    json: opt.JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
     from threadpoolctl import threadpool_limits
@@ -70,8 +64,8 @@ def fit(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    check_output(out, "--out")
-    robot = recorded_robot(config, recordings)
+    opt.check_output(out, "--out")
+    robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
@@ -146,7 +140,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
-        say_damage(recording)
+        opt.say_damage(recording)
         for line in robots.trouble(None):
             say_note(f"{path}: {line}")
         of = f"{path}: " if len(recordings) > 1 else ""

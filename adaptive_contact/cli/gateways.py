@@ -6,16 +6,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import described_in, robot_of
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    JsonPayloadOption,
-    Network,
-    RealtimeOption,
-    flatten,
-    option,
-    stoppable,
-)
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.errors import LinkError
 
@@ -23,10 +16,10 @@ if TYPE_CHECKING:
     from adaptive_contact.service.settings import Finding
 
 
-@flatten
+@opt.flatten
 def ros2(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     ros_connect: Annotated[
         list[str] | None,
         option(
@@ -45,13 +38,13 @@ def ros2(
             panel="Network",
         ),
     ] = None,
-    realtime: RealtimeOption = False,
-    network: Network,
-    json: JsonPayloadOption = False,
+    realtime: opt.RealtimeOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Relay joint states of ROS 2 (rmw_zenoh) to the service, and contacts back; no ROS needed."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     from adaptive_contact.priority import take_priority
     from adaptive_contact.ros2 import needs_rosbags
     from adaptive_contact.service.link import Link
@@ -62,7 +55,7 @@ def ros2(
         from adaptive_contact.service.ros2 import Gateway, shown_of_ros
     check_mapped(robot, described_in(config))
     settings = network.client(json=json)
-    ros_settings = Network(ros_connect, None, ros_zenoh_config).client()
+    ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
 
     def waits_for_ros(finding: Finding) -> None:
         _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
@@ -95,16 +88,16 @@ def ros2(
             raise
 
 
-@flatten
+@opt.flatten
 def foxglove(
     *,
     host: Annotated[str, option("--host", "Where Foxglove connects to.", "ADDRESS")] = "127.0.0.1",
     port: Annotated[int, option("--port", "0 takes a free one.", "N", min=0, max=65_535)] = 8765,
-    network: Network,
+    network: opt.Network,
 ) -> None:
     """Show the running robot in Foxglove, over its websocket protocol."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
     from adaptive_contact.service.link import Link
 

@@ -11,20 +11,15 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import (
-    Network,
-    flatten,
-    option,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
 
 
-@flatten
+@opt.flatten
 def record(
     *,
     file: Annotated[
@@ -37,12 +32,12 @@ def record(
         float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
     ] = None,
     force: Annotated[bool, option("--force", "Replace the file if it is there already.")] = False,
-    network: Network,
+    network: opt.Network,
 ) -> None:
     """Record messages of any key, byte for byte, until Ctrl-C."""
     make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
-    stop = stoppable()
+    stop = opt.stoppable()
 
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.recording import RecordingWriter

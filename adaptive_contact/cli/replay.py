@@ -13,21 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli._options import (
-    AmbiguousOption,
-    BaselineOption,
-    ConfigOption,
-    Network,
-    WhenAmbiguous,
-    check_output,
-    flatten,
-    option,
-    recorded_robot,
-    say_damage,
-    speed_of,
-    stoppable,
-)
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
 from adaptive_contact.files import write_file
@@ -41,7 +29,7 @@ if TYPE_CHECKING:
     from adaptive_contact.service.replay import Counts
 
 
-@flatten
+@opt.flatten
 def replay(
     *,
     file: Annotated[
@@ -76,16 +64,16 @@ def replay(
             "FILE.html|png",
         ),
     ] = None,
-    baseline: BaselineOption = None,
-    config: ConfigOption = None,
-    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
+    baseline: opt.BaselineOption = None,
+    config: opt.ConfigOption = None,
+    when_ambiguous: opt.AmbiguousOption = opt.WhenAmbiguous.WITHHOLD,
     everything: Annotated[
         bool, option("--all", "Also publish recorded events, status and COMMANDS.")
     ] = False,
     keep_run: Annotated[
         bool, option("--keep-run", "Leave `run` in the samples as recorded, not a new start.")
     ] = False,
-    network: Network,
+    network: opt.Network,
 ) -> None:
     """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
     from adaptive_contact.service.recording import is_bag, read_recording
@@ -96,7 +84,7 @@ def replay(
         "--keep-run": keep_run,
         **network.given,
     }
-    published = when_ambiguous is not WhenAmbiguous.WITHHOLD
+    published = when_ambiguous is not opt.WhenAmbiguous.WITHHOLD
     through_learners = {
         "--baseline": baseline,
         "--config": config,
@@ -104,7 +92,7 @@ def replay(
     }
     if events is not None or plot is not None:
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
-        robot = recorded_robot(config, [file])
+        robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
         learned = _learned(robot, config, baseline)
         _to_events(recording, robot, events, plot, learned, when_ambiguous)
@@ -113,8 +101,8 @@ def replay(
         if bag:
             del through_learners["--config"]  # says what the bag's topics are
         _refuse(through_learners, "{} is for --events, --plot; the service on the wire has its own")
-        mapping = recorded_robot(config, [file]) if bag else None
-        factor = speed_of(speed)
+        mapping = opt.recorded_robot(config, [file]) if bag else None
+        factor = opt.speed_of(speed)
         settings = network.client()
         recording = read_recording(file, mapping)
         _to_wire(recording, settings, factor, everything=everything, keep_run=keep_run)
@@ -132,7 +120,7 @@ def _to_events(
     out: Path | None,
     plot: Path | None,
     learned: Baseline | None,
-    when_ambiguous: WhenAmbiguous,
+    when_ambiguous: opt.WhenAmbiguous,
 ) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -146,10 +134,10 @@ def _to_events(
     from adaptive_contact.wire import JSON, encode
 
     if out is not None and str(out) != "-":
-        check_output(out, "--events")
+        opt.check_output(out, "--events")
     if plot is not None:
         check_plot(plot)
-        check_output(plot, "--plot")
+        opt.check_output(plot, "--plot")
     compile_tick()
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()
@@ -234,7 +222,7 @@ def _to_wire(
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.replay import WirePlayer
 
-    stop = stoppable()
+    stop = opt.stoppable()
     try:
         link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
@@ -284,7 +272,7 @@ def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseli
 
 def _warn(recording: Recording, counts: Counts) -> None:
     """One line each for what was cut off and for what could not be used."""
-    say_damage(recording)
+    opt.say_damage(recording)
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))

@@ -8,16 +8,8 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import (
-    Commands,
-    JsonOption,
-    JsonPayloadOption,
-    Network,
-    flatten,
-    option,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_json, say_waiting
 from adaptive_contact.cli._sim_options import (
     ReactOption,
@@ -29,11 +21,11 @@ from adaptive_contact.cli._sim_options import (
 from adaptive_contact.cli.baseline import baseline
 from adaptive_contact.errors import ConfigurationError, LinkError
 
-app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
+app = opt.Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 
 
 @app.command()
-@flatten
+@opt.flatten
 def pose(
     *,
     leg: Annotated[str | None, option("--leg", "Which leg moves. [rf]", "LEG|all")] = None,
@@ -50,12 +42,12 @@ def pose(
     path: Annotated[str | None, option("--path", "What is straight.", "cartesian|joint")] = None,
     react_ms: ReactOption = None,
     run: RunOptions,
-    network: Network,
-    json: JsonPayloadOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Stand on five legs and move one, in free air or onto obstacles (the paper's set-up)."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     with needs_simulator():
         from adaptive_contact_sim import PoseSettings, simulated_robot
 
@@ -72,7 +64,7 @@ def pose(
 
 
 @app.command()
-@flatten
+@opt.flatten
 def walk(
     *,
     gait: Annotated[
@@ -95,12 +87,12 @@ def walk(
         ),
     ] = None,
     run: RunOptions,
-    network: Network,
-    json: JsonPayloadOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Walk over flat, stepped, rough or soft ground, or one with holes."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     with needs_simulator():
         from adaptive_contact_sim import WalkSettings
 
@@ -115,7 +107,7 @@ def walk(
 
 
 @app.command()
-@flatten
+@opt.flatten
 def inject(
     kind: Annotated[
         str | None,
@@ -128,8 +120,8 @@ def inject(
     shape: Annotated[str, option("--shape", metavar="step|ramp|pulse|walk")] = "step",
     duration: Annotated[float, seconds_option("--duration", "Of a shape.")] = 0.0,
     seed: Annotated[int, option("--seed", "Of a random walk.", min=0)] = 0,
-    network: Network,
-    json: JsonOption = False,
+    network: opt.Network,
+    json: opt.JsonOption = False,
 ) -> None:
     """Let something drift in a running simulator, and print what now holds."""
     from adaptive_contact.service.link import Link
@@ -167,7 +159,7 @@ def inject(
 
 
 @app.command("list")
-def list_(json: JsonOption = False) -> None:
+def list_(json: opt.JsonOption = False) -> None:
     """Show the shipped scenarios, and the kinds of drift with their ranges."""
     with needs_simulator():
         from adaptive_contact_sim import KINDS, describe, shipped_scenarios

@@ -7,14 +7,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Annotated, Final
 
-from adaptive_contact.cli._options import (
-    JsonOption,
-    Network,
-    flatten,
-    option,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json, say_waiting
 from adaptive_contact.cli._web import (
     WEB_PANEL,
@@ -40,10 +34,10 @@ _REFRESH_S: Final = 0.25
 _PIPE_WIDTH: Final = 160
 
 
-@flatten
+@opt.flatten
 def watch(
     *,
-    network: Network,
+    network: opt.Network,
     once: Annotated[bool, option("--once", "Look for a while, print one table and end.")] = False,
     seconds: Annotated[
         float,
@@ -60,7 +54,7 @@ def watch(
             "--wait", "How long --once waits for a router before it gives up.", most=3600.0
         ),
     ] = 10.0,
-    json: JsonOption = False,
+    json: opt.JsonOption = False,
     web: Annotated[
         bool, option("--web", "Show it as a page in the browser.", panel=WEB_PANEL)
     ] = False,
@@ -76,7 +70,7 @@ def watch(
     if page_settings is not None:
         serve_page(page_settings, settings, browse=not no_browser)
         return
-    stop = stoppable()
+    stop = opt.stoppable()
     from adaptive_contact.service.link import Link, NoRouterError
     from adaptive_contact.service.watch import Feed
 

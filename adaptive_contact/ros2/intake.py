@@ -20,8 +20,6 @@ from adaptive_contact.ros2.problems import OnProblem, Reason
 from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
 
-__all__ = ["Intake", "check_mapped"]
-
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 4  # joints that a line names
 # Distinct sets of joint names of one topic that are kept.

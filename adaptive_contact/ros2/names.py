@@ -5,8 +5,6 @@ from __future__ import annotations
 import enum
 from typing import Final
 
-__all__ = ["COMMANDS", "FLAGS", "STATES", "RosType"]
-
 
 class RosType(enum.StrEnum):
     """Name of a message type, as keys, bags and rosbags write it."""

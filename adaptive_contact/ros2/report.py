@@ -14,8 +14,6 @@ from adaptive_contact.ros2.rmw import Address
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.wire import ContactEvent, LearnerStatus
 
-__all__ = ["Report", "topic_of_leg"]
-
 _NS: Final = 1_000_000_000
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK: Final = 0

@@ -14,24 +14,6 @@ import hashlib
 import struct
 from typing import Final, Literal, NamedTuple
 
-__all__ = [
-    "LATCHED",
-    "NO_HASH",
-    "STREAM",
-    "Address",
-    "Attachment",
-    "Node",
-    "address_of",
-    "any_type",
-    "dds_name",
-    "decode_attachment",
-    "encode_attachment",
-    "published",
-    "publisher_id",
-    "publishers",
-    "topic_key",
-]
-
 # Humble's rosidl knows no type hashes and writes this in their place.
 NO_HASH: Final = "TypeHashNotSupported"
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.wire import ContactTruth
 
-__all__ = ["AIR_NS", "FOREVER_NS", "Contacts", "TruthChanges", "contacts_of", "truth_changes"]
-
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -17,8 +17,6 @@ from typing import Final, NamedTuple
 # scipy.stats would do the same and takes half a second to import.
 from scipy.special import betaincinv, gammaincinv
 
-__all__ = ["CONFIDENCE", "Interval", "clopper_pearson", "poisson_mean"]
-
 CONFIDENCE: Final = 0.95
 
 

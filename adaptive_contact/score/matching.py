@@ -25,8 +25,6 @@ from adaptive_contact.score.outcome import (
 )
 from adaptive_contact.score.swings import Swings, find_swings, lift_by_halves, longest_gap
 
-__all__ = ["match"]
-
 Times = NDArray[np.int64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]

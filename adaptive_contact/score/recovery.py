@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from adaptive_contact.score.outcome import LegOutcome, SwingTable
 from adaptive_contact.score.summary import Summary, summarise
 
-__all__ = ["is_harmful", "swings_to_recovery"]
-
 WINDOW_SWINGS: Final = 20
 ALLOWED_ERRORS: Final = 1
 # "Half of them with contact" is how the experiment is made.  Where contacts are drawn at random,

@@ -31,8 +31,6 @@ from adaptive_contact.wire import (
     is_leg_id,
 )
 
-__all__ = ["Gatherer", "Received"]
-
 _MAX_TIME_NS: Final = 2**63 - 1
 _UNTOLD, _SWING, _STANCE = 0, 1, 2
 _PHASES: Final = {None: _UNTOLD, "swing": _SWING, "stance": _STANCE}

@@ -13,8 +13,6 @@ from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.score.intervals import Interval, clopper_pearson, poisson_mean
 from adaptive_contact.score.outcome import ROWS, LegOutcome, Row, TouchTable
 
-__all__ = ["AlarmFigures", "Latency", "RowFigures", "Summary", "summarise"]
-
 _NS_PER_MS: Final = 1e6
 
 

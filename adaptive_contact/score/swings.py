@@ -7,16 +7,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "AFTER_TICKS",
-    "GAP_TICKS",
-    "Swings",
-    "find_swings",
-    "lift_by_halves",
-    "lift_by_height",
-    "longest_gap",
-]
-
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 

@@ -14,8 +14,6 @@ from adaptive_contact.score.outcome import Row
 from adaptive_contact.score.score import Score
 from adaptive_contact.score.summary import RowFigures, Summary
 
-__all__ = ["JSON_VERSION", "as_json", "as_table", "summary_json"]
-
 JSON_VERSION: Final = 1
 
 _MEANING: Final = {
