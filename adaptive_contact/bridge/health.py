@@ -93,11 +93,6 @@ class ServoHealth:
         return not _SHUTTING.isdisjoint(self._alarms)
 
     @property
-    def alerted(self) -> bool:
-        """Whether the servo says that something is wrong without saying what."""
-        return "hardware" in self._alarms
-
-    @property
     def counts(self) -> ServoCounts | None:
         """What there is to tell, or None."""
         if not self.faults and not self.shut:

@@ -26,7 +26,6 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 
 # Liveliness tokens live in a key space of their own; these do not collide with the wire's keys.
 SERVICE_TOKEN: Final = "robot/service"
-ALL_TOKENS: Final = "robot/**"
 
 # One chunk or several of a key, without Zenoh's wildcards and without anything a shell or a
 # person would stumble over.

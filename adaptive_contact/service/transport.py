@@ -13,7 +13,7 @@ import logging
 import os
 import re
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -322,31 +322,23 @@ def _with_free_port(text: str) -> str:
     return f"{head}:{port}{tail}"
 
 
-_DEEPEST: Final = 64
-_SPACE = re.compile(r"(?:\s|\ufeff|//[^\n\r\u2028\u2029]*|/\*.*?\*/)*", re.DOTALL)
-_STRING = re.compile(r"\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*'", re.DOTALL)
-# Names of keys, and numbers and words as values: all that stands without quotes.
-_WORD = re.compile(r"[^\s\"'{}\[\],:/]+")
+# https://spec.json5.org: comments, texts in quotes of either kind, and whatever stands without.
+_TOKEN = re.compile(
+    r"(?P<skipped>(?:\s|\ufeff|//[^\n\r\u2028\u2029]*|/\*.*?\*/)+)"
+    r"|(?P<text>\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*')"
+    r"|(?P<mark>[{}\[\],:])|(?P<word>[^\s\"'{}\[\],:/]+)",
+    re.DOTALL,
+)
 _ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|(.))", re.DOTALL)
-
-_SHORT: Final = {
-    "b": "\b",
-    "f": "\f",
-    "n": "\n",
-    "r": "\r",
-    "t": "\t",
-    "v": "\v",
-    "0": "\0",
-    "\n": "",  # a line that goes on
-}
-
-
-class _UnreadableError(ValueError):
-    """The text is no JSON5."""
+# A line that ends in a backslash goes on in the next.
+_SHORT: Final = dict(zip("bfnrtv0\n", ("\b", "\f", "\n", "\r", "\t", "\v", "\0", ""), strict=True))
+_DEEPEST: Final = 64
 
 
 def keys_of(text: str) -> frozenset[str]:
-    """Paths of all settings in a JSON5 text.
+    """Paths of all settings in a JSON5 text, read as JSON with its words as texts.
+
+    Zenoh has checked the file before: what cannot be read has no keys, and nobody is told.
 
     Args:
         text: whose outermost value is an object.
@@ -355,76 +347,33 @@ def keys_of(text: str) -> frozenset[str]:
         Paths as ``scouting/multicast/enabled``, those of objects included; empty for what is no
         JSON5 object.
     """
-    found: set[str] = set()
-    try:
-        _Reader(text, found).read()
-    except _UnreadableError:
-        return frozenset()
-    return frozenset(found)
-
-
-class _Reader:
-    def __init__(self, text: str, found: set[str]) -> None:
-        self._text = text
-        self._at = 0
-        self._found = found
-
-    def read(self) -> None:
-        self._value((), 0)
-        self._peek()
-        if self._at != len(self._text):
-            raise _UnreadableError
-
-    def _peek(self) -> str:
-        """The next character that counts, empty at the end."""
-        space = _SPACE.match(self._text, self._at)
-        self._at = self._at if space is None else space.end()
-        return self._text[self._at : self._at + 1]
-
-    def _take(self, pattern: re.Pattern[str]) -> str:
-        match = pattern.match(self._text, self._at)
+    tokens: list[str] = []
+    at = 0
+    while at < len(text):
+        match = _TOKEN.match(text, at)
         if match is None:
-            raise _UnreadableError
-        self._at = match.end()
-        return match.group()
+            return frozenset()
+        at, kind, found = match.end(), match.lastgroup, match.group()
+        if kind == "mark":
+            if found in "}]" and tokens[-1:] == [","]:
+                tokens.pop()
+            tokens.append(found)
+        elif kind != "skipped":
+            plain = _ESCAPE.sub(_unescape, found[1:-1]) if kind == "text" else found
+            tokens.append(json.dumps(plain))
+    try:
+        return frozenset(_paths(json.loads("".join(tokens))))
+    except (ValueError, RecursionError):
+        return frozenset()
 
-    def _value(self, path: tuple[str, ...] | None, depth: int) -> None:
-        if depth > _DEEPEST:
-            raise _UnreadableError
-        first = self._peek()
-        if first == "{":
-            self._members("}", path, depth)
-        elif first == "[":
-            self._members("]", None, depth)
-        elif first in ('"', "'"):
-            self._take(_STRING)
-        else:
-            self._take(_WORD)
 
-    def _members(self, end: str, path: tuple[str, ...] | None, depth: int) -> None:
-        """Members of an object, or of an array, whose objects have no path."""
-        self._at += 1
-        while (first := self._peek()) != end:
-            inner: tuple[str, ...] | None = None
-            if end == "}":
-                key = self._key(first)
-                if path is not None:
-                    inner = (*path, key)
-                    self._found.add("/".join(inner))
-                if self._peek() != ":":
-                    raise _UnreadableError
-                self._at += 1
-            self._value(inner, depth + 1)
-            if self._peek() == ",":
-                self._at += 1
-            elif self._peek() != end:
-                raise _UnreadableError
-        self._at += 1
-
-    def _key(self, first: str) -> str:
-        if first not in ('"', "'"):
-            return self._take(_WORD)
-        return _ESCAPE.sub(_unescape, self._take(_STRING)[1:-1])
+def _paths(tree: object, at: tuple[str, ...] = ()) -> Iterator[str]:
+    if len(at) > _DEEPEST:
+        raise ValueError("too deep")
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            yield "/".join((*at, key))
+            yield from _paths(value, (*at, key))
 
 
 def _unescape(match: re.Match[str]) -> str:

@@ -404,7 +404,6 @@ class Feed:
         # Zenoh's thread appends, the reader pops; should nobody read, the oldest go.
         self._waiting: deque[Received] = deque(maxlen=_KEPT)
         self._alive = False
-        self.unreadable = 0
         link.watch_tokens(SERVICE_TOKEN, self._token)
         link.subscribe(SERVICE_STATUS, self._hear, history=True)
         link.subscribe(ALL_CONTACT, self._hear, history=True)
@@ -412,10 +411,9 @@ class Feed:
         link.subscribe(ALL_TRUTH, self._hear)
 
     def _hear(self, received: Received) -> None:
+        # A larger one would only be refused, and until then be kept.
         if len(received.payload) <= MAX_PAYLOAD_BYTES:
             self._waiting.append(received)
-        else:  # it would only be refused, and until then be kept
-            self.unreadable += 1
 
     def view(self, now_ns: int) -> View:
         """Take in what has arrived, and give what is known now; ``now_ns`` is monotonic."""
@@ -436,7 +434,6 @@ class Feed:
         )
         leg = leg_of_key(received.key)
         if isinstance(message, Rejected):
-            self.unreadable += 1
             return
         if isinstance(message, ServiceStatus):
             self.watch.service(message)
