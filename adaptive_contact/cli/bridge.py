@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -28,6 +29,7 @@ from adaptive_contact.errors import ConfigurationError
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.service.link import LinkSettings
+    from adaptive_contact_sim.virtual.session import VirtualPlan
 
 app = opt.Commands(
     help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
@@ -35,6 +37,8 @@ app = opt.Commands(
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
+# What has virtual servos; the simulator's other robots have none.
+_VIRTUAL: Final = ("hexapod", "quadruped")
 
 
 @app.command()
@@ -142,24 +146,24 @@ class _Crew:
                 worker.join()
 
 
-@app.command()
-@opt.flatten
-def virtual(
-    *,
+@dataclass(frozen=True)
+class VirtualOptions:
+    """The options of a virtual bus."""
+
     directory: Annotated[Path, option("--dir", "Where the ports appear, as links.", "DIR")] = Path(
         "bus"
-    ),
-    config: opt.ConfigOption = None,
-    robot: Annotated[
-        str, option("--robot", "Which shipped robot is simulated.", "NAME")
-    ] = "hexapod",
+    )
+    config: opt.ConfigOption = None
+    robot: Annotated[str, option("--robot", "Which shipped robot is simulated.", "NAME")] = (
+        "hexapod"
+    )
     ports: Annotated[
         int | None,
         option("--ports", "For a robot without ports of its own; one if left out.", min=1),
-    ] = None,
+    ] = None
     write_config: Annotated[
         Path | None, option("--write-config", "Write the robot.toml of this bus.", "FILE")
-    ] = None,
+    ] = None
     scenario: Annotated[
         str | None,
         option(
@@ -168,8 +172,8 @@ def virtual(
             "does what the bus says.",
             "NAME",
         ),
-    ] = None,
-    height: Annotated[float, option("--height", "Of the stand: body over the floor, m.")] = 1.0,
+    ] = None
+    height: Annotated[float, option("--height", "Of the stand: body over the floor, m.")] = 1.0
     fault: Annotated[
         list[str] | None,
         option(
@@ -178,77 +182,86 @@ def virtual(
             "silent:id=3@5+2 (servo 3, from 5 s, for 2 s); repeatable.",
             "SPEC",
         ),
-    ] = None,
+    ] = None
     return_delay: Annotated[
         int, option("--return-delay", "Register, 2 us each.", min=0, max=254)
-    ] = 0,
-    wire_time: Annotated[
-        bool, option("--wire-time/--no-wire-time", "Packets take their time.")
-    ] = True,
-    realtime: opt.RealtimeOption = False,
-    seed: Annotated[int, option("--seed", min=0)] = 0,
-    robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0,
-    seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None,
+    ] = 0
+    wire_time: Annotated[bool, option("--wire-time/--no-wire-time", "Packets take their time.")] = (
+        True
+    )
+    realtime: opt.RealtimeOption = False
+    seed: Annotated[int, option("--seed", min=0)] = 0
+    robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0
+    seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None
     record: Annotated[
         Path | None,
         option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
-    ] = None,
-    truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False,
-    network: opt.Network,
-    json: opt.JsonPayloadOption = False,
+    ] = None
+    truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False
+
+    def plan(self, network: opt.Network, *, json: bool) -> VirtualPlan:
+        """What to run.
+
+        Args:
+            network: where truth is published, if it is.
+            json: as JSON instead of msgpack.
+
+        Raises:
+            ConfigurationError: an option cannot be used.
+        """
+        from adaptive_contact.robot import load_robot, shipped_robot
+        from adaptive_contact_sim.virtual import parse_fault
+        from adaptive_contact_sim.virtual.assembly import VirtualSettings
+        from adaptive_contact_sim.virtual.session import VirtualPlan
+
+        if self.robot not in _VIRTUAL:
+            raise ConfigurationError(
+                f"no virtual robot '{self.robot}'; expected --robot {' or '.join(_VIRTUAL)}"
+            )
+        for path, name in ((self.write_config, "--write-config"), (self.record, "--record")):
+            if path is not None:
+                opt.check_output(path, name)
+        return VirtualPlan(
+            robot=shipped_robot(self.robot) if self.config is None else load_robot(self.config),
+            simulated=self.robot,
+            directory=self.directory,
+            ports=self.ports,
+            bus=VirtualSettings(
+                faults=tuple(parse_fault(text) for text in self.fault or ()),
+                seed=self.seed,
+                return_delay=self.return_delay,
+                wire_time=self.wire_time,
+            ),
+            scenario=self.scenario,
+            height_m=self.height,
+            seed=self.seed,
+            robot_seed=self.robot_seed,
+            seconds=self.seconds,
+            record=self.record,
+            write_config=self.write_config,
+            link=network.client(json=json) if self.truth else None,
+        )
+
+
+@app.command()
+@opt.flatten
+def virtual(
+    *, bus: VirtualOptions, network: opt.Network, json: opt.JsonPayloadOption = False
 ) -> None:
     """A bus on pseudo-terminals whose servos are the simulated robot."""
     make_stdout_optional()
     stop = opt.stoppable()
     with needs_simulator():
-        from adaptive_contact_sim.virtual import parse_fault
-        from adaptive_contact_sim.virtual.assembly import VirtualSettings
-        from adaptive_contact_sim.virtual.session import VirtualPlan, run
+        from adaptive_contact_sim.virtual.session import run
 
-    from adaptive_contact.robot import load_robot, shipped_robot
-
-    _check_shipped(robot)
-    for path, name in ((write_config, "--write-config"), (record, "--record")):
-        if path is not None:
-            opt.check_output(path, name)
-    plan = VirtualPlan(
-        robot=shipped_robot(robot) if config is None else load_robot(config),
-        simulated=robot,
-        directory=directory,
-        ports=ports,
-        bus=VirtualSettings(
-            faults=tuple(parse_fault(text) for text in fault or ()),
-            seed=seed,
-            return_delay=return_delay,
-            wire_time=wire_time,
-        ),
-        scenario=scenario,
-        height_m=height,
-        seed=seed,
-        robot_seed=robot_seed,
-        seconds=seconds,
-        record=record,
-        write_config=write_config,
-        link=network.client(json=json) if truth else None,
-    )
-    if realtime:
+        plan = bus.plan(network, json=json)
+    if bus.realtime:
         from adaptive_contact.priority import take_priority
 
         refused = take_priority()
         if refused is not None:
             say(f"adaptive-contact bridge virtual: {refused}", err=True)
     run(plan, stop, on_start=_say)
-
-
-# What has virtual servos; the simulator's other robots have none.
-_VIRTUAL: Final = ("hexapod", "quadruped")
-
-
-def _check_shipped(name: str) -> None:
-    if name not in _VIRTUAL:
-        raise ConfigurationError(
-            f"no virtual robot '{name}'; expected --robot {' or '.join(_VIRTUAL)}"
-        )
 
 
 def _say(line: str) -> None:
