@@ -6,10 +6,13 @@ that does not fit starts without PySINDy (1.6 s), MuJoCo or matplotlib.
 
 from __future__ import annotations
 
+import atexit
 import errno
 import importlib
+import os
 import sys
-from typing import Annotated, Any, Final
+import threading
+from typing import Annotated, Any, Final, NoReturn
 
 import typer
 
@@ -114,7 +117,22 @@ def main() -> None:
         code = _lost(lost.cause)
     finally:  # the interpreter's own flush cannot fail any more
         make_stdout_optional()
+    if "zenoh" in sys.modules:
+        _leave(code)
     sys.exit(code)
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process without ending the interpreter.
+
+    The interpreter ends any thread that comes back to Python meanwhile. Zenoh's threads do, also
+    after their session was closed, and do not survive that: the process would abort, once in some
+    sixty times.
+    """
+    threading._shutdown()  # type: ignore[attr-defined]  # joins threads, as `sys.exit` would
+    atexit._run_exitfuncs()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def _run() -> int:

@@ -6,15 +6,12 @@ and what was false before and after the drift; how long it took.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
@@ -22,12 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from adaptive_contact.cli.demo.settings import DemoSettings, drift_words
 from adaptive_contact.cli.demo.verdict import Verdict, others
 from adaptive_contact.cli.demo.words import outcome_words, percent, touches_words
-from adaptive_contact.files import write_file
 from adaptive_contact.score import LegOutcome, Summary
+from adaptive_contact_studies.show.figures import BLUE, ORANGE, new_figure, save, styled
 
-# Told apart by people who confuse red and green, too (Okabe and Ito's palette).
-_SERVICE: Final = "#0072B2"
-_FROZEN: Final = "#E69F00"
+_SERVICE: Final = BLUE
+_FROZEN: Final = ORANGE
 _WRONG: Final = "#D12D1F"
 _TRUE: Final = "#C9CCD1"
 _OTHERS: Final = "#9AA0A8"
@@ -35,10 +31,8 @@ _DRIFTED: Final = "#FFF3DC"
 _INK: Final = "#20242A"
 
 _SIZE_IN: Final = (14.0, 9.4)
-_DPI: Final = 100
 _TICK_MS: Final = 20.0
-# Any: the type of its keys differs between versions of matplotlib.
-_STYLE: Final[Any] = {
+_STYLE: Final = {
     "font.size": 10.5,
     "axes.titlesize": 11.5,
     "axes.titlelocation": "left",
@@ -50,6 +44,7 @@ _STYLE: Final[Any] = {
 }
 
 
+@styled(_STYLE, "the demo's report", "plot")
 def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
     """Draw the report.
 
@@ -61,31 +56,26 @@ def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
     Raises:
         AdaptiveContactError: the file cannot be written.
     """
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=_SIZE_IN, dpi=_DPI, facecolor="white")
-        FigureCanvasAgg(figure)
-        grid = figure.add_gridspec(
-            2,
-            4,
-            height_ratios=(1.45, 1.0),
-            width_ratios=(1.75, 1.0, 1.0, 1.0),
-            left=0.097,
-            right=0.985,
-            top=0.825,
-            bottom=0.065,
-            hspace=0.34,
-            wspace=0.3,
-        )
-        _title(figure, settings, verdict)
-        _timeline(figure.add_subplot(grid[0, :]), settings, verdict)
-        _levels(figure.add_subplot(grid[1, 0]), verdict)
-        _recall(figure.add_subplot(grid[1, 1]), verdict)
-        _alarms(figure.add_subplot(grid[1, 2]), verdict)
-        _latency(figure.add_subplot(grid[1, 3]), verdict)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png")
-        advice = "give a folder with --out that is writable and has room"
-        write_file(path, picture.getvalue(), advice=advice)
+    figure = new_figure(*_SIZE_IN, layout=None, facecolor="white")
+    grid = figure.add_gridspec(
+        2,
+        4,
+        height_ratios=(1.45, 1.0),
+        width_ratios=(1.75, 1.0, 1.0, 1.0),
+        left=0.097,
+        right=0.985,
+        top=0.825,
+        bottom=0.065,
+        hspace=0.34,
+        wspace=0.3,
+    )
+    _title(figure, settings, verdict)
+    _timeline(figure.add_subplot(grid[0, :]), settings, verdict)
+    _levels(figure.add_subplot(grid[1, 0]), verdict)
+    _recall(figure.add_subplot(grid[1, 1]), verdict)
+    _alarms(figure.add_subplot(grid[1, 2]), verdict)
+    _latency(figure.add_subplot(grid[1, 3]), verdict)
+    save(figure, path)
 
 
 def _title(figure: Figure, settings: DemoSettings, verdict: Verdict) -> None:

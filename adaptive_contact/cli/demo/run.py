@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import threading
 import time
 
@@ -13,8 +12,9 @@ from adaptive_contact.cli.demo.display import display
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.cli.demo.summary import as_table, figures, write_summary
 from adaptive_contact.cli.demo.verdict import Verdict, judge
-from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web import LivePage
+from adaptive_contact_studies.show.figures import needs_matplotlib
 
 
 def run_demo(
@@ -39,8 +39,7 @@ def run_demo(
         MissingExtraError: matplotlib is not installed; said before anything is started.
         AdaptiveContactError: in one line, what went wrong.
     """
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("the demo's report", "plot")
+    needs_matplotlib("the demo's report", "plot")
     from adaptive_contact.cli.demo.report import draw
 
     _make(settings)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from adaptive_contact.errors import MissingExtraError
-from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.workspace import WORKSPACES, Space
@@ -19,9 +16,8 @@ from adaptive_contact_studies.paper.figures_detection import (
     roc_figure,
     tails_figure,
 )
-from adaptive_contact_studies.paper.figures_format import (
+from adaptive_contact_studies.show.figures import (
     BLUE,
-    FONT_PT,
     GREEN,
     GREY,
     JOINT_COLOURS,
@@ -31,6 +27,8 @@ from adaptive_contact_studies.paper.figures_format import (
     RED,
     YELLOW,
     new_figure,
+    save,
+    styled,
 )
 
 if TYPE_CHECKING:
@@ -39,7 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_all"]
 
-_DPI: Final = 100
+# Shown at about the size they are drawn at: no smaller than 9 points.
+_STYLE: Final = {"font.size": 10.5, "axes.grid": True, "grid.alpha": 0.25}
 # Figure 4: the paper's colours; line and mark tell curves that lie on each other apart.
 _CURVES: Final = {
     "all": ("black", "-", "o"),
@@ -54,6 +53,7 @@ _NAIVE_AT: Final = (1e-4, 6e-4, 6e-3, 6e-2, 0.6, 6.0, 20.0)
 _STAND_M: Final = (0.115, 0.0, -0.165)
 
 
+@styled(_STYLE, "the report")
 def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     """Draw every figure whose results are there.
 
@@ -67,11 +67,6 @@ def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("the report", "studies") from error
-    mpl.use("Agg")
     drawings: dict[str, tuple[Callable[[Any], Figure], Any]] = {
         "paper-workspace": (_workspace, results.get("dataset")),
         "paper-responses": (_responses, results.get("responses")),
@@ -84,15 +79,10 @@ def draw_all(results: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     }
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
-    with mpl.rc_context({"font.size": FONT_PT, "axes.grid": True, "grid.alpha": 0.25}):
-        for name, (draw, data) in drawings.items():
-            if data is None:
-                continue
-            figure = draw(data)
+    for name, (draw, data) in drawings.items():
+        if data is not None:
             files[name] = folder / f"{name}.png"
-            picture = io.BytesIO()
-            figure.savefig(picture, format="png", dpi=_DPI, metadata={"Software": None})
-            write_file(files[name], picture.getvalue())
+            save(draw(data), files[name])
     return files
 
 

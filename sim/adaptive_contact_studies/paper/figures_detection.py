@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from adaptive_contact_studies.paper.figures_format import (
+from adaptive_contact_studies.show.figures import (
     BLUE,
     GREEN,
     GREY,

@@ -37,7 +37,6 @@ _SHOWING: Final = frozenset(
         "detection.py",
         "figures.py",
         "figures_detection.py",
-        "figures_format.py",
         "report.py",
         "tables.py",
         "tables_detection.py",

@@ -1,21 +1,12 @@
-"""What all pages share: colours, matplotlib without a display, small files."""
+"""Colours and style of the scenarios' pages."""
 
 from __future__ import annotations
 
-import importlib
-import io
-from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from adaptive_contact.errors import MissingExtraError
-from adaptive_contact.files import write_file
 from adaptive_contact_studies.scenarios.spec import Variant
+from adaptive_contact_studies.show.figures import INK
 
-__all__ = ["COLOURS", "INK", "OUTCOMES", "figure", "save"]
-
-INK: Final = "#222222"
 COLOURS: Final = {
     Variant.FROZEN: "#8c8c8c",
     Variant.UNGATED: "#d1495b",
@@ -30,52 +21,18 @@ OUTCOMES: Final = {
     "miss": "#f0a202",
     "false alarm": "#c1121f",
 }
-# Plots have few colours: a palette makes a page half as large.
-_PALETTE: Final = 160
-_DPI: Final = 84
-
-
-def figure(width_in: float, height_in: float) -> Any:
-    """A matplotlib figure that needs no display.
-
-    Raises:
-        MissingExtraError: matplotlib or pillow is not installed.
-    """
-    try:
-        matplotlib = importlib.import_module("matplotlib")
-        made = importlib.import_module("matplotlib.figure")
-        importlib.import_module("PIL.Image")
-    except ImportError as error:
-        raise MissingExtraError("a page of plots", "studies") from error
-    matplotlib.rcParams.update(
-        {
-            "font.size": 8.5,
-            "axes.titlesize": 9,
-            "axes.titlelocation": "left",
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.edgecolor": "#999999",
-            "axes.labelcolor": INK,
-            "xtick.color": "#555555",
-            "ytick.color": "#555555",
-            "legend.frameon": False,
-            "legend.fontsize": 8,
-        }
-    )
-    return made.Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
-
-
-def save(figure: Any, path: Path) -> None:
-    """Write a figure as a PNG with a small palette, whole or not at all.
-
-    Raises:
-        ConfigurationError: it cannot be written there.
-    """
-    image = importlib.import_module("PIL.Image")
-    agg = importlib.import_module("matplotlib.backends.backend_agg")
-    canvas = agg.FigureCanvasAgg(figure)
-    canvas.draw()
-    picture = image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    encoded = io.BytesIO()
-    picture.quantize(_PALETTE, dither=image.Dither.NONE).save(encoded, "PNG", optimize=True)
-    write_file(path, encoded.getvalue(), advice="give another folder with --out")
+PALETTE: Final = 160
+DPI: Final = 84
+STYLE: Final[dict[str, Any]] = {
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#999999",
+    "axes.labelcolor": INK,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+}

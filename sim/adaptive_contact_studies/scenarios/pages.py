@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from adaptive_contact.learn.change_terms import ready_for_changes
 from adaptive_contact.score import LegOutcome
-from adaptive_contact_studies.scenarios.canvas import COLOURS, INK, OUTCOMES, figure, save
+from adaptive_contact_studies.scenarios.canvas import COLOURS, DPI, OUTCOMES, PALETTE, STYLE
 from adaptive_contact_studies.scenarios.figures import Judgement
 from adaptive_contact_studies.scenarios.learners import reference_baseline
 from adaptive_contact_studies.scenarios.recording import Recording, file_of, load
 from adaptive_contact_studies.scenarios.replay import STATUSES, LegReplay, load_replay, replay_file
 from adaptive_contact_studies.scenarios.runner import Folders
 from adaptive_contact_studies.scenarios.spec import Expect, Scenario, Variant
+from adaptive_contact_studies.show.figures import INK, new_figure, save, styled
 
 __all__ = ["draw_page"]
 
@@ -45,6 +46,7 @@ _AFTERMATH: Final = 6
 _GAP_S: Final = 3.0
 
 
+@styled(STYLE, "a page of plots")
 def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     """Draw a scenario's page.
 
@@ -68,7 +70,7 @@ def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     replayed = load_replay(spec, replay_file(spec, folders.replays))
     if recording is None or replayed is None:
         return False
-    page = figure(11.5, 14.5)
+    page = new_figure(11.5, 14.5, dpi=DPI)
     page.suptitle(f"{scenario.name}: {scenario.about}", x=0.01, ha="left", color=INK, fontsize=12)
     axes = page.subplots(7, 1, gridspec_kw={"height_ratios": [3, 1.7, 2.4, 1.9, 2.4, 1.7, 3]})
     variants = replayed[leg]
@@ -88,7 +90,7 @@ def draw_page(judgement: Judgement, folders: Folders, path: Path) -> bool:
     )
     axes[5].set_xlabel("s")
     _all_leg_runs(axes[6], judgement)
-    save(page, path)
+    save(page, path, PALETTE)
     return True
 
 

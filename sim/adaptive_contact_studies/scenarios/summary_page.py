@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from adaptive_contact_studies.scenarios.canvas import COLOURS, INK, figure, save
+from adaptive_contact_studies.scenarios.canvas import COLOURS, DPI, PALETTE, STYLE
 from adaptive_contact_studies.scenarios.goals import ALARMS_PER_HOUR, RECOVERY_MEDIAN
 from adaptive_contact_studies.scenarios.spec import Variant
+from adaptive_contact_studies.show.figures import INK, new_figure, save, styled
 
 __all__ = ["draw_summary"]
 
@@ -32,6 +33,7 @@ _LEARNERS: Final = {
 }
 
 
+@styled(STYLE, "a page of plots")
 def draw_summary(results: Tree, path: Path) -> None:
     """Draw the summary page.
 
@@ -45,7 +47,7 @@ def draw_summary(results: Tree, path: Path) -> None:
     """
     table = results["scenarios"]
     names = list(table)
-    page = figure(15.0, 1.9 + _ROW_IN * len(names))
+    page = new_figure(15.0, 1.9 + _ROW_IN * len(names), dpi=DPI)
     page.suptitle(
         "Every scenario, every learner: figures after the change, or of the whole recording where "
         "nothing changes; less is better",
@@ -122,4 +124,4 @@ def draw_summary(results: Tree, path: Path) -> None:
         for variant in Variant
     ]
     page.legend(handles=handles, loc="outside lower left", ncols=len(handles))
-    save(page, path)
+    save(page, path, PALETTE)

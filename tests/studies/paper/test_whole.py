@@ -13,7 +13,8 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from adaptive_contact.model import Window, tail
-from adaptive_contact_studies.paper import identification, models, store
+from adaptive_contact_studies import cache
+from adaptive_contact_studies.paper import identification, models
 from adaptive_contact_studies.paper.analytical import Gains
 from adaptive_contact_studies.paper.plan import QUICK
 from adaptive_contact_studies.paper.report import write_document
@@ -88,18 +89,18 @@ def test_a_run_interrupted_at_every_stage_ends_with_the_same_numbers(
 ) -> None:
     logs = tmp_path / "arm.npz"
     write_arm(logs)
-    write, left = store._write, 0
+    write, left = cache.write_file, 0
 
-    def interrupted(path: Path, data: bytes) -> None:
+    def interrupted(path: Path, data: bytes | str, *, advice: str) -> None:
         nonlocal left
         left -= 1
         if left < 0:
             raise KeyboardInterrupt
-        write(path, data)
+        write(path, data, advice=advice)
 
     broken, interruptions, results = tmp_path / "broken", 0, None
     with monkeypatch.context() as patched:
-        patched.setattr(store, "_write", interrupted)
+        patched.setattr(cache, "write_file", interrupted)
         while results is None:
             left = _WRITES_A_RUN
             try:
