@@ -120,7 +120,7 @@ def learn(
             )
     gathered = gather(more or [], robot)
     if live:
-        from adaptive_contact.cli._robot_live import collect_live
+        from adaptive_contact.cli._robot_check import collect_live
 
         link = network.client(wait=False)
         samples = collect_live(robot, link, seconds, stop=stop)

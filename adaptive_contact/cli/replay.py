@@ -129,8 +129,7 @@ def _to_events(
     from adaptive_contact.learn import mode
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
-    from adaptive_contact.service.replay import Counts, replay_events
-    from adaptive_contact.service.replay_trace import TraceBank, TracedRecords
+    from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
     from adaptive_contact.wire import JSON, encode
 
     if out is not None and str(out) != "-":

@@ -25,8 +25,12 @@ from adaptive_contact.diagnose.leg_ids import IdJob
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
 from adaptive_contact.learn.cold_start import ColdJob, ColdResult
-from adaptive_contact.service.refit_process import end_process, start_process
-from adaptive_contact.service.refit_worker import read_frame, write_frame
+from adaptive_contact.service.refit_process import (
+    end_process,
+    read_frame,
+    start_process,
+    write_frame,
+)
 
 _log = structlog.get_logger()
 

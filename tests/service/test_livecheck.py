@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli._robot_live import _told
+from adaptive_contact.cli._robot_check import _told
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot

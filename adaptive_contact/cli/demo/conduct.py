@@ -11,11 +11,10 @@ import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 from adaptive_contact.cli.demo.child import Child
 from adaptive_contact.cli.demo.display import Display
-from adaptive_contact.cli.demo.listening import Listening
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import Robot
@@ -26,6 +25,54 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
+
+
+class Listening:
+    """Records from the beginning of ``with`` to :meth:`end`, or to the end of ``with``.
+
+    Args:
+        recorder: subscribed; its writer is used by the thread until the end.
+    """
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._stop = threading.Event()
+        self._failure: AdaptiveContactError | None = None
+        self._thread = threading.Thread(target=self._work, name="record")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def check(self) -> None:
+        """Raise what stopped it before its time, if anything did.
+
+        Raises:
+            RecordingError: the recording cannot be written.
+        """
+        if self._failure is not None:
+            raise self._failure
+
+    def end(self) -> None:
+        """Stop; everything heard so far is written then.
+
+        Raises:
+            RecordingError: it is not.
+        """
+        self._stop.set()
+        self._thread.join()
+        self.check()
+
+    def _work(self) -> None:
+        try:
+            self._recorder.run(self._stop)
+        except AdaptiveContactError as error:
+            self._failure = error
+
 
 _READY = re.compile(r"listening on (\S+?)[;,]")
 _INJECTED = re.compile(r"^\{.*\}$")
