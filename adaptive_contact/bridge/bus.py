@@ -177,11 +177,7 @@ class Bus:
         return result == int(COMM_SUCCESS)
 
     def read(
-        self,
-        servos: Sequence[int],
-        block: Block,
-        until: float = math.inf,
-        end: float = math.inf,
+        self, servos: Sequence[int], block: Block, until: float = math.inf, end: float = math.inf
     ) -> dict[int, Reading]:
         """Read the same registers of several servos.
 

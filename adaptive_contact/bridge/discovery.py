@@ -374,10 +374,7 @@ def _quantum(models: Sequence[ServoModel]) -> float:
 
 
 def _joint_names(joints: int) -> tuple[str, ...]:
-    usual: Mapping[int, tuple[str, ...]] = {
-        2: ("hip", "knee"),
-        3: ("coxa", "femur", "tibia"),
-    }
+    usual: Mapping[int, tuple[str, ...]] = {2: ("hip", "knee"), 3: ("coxa", "femur", "tibia")}
     return usual.get(joints, tuple(f"joint{i + 1}" for i in range(joints)))
 
 

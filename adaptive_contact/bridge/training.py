@@ -81,12 +81,7 @@ def free_swings(
 
 
 def _goals(
-    leg: Leg,
-    home: Array,
-    lower: Array,
-    upper: Array,
-    rng: np.random.Generator,
-    max_step_rad: float,
+    leg: Leg, home: Array, lower: Array, upper: Array, rng: np.random.Generator, max_step_rad: float
 ) -> Iterator[list[float]]:
     here = home
     for swing in itertools.count(1):
@@ -99,7 +94,6 @@ def _goals(
 
 
 def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A low and a high pose."""
     assert leg.chain is not None
     for _ in range(_TRIES):
         one, other = rng.uniform(lower, upper), rng.uniform(lower, upper)
@@ -152,7 +146,6 @@ class _Basket:
         """Nobody waits for it: what happens is said."""
 
     def say(self, line: str) -> None:
-        """Pass a line on."""
         self._say(line)
 
     def _answer(self, leg: str, sample: ServoSample) -> None:

@@ -8,14 +8,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from adaptive_contact.wire import (
-    BridgeStatus,
-    Command,
-    Quantiles,
-    Rejected,
-    ServoSample,
-    decode,
-)
+from adaptive_contact.wire import BridgeStatus, Command, Quantiles, Rejected, ServoSample, decode
 
 # Cycles looked back on, ten seconds at 50 Hz.
 _CYCLES: Final = 500

@@ -240,9 +240,7 @@ def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
         "foot",
     ):
         table.add_column(
-            column,
-            justify="left" if column in ("leg", "joint", "foot") else "right",
-            no_wrap=True,
+            column, justify="left" if column in ("leg", "joint", "foot") else "right", no_wrap=True
         )
     for leg in legs:
         where = _foot(leg)

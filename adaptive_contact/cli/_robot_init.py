@@ -334,5 +334,4 @@ def _asked(given: float | None, what: str, option: str, least: float, most: floa
 
 
 def _is_asked() -> bool:
-    """Whether somebody is there to answer."""
     return sys.stdin.isatty()

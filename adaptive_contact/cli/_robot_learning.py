@@ -216,11 +216,7 @@ def pose_of(text: str, robot: Robot, plans: Sequence[PortPlan]) -> list[float]:
 
 
 def swings_of(
-    robot: Robot,
-    plans: Sequence[PortPlan],
-    amplitude: float,
-    seed: int,
-    home: list[float] | None,
+    robot: Robot, plans: Sequence[PortPlan], amplitude: float, seed: int, home: list[float] | None
 ) -> dict[str, Script]:
     """Free swings of every leg, each with a stream of randomness of its own."""
     import numpy as np

@@ -15,12 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli import gateways
-from adaptive_contact.cli._bus import (
-    DeviceOption,
-    plans_of,
-    robot_of,
-    shake_hands,
-)
+from adaptive_contact.cli._bus import DeviceOption, plans_of, robot_of, shake_hands
 from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say
 from adaptive_contact.cli._sim_options import needs_simulator
@@ -89,7 +84,6 @@ class _Crew:
         self._workers: dict[str, SpawnProcess] = {}
 
     def run(self, stop: threading.Event) -> None:
-        """Keep all ports running until stopped."""
         for plan in self._plans:
             self._start(plan)
         servos = sum(len(plan.joints) for plan in self._plans)

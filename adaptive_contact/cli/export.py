@@ -47,10 +47,7 @@ def export(
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path,
-        option("--out", "File or folder.", "OUT", short="-o", show_default=False),
-    ],
+    out: Annotated[Path, option("--out", "File or folder.", "OUT", short="-o", show_default=False)],
     force: Annotated[bool, option("--force", "Replace what is there already.")] = False,
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
@@ -107,7 +104,6 @@ def _quiet(record: Record) -> None:
 
 
 def _progress() -> Callable[[Record], None]:
-    """Show twice a second how far it is."""
     count = 0
     first_ns: int | None = None
     due_s = time.perf_counter() + _PROGRESS_S

@@ -35,8 +35,7 @@ def fit(
         ),
     ],
     out: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON)."),
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON).")
     ] = Path("baseline.json"),
     config: opt.ConfigOption = None,
     free: Annotated[

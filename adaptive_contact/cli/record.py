@@ -63,9 +63,7 @@ def record(
             recorder = Recorder(link, writer, key)
             say(f"recording {key} to {file}; stop with Ctrl-C", err=True)
             recorder.run(
-                stop,
-                seconds,
-                (lambda: _progress(recorder.counts, started_s)) if live else None,
+                stop, seconds, (lambda: _progress(recorder.counts, started_s)) if live else None
             )
     finally:
         closed = link.close()

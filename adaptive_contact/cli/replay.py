@@ -78,18 +78,9 @@ def replay(
     """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
     from adaptive_contact.service.recording import is_bag, read_recording
 
-    on_wire = {
-        "--speed": speed,
-        "--all": everything,
-        "--keep-run": keep_run,
-        **network.given,
-    }
+    on_wire = {"--speed": speed, "--all": everything, "--keep-run": keep_run, **network.given}
     published = when_ambiguous is not opt.WhenAmbiguous.WITHHOLD
-    through_learners = {
-        "--baseline": baseline,
-        "--config": config,
-        "--when-ambiguous": published,
-    }
+    through_learners = {"--baseline": baseline, "--config": config, "--when-ambiguous": published}
     if events is not None or plot is not None:
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
         robot = opt.recorded_robot(config, [file])
@@ -148,10 +139,7 @@ def _to_events(
     file = sys.stdout.buffer if to_stdout else kept
     with closing(WaitingRefitter()) as refitter:
         bank = LearnerBank(
-            robot,
-            learned,
-            refitter=refitter,
-            when_ambiguous=mode.WhenAmbiguous(when_ambiguous),
+            robot, learned, refitter=refitter, when_ambiguous=mode.WhenAmbiguous(when_ambiguous)
         )
         robots = OneRobot(recording)
         traced = TracedRecords(robots, robot) if plot is not None else None
@@ -270,7 +258,6 @@ def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseli
 
 
 def _warn(recording: Recording, counts: Counts) -> None:
-    """One line each for what was cut off and for what could not be used."""
     opt.say_damage(recording)
     rejected = counts.rejects.total()
     if rejected:

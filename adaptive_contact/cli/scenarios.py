@@ -217,7 +217,6 @@ def report(
 
 
 def _work(work: list[Job], folders: Folders, processes: int, console: Console) -> list[str]:
-    """Make what is missing, with a bar."""
     from rich.progress import (
         BarColumn,
         Progress,

@@ -108,7 +108,6 @@ def _look_for(seconds: float, look: Look, stop: threading.Event) -> bool:
 
 
 def _live(look: Look, stop: threading.Event) -> None:
-    """Redraw until Ctrl-C."""
     from rich.live import Live
 
     from adaptive_contact.cli._console import table_console

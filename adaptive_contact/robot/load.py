@@ -179,7 +179,6 @@ def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
 
 
 def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
-    """The leg's axes, lengths and origins."""
     for axis in leg.axes or ():
         if not isinstance(axis, str) and not LEAST_AXIS <= math.hypot(*axis) < math.inf:
             fail(f"{where}: axes has {list(axis)}; expected a direction such as [0, 1, 0]")

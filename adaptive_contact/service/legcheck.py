@@ -136,9 +136,7 @@ def check_recording(
     return entries([*faults, *check_twins(samples)])
 
 
-def check_twins(
-    samples: Mapping[str, Sequence[ServoSample]],
-) -> Iterator[tuple[str, Fault]]:
+def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[str, Fault]]:
     """Find legs that send another leg's readings, to the last bit.
 
     Yields:

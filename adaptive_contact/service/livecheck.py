@@ -270,12 +270,10 @@ class _LegCheck:
 
     @property
     def rests(self) -> bool:
-        """Whether no joint has moved for a while."""
         full = len(self._recent) == self._recent.maxlen
         return full and bool((np.ptp(np.array(self._recent), axis=0) < _REST_RAD).all())
 
     def view(self) -> LegView:
-        """The leg as it is now."""
         newest, leg = self.turned[-1], self.leg
         measured = np.array([sample.measured for sample in self.turned])
         limits = leg.limits
@@ -311,7 +309,6 @@ class _LegCheck:
         )
 
     def faults(self, seconds: float) -> Iterator[Fault]:
-        """What is wrong with rate, units, order and range."""
         facts = LegFacts(
             joints=list(self.leg.joints),
             lengths=self.leg.chain is not None,

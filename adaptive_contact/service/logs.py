@@ -32,7 +32,6 @@ class _Lines:
         self._turn = threading.Lock()
 
     def msg(self, message: str) -> None:
-        """Write a line, if that can be done."""
         with self._turn, contextlib.suppress(OSError, ValueError):  # full, gone, or closed
             self._stream.write(f"{message}\n")
             self._stream.flush()
@@ -85,9 +84,7 @@ def configure_logs(
         processors.append(_shown)
         # A plain stack: a fancy one takes a fifth of a second of a tick, and shows local variables.
         console = structlog.dev.ConsoleRenderer(
-            colors=stream.isatty(),
-            pad_event_to=0,
-            exception_formatter=_trace,
+            colors=stream.isatty(), pad_event_to=0, exception_formatter=_trace
         )
         processors += [console]
     lines = _Lines(stream)

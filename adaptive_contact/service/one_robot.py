@@ -16,14 +16,7 @@ from adaptive_contact.service.findings import Cause, Fault, entries, of_legs
 from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.status import LegFacts
-from adaptive_contact.wire import (
-    Rejected,
-    ServoSample,
-    decode,
-    leg_of_key,
-    meant_key,
-    namespace_of,
-)
+from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key, meant_key, namespace_of
 
 # Of each leg, samples and refusals that are looked at.
 _KEPT: Final = 1000

@@ -50,10 +50,7 @@ class ProcessRefitter:
     """
 
     def __init__(
-        self,
-        timeout_s: float = JOB_TIMEOUT_S,
-        *,
-        process: subprocess.Popen[bytes] | None = None,
+        self, timeout_s: float = JOB_TIMEOUT_S, *, process: subprocess.Popen[bytes] | None = None
     ) -> None:
         self.failures = 0
         self._timeout_s = timeout_s

@@ -103,8 +103,6 @@ class _Inbox:
 
 
 class _RosPublisher:
-    """A publisher of the gateway's node."""
-
     def __init__(self, link: Link, node: rmw.Node, number: int, address: rmw.Address) -> None:
         token = node.endpoint_token("MP", number, address, rmw.LATCHED)
         self._id = rmw.publisher_id(token)
@@ -113,7 +111,6 @@ class _RosPublisher:
         self._token = link.token(token)
 
     def put(self, payload: bytes) -> None:
-        """Publish one message."""
         attachment = rmw.Attachment(next(self._seq), time.time_ns(), self._id)
         self._publisher.put_raw(payload, _ENCODING, rmw.encode_attachment(attachment))
 

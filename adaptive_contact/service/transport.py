@@ -70,11 +70,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # Bounds each such try: a SYN that is lost in the cut is repeated only after 1, 3 and 7 s.
     "transport/unicast/open_timeout": 1000,
     # Reconnects go on for ever at this pace; an outage of 4 s was over 0.34 s after its end.
-    "connect/retry": {
-        "period_init_ms": 100,
-        "period_max_ms": 500,
-        "period_increase_factor": 1.5,
-    },
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
 }
 
 # An endpoint's options may hold a key.

@@ -150,11 +150,7 @@ def _conduct(
         if page is not None:
             page.follow(stack.enter_context(Link.open(client_settings([endpoint], wait=False))))
             stack.callback(page.leave)
-        about = {
-            "source": "adaptive-contact demo",
-            "robot": robot.name,
-            "seed": str(settings.seed),
-        }
+        about = {"source": "adaptive-contact demo", "robot": robot.name, "seed": str(settings.seed)}
         writer = stack.enter_context(RecordingWriter(settings.recording, about))
         recorder = Recorder(link, writer, "robot/**")
         feed = Feed(link)
@@ -225,12 +221,7 @@ class _Run:
     """
 
     def __init__(
-        self,
-        settings: DemoSettings,
-        robot: Robot,
-        endpoint: str,
-        recorder: Recorder,
-        show: Display,
+        self, settings: DemoSettings, robot: Robot, endpoint: str, recorder: Recorder, show: Display
     ) -> None:
         self.walked_s = 0.0
         self.drift_ns = 0

@@ -18,10 +18,7 @@ from adaptive_contact_studies.show.figures import needs_matplotlib
 
 
 def run_demo(
-    settings: DemoSettings,
-    console: Console,
-    stop: threading.Event,
-    page: LivePage | None = None,
+    settings: DemoSettings, console: Console, stop: threading.Event, page: LivePage | None = None
 ) -> Verdict:
     """Walk, drift, judge, report.
 

@@ -1,4 +1,4 @@
-"""The result: words for the title of the report, ``summary.json`` for programs, a table for people."""
+"""The result: in words for the report, ``summary.json`` for programs, a table for people."""
 
 from __future__ import annotations
 
@@ -167,12 +167,7 @@ def _detector(judged: Judged) -> dict[str, Any]:
 def _cells(summary: Summary) -> tuple[str, ...]:
     counted = summary.counted
     median = f"{counted.latency.median_ms:.0f} ms" if counted.latency else "-"
-    return (
-        str(counted.touches),
-        percent(counted.recall),
-        median,
-        str(summary.false_alarms),
-    )
+    return (str(counted.touches), percent(counted.recall), median, str(summary.false_alarms))
 
 
 def _version() -> str:

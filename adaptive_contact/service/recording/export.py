@@ -102,10 +102,7 @@ class Exported:
 
 
 def export_recording(
-    recording: Recording,
-    out: Path,
-    to: ExportFormat,
-    on_record: OnRecord = lambda record: None,
+    recording: Recording, out: Path, to: ExportFormat, on_record: OnRecord = lambda record: None
 ) -> Exported:
     """Write a recording for other programs.
 
@@ -158,8 +155,6 @@ def _read(record: Record, kind: type[Message], exported: Exported) -> Message | 
 
 
 class _Form(ABC):
-    """How messages are written into MCAP."""
-
     encoding: str
     schema_encoding: str
 
@@ -293,7 +288,6 @@ class _Columns:
 
     @property
     def types(self) -> dict[str, type]:
-        """Type of each column, in order."""
         types: dict[str, type] = {"log_time_ns": int, "key": str}
         for name, _, scalar, _, wide in self._fields:
             if wide:
@@ -344,8 +338,6 @@ def _flat(struct: type[msgspec.Struct], before: str) -> Iterator[tuple[str, type
 
 
 class _Table(ABC):
-    """One file of rows."""
-
     def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
         self.columns = columns
         self._names = list(columns.types)

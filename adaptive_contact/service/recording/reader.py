@@ -150,7 +150,6 @@ class Recording:
         self.skipped, self.lost = walk.skipped, walk.lost
 
     def _open(self) -> IO[bytes]:
-        """Open the file and step over its magic."""
         try:
             file = self.path.open("rb")
         except OSError as error:
@@ -249,7 +248,6 @@ class _Walk:
         return line if self._cut is None else f"{line}; {self._cut}"
 
     def records(self) -> Iterator[Record]:
-        """Messages up to the end of the file."""
         while True:
             self._file.seek(self._at)
             head = self._file.read(_FRAME.size)
@@ -477,7 +475,6 @@ class _Walk:
         self._types[found.topic] = (kind, found.metadata.get(_TYPE_HASH, ""))
 
     def _learn_schema(self, content: bytes) -> None:
-        """Take in a schema's name."""
         found = Schema.read(ReadDataStream(BytesIO(content)))
         self._schemas[found.id] = found.name
 

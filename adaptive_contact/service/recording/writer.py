@@ -69,9 +69,7 @@ class RecordingWriter:
         except OSError as error:
             raise self._failed(error) from error
         self._writer = Writer(
-            cast(Any, Counted(self._file)),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
+            cast(Any, Counted(self._file)), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
         )
         try:
             self._writer.start(profile="", library="adaptive-contact")
@@ -173,9 +171,7 @@ class RecordingWriter:
             return 0
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(
-                name=schema_name(kind),
-                encoding="jsonschema",
-                data=json_schema(kind),
+                name=schema_name(kind), encoding="jsonschema", data=json_schema(kind)
             )
         return self._schemas[kind]
 

@@ -159,11 +159,7 @@ def default_folder() -> Path:
 
 
 def settings_digest(
-    robot: Robot,
-    leg: str,
-    baseline: str = "",
-    *,
-    formats: tuple[int, int] = (FORMAT, _UNNAMED[1]),
+    robot: Robot, leg: str, baseline: str = "", *, formats: tuple[int, int] = (FORMAT, _UNNAMED[1])
 ) -> str:
     """Digest of everything that makes what a leg has learned useless when it changes.
 

@@ -24,14 +24,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from adaptive_contact.service.settings import shown_path
-from adaptive_contact.service.state.format import (
-    MAX_BYTES,
-    Identity,
-    Record,
-    Refused,
-    pack,
-    unpack,
-)
+from adaptive_contact.service.state.format import MAX_BYTES, Identity, Record, Refused, pack, unpack
 
 NEWEST: Final = ".state"
 BEFORE: Final = ".before"
@@ -204,11 +197,7 @@ class StateStore:
         self._remove(old)
         try:
             os.link(
-                newest,
-                old,
-                src_dir_fd=self._handle,
-                dst_dir_fd=self._handle,
-                follow_symlinks=False,
+                newest, old, src_dir_fd=self._handle, dst_dir_fd=self._handle, follow_symlinks=False
             )
         except OSError:  # a file system without links: for an instant there is only the one before
             self._rename(newest, before)
