@@ -35,7 +35,7 @@ def fit(
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON).")
+        Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
     ] = Path("baseline.json"),
     config: opt.ConfigOption = None,
     free: Annotated[

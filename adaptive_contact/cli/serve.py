@@ -63,11 +63,10 @@ def serve(
 
         from adaptive_contact.bank import LearnerBank
         from adaptive_contact.learn.mode import WhenAmbiguous as Policy
-        from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
         from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
-        from adaptive_contact.service.server import Service
+        from adaptive_contact.service.server import Service, Sweeper
 
         configure_logs(log_level, json=log_json)
         settings = router_settings(

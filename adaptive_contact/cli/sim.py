@@ -1,9 +1,10 @@
-"""``adaptive-contact sim``: the simulated robot."""
+"""``adaptive-contact sim``: the simulated robot, and its shipped baseline learned again."""
 
 from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,12 +15,48 @@ from adaptive_contact.cli._output import make_stdout_optional, say, say_json, sa
 from adaptive_contact.cli._sim_options import (
     ReactOption,
     RunOptions,
+    SchedulerOption,
     execute,
     given,
     needs_simulator,
+    needs_studies,
 )
-from adaptive_contact.cli.baseline import baseline
 from adaptive_contact.errors import ConfigurationError, LinkError
+
+
+def baseline(
+    out: Annotated[
+        Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
+    ] = Path("baseline.json"),
+    robot: Annotated[
+        str, option("--robot", "Which robot: hexapod, quadruped12, leg5. [hexapod]", "NAME")
+    ] = "hexapod",
+    processes: Annotated[
+        int, option("--processes", "Runs simulated at a time.", min=1, max=64)
+    ] = 2,
+    scheduler: SchedulerOption = None,
+    json: opt.JsonOption = False,
+) -> None:
+    """Record a simulated robot and learn its baseline; the result depends on no clock."""
+    from threadpoolctl import threadpool_limits
+
+    from adaptive_contact.cli.fit import print_training
+    from adaptive_contact.model import save_baseline
+
+    with needs_studies():
+        from adaptive_contact_sim import simulated_robot
+        from adaptive_contact_studies.training import learn_shipped
+        from adaptive_contact_studies.workers import on_cluster
+
+    description = simulated_robot(robot).description
+    with threadpool_limits(1), on_cluster(scheduler, None):
+        training = learn_shipped(
+            robot, processes=processes, progress=lambda line: say(line, err=True)
+        )
+    save_baseline(training.baseline, out)
+    print_training(training, description, json=json)
+    say(f"baseline written to {out}", err=True)
+
 
 app = opt.Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 

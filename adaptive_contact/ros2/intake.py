@@ -15,8 +15,8 @@ from typing import Any, Final
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.ros2.cdr import CdrError, UnknownHashError
-from adaptive_contact.ros2.names import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.problems import OnProblem, Reason
+from adaptive_contact.ros2.rmw import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
 

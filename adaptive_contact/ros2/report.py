@@ -9,8 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.ros2.names import RosType
-from adaptive_contact.ros2.rmw import Address
+from adaptive_contact.ros2.rmw import Address, RosType
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.wire import ContactEvent, LearnerStatus
 
