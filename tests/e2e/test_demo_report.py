@@ -24,8 +24,8 @@ pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
 
 from adaptive_contact.cli.demo.report import draw
 from adaptive_contact.cli.demo.settings import DemoSettings
+from adaptive_contact.cli.demo.summary import outcome_words, percent, touches_words
 from adaptive_contact.cli.demo.verdict import Verdict, judge
-from adaptive_contact.cli.demo.words import outcome_words, percent, touches_words
 from adaptive_contact_sim import (
     SimulationSettings,
     TerrainSettings,

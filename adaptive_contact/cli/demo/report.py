@@ -17,8 +17,8 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.cli.demo.settings import DemoSettings, drift_words
+from adaptive_contact.cli.demo.summary import outcome_words, percent, touches_words
 from adaptive_contact.cli.demo.verdict import Verdict, others
-from adaptive_contact.cli.demo.words import outcome_words, percent, touches_words
 from adaptive_contact.score import LegOutcome, Summary
 from adaptive_contact_studies.show.figures import BLUE, ORANGE, new_figure, save, styled
 
