@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +17,7 @@ from adaptive_contact.errors import ConfigurationError, MissingExtraError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from adaptive_contact_studies.scenarios.figures import Judgement
+    from adaptive_contact_studies.scenarios.judge import Judgement
     from adaptive_contact_studies.scenarios.runner import Done, Folders, Job
 
 app = Commands(
@@ -30,8 +29,6 @@ OutOption = Annotated[Path, option("--out", "Recordings, replays, figures and pa
 DEFAULT_OUT = Path("out/scenarios")
 # How a command ends that Ctrl-C stopped, as shells have it.
 INTERRUPTED = 130
-# Where there is no terminal for a bar, a log gets a line after each such share of the work.
-LOG_SHARE = 0.05
 
 
 @app.command("list")
@@ -125,8 +122,9 @@ def run(
     stopped, and ends with the same numbers.
     """
     with needs_studies():
-        from adaptive_contact_studies.scenarios.figures import judge_scenario
+        from adaptive_contact_studies.scenarios.judge import judge_scenario
         from adaptive_contact_studies.scenarios.registry import named, scenarios
+        from adaptive_contact_studies.scenarios.report import results_table
         from adaptive_contact_studies.scenarios.results import (
             belongs,
             form_of,
@@ -138,7 +136,6 @@ def run(
         from adaptive_contact_studies.scenarios.runner import Folders, jobs
         from adaptive_contact_studies.scenarios.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
         from adaptive_contact_studies.scenarios.spec import GOALS_VARIANTS
-        from adaptive_contact_studies.scenarios.words import results_table
         from adaptive_contact_studies.workers import on_cluster
 
     from adaptive_contact.cli._console import table_console
@@ -217,41 +214,18 @@ def report(
 
 
 def _work(work: list[Job], folders: Folders, processes: int, console: Console) -> list[str]:
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
     from adaptive_contact_studies.scenarios.runner import run as run_jobs
+    from adaptive_contact_studies.show.progress import progress
 
     if not work:
         return []
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[minutes]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as bar:
-        total = sum(job.work for job in work)
-        simulated = finished = told = 0.0
-        started_s = time.monotonic()
-        task = bar.add_task("recording and replaying", total=total, minutes="0 min simulated")
+    simulated_s = 0.0
+    with progress(console, "recording and replaying", sum(job.work for job in work)) as tell:
 
         def step(done: Done) -> None:
-            nonlocal simulated, finished, told
-            simulated += done.job.recording.seconds
-            bar.update(task, advance=done.job.work, minutes=f"{simulated / 60:.0f} min simulated")
-            finished += done.job.work / total
-            if not console.is_terminal and finished >= told + LOG_SHARE:
-                told = finished
-                minutes = (time.monotonic() - started_s) / 60
-                left = minutes * (1.0 / finished - 1.0)
-                say(f"{finished:.0%} in {minutes:.0f} min, about {left:.0f} to go", err=True)
+            nonlocal simulated_s
+            simulated_s += done.job.recording.seconds
+            tell(done.job.work, f"{simulated_s / 60:.0f} min simulated")
 
         return run_jobs(work, folders, processes=processes, progress=step)
 
@@ -260,9 +234,8 @@ def _draw(
     judgements: list[Judgement], tree: dict[str, Any], folders: Folders, console: Console
 ) -> None:
     """Draw the pages, or say why there are none."""
-    from adaptive_contact_studies.scenarios.pages import draw_page
+    from adaptive_contact_studies.scenarios.pages import draw_page, draw_summary
     from adaptive_contact_studies.scenarios.report import SUMMARY
-    from adaptive_contact_studies.scenarios.summary_page import draw_summary
 
     try:
         with console.status("drawing"):

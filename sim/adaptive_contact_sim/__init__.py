@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run, record_arrays
 from adaptive_contact_sim.drift import KINDS, Injection, Kind
-from adaptive_contact_sim.drift_spec import drift_from, parse_drift
 from adaptive_contact_sim.elements import JOINTS, LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
@@ -19,7 +18,9 @@ from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import ROBOTS, SimulatedRobot, simulated_robot
 from adaptive_contact_sim.scenario import (
     Scenario,
+    drift_from,
     load_scenario,
+    parse_drift,
     parse_scenario,
     shipped_scenarios,
 )

@@ -29,8 +29,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
 )
-from adaptive_contact_sim.live import run_live
-from adaptive_contact_sim.pace import Pace
+from adaptive_contact_sim.live import Pace, run_live
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings

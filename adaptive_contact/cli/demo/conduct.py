@@ -1,4 +1,6 @@
-"""The running part of the demo: service and simulator as two processes, a third that injects.
+"""What is seen while the demo runs: a live table, or plain lines where there is no terminal.
+
+The running part of the demo: service and simulator as two processes, a third that injects.
 
 This process only watches and records; what it ends up with is a recording of everything that went
 over the wire, and the moment of the drift.
@@ -11,11 +13,14 @@ import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Protocol, Self
 
-from adaptive_contact.cli.demo.child import Child
-from adaptive_contact.cli.demo.display import Display
-from adaptive_contact.cli.demo.settings import DemoSettings
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from adaptive_contact.cli.demo.child import Child, Listening
+from adaptive_contact.cli.demo.settings import DemoSettings, drift_words
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.link import Link, client_settings
@@ -23,55 +28,119 @@ from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.service.recording.recorder import Recorder
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import Feed, View
+from adaptive_contact.service.watch_table import table
 from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
 
+if TYPE_CHECKING:
+    from adaptive_contact.service.watch import LegView, View
 
-class Listening:
-    """Records from the beginning of ``with`` to :meth:`end`, or to the end of ``with``.
+# Between two plain lines, s of simulated time.
+_LINE_EVERY_S: Final = 5.0
 
-    Args:
-        recorder: subscribed; its writer is used by the thread until the end.
-    """
 
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-        self._stop = threading.Event()
-        self._failure: AdaptiveContactError | None = None
-        self._thread = threading.Thread(target=self._work, name="record")
+class Display(Protocol):
+    """Shows a run; a context manager."""
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        """Begin."""
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the last picture standing."""
+
+    def show(self, view: View, walked_s: float, *, drifted: bool) -> None:
+        """Show what is known after so many seconds of walking."""
+
+    def say(self, line: str) -> None:
+        """Print a line that stays."""
+
+
+def display(console: Console, settings: DemoSettings) -> Display:
+    """The display for a console."""
+    if console.is_terminal:
+        return _LiveTable(console, settings)
+    return _PlainLines(console, settings)
+
+
+class _LiveTable:
+    """The table of ``adaptive-contact watch``, with a line on what is going on."""
+
+    def __init__(self, console: Console, settings: DemoSettings) -> None:
+        self._settings = settings
+        self._live = Live(console=console, auto_refresh=False)
+
+    def __enter__(self) -> Self:
+        self._live.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
+        self._live.stop()
 
-    def check(self) -> None:
-        """Raise what stopped it before its time, if anything did.
+    def show(self, view: View, walked_s: float, *, drifted: bool) -> None:
+        """Redraw."""
+        words = _headline(self._settings, walked_s, drifted=drifted)
+        line = Text(words, style="bold yellow" if drifted else "bold")
+        size = self._live.console.size
+        below = table(view, size.width, size.height - 3)
+        self._live.update(Group(line, Text(), below), refresh=True)
 
-        Raises:
-            RecordingError: the recording cannot be written.
-        """
-        if self._failure is not None:
-            raise self._failure
+    def say(self, line: str) -> None:
+        """Print above the table."""
+        self._live.console.print(line, markup=False, highlight=False)
 
-    def end(self) -> None:
-        """Stop; everything heard so far is written then.
 
-        Raises:
-            RecordingError: it is not.
-        """
-        self._stop.set()
-        self._thread.join()
-        self.check()
+class _PlainLines:
+    """A line every few seconds."""
 
-    def _work(self) -> None:
-        try:
-            self._recorder.run(self._stop)
-        except AdaptiveContactError as error:
-            self._failure = error
+    def __init__(self, console: Console, settings: DemoSettings) -> None:
+        self._console = console
+        self._settings = settings
+        self._next_s = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+    def show(self, view: View, walked_s: float, *, drifted: bool) -> None:
+        """Print a line, if one is due."""
+        if walked_s < self._next_s or not view.legs:
+            return
+        self._next_s += _LINE_EVERY_S
+        drifting = self._settings.leg
+        others = [leg for leg in view.legs if leg.leg != drifting]
+        own = [leg for leg in view.legs if leg.leg == drifting]
+        name = f"{drifting} (drifted)" if drifted else drifting
+        self.say(f"{walked_s:4.0f} s   {name}: {_tally(own)}   others: {_tally(others)}")
+
+    def say(self, line: str) -> None:
+        """Print a line."""
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._console.file.flush()
+
+
+def _headline(settings: DemoSettings, walked_s: float, *, drifted: bool) -> str:
+    words = f"{walked_s:4.0f} of {settings.seconds:.0f} s   "
+    what = f"leg {settings.leg}: {drift_words(settings)}"
+    if drifted:
+        return f"{words}{what}, since {settings.drift_at_s:.0f} s"
+    return f"{words}walking on rough ground; at {settings.drift_at_s:.0f} s {what}"
+
+
+def _tally(legs: list[LegView]) -> str:
+    """Touches, false alarms and models of some legs."""
+    seen, touches = sum(leg.seen or 0 for leg in legs), sum(leg.touches or 0 for leg in legs)
+    latencies = [leg.latency_ms for leg in legs if leg.latency_ms is not None]
+    last = f" (the last after {latencies[-1]:.0f} ms)" if latencies else ""
+    alarms = sum(leg.false_alarms or 0 for leg in legs)
+    versions = sorted({leg.model_version for leg in legs if leg.model_version is not None})
+    statuses = sorted({leg.status for leg in legs if leg.status is not None})
+    model = "/".join(f"v{version}" for version in versions) or "-"
+    return (
+        f"{seen} of {touches} touches seen{last}, {alarms} false, "
+        f"model {model} {'/'.join(statuses)}"
+    )
 
 
 _READY = re.compile(r"listening on (\S+?)[;,]")
@@ -150,7 +219,11 @@ def _conduct(
         if page is not None:
             page.follow(stack.enter_context(Link.open(client_settings([endpoint], wait=False))))
             stack.callback(page.leave)
-        about = {"source": "adaptive-contact demo", "robot": robot.name, "seed": str(settings.seed)}
+        about = {
+            "source": "adaptive-contact demo",
+            "robot": robot.name,
+            "seed": str(settings.seed),
+        }
         writer = stack.enter_context(RecordingWriter(settings.recording, about))
         recorder = Recorder(link, writer, "robot/**")
         feed = Feed(link)
@@ -221,7 +294,12 @@ class _Run:
     """
 
     def __init__(
-        self, settings: DemoSettings, robot: Robot, endpoint: str, recorder: Recorder, show: Display
+        self,
+        settings: DemoSettings,
+        robot: Robot,
+        endpoint: str,
+        recorder: Recorder,
+        show: Display,
     ) -> None:
         self.walked_s = 0.0
         self.drift_ns = 0

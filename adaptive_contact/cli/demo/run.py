@@ -7,8 +7,7 @@ import time
 
 from rich.console import Console
 
-from adaptive_contact.cli.demo.conduct import StoppedError, conduct
-from adaptive_contact.cli.demo.display import display
+from adaptive_contact.cli.demo.conduct import StoppedError, conduct, display
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.cli.demo.summary import as_table, figures, write_summary
 from adaptive_contact.cli.demo.verdict import Verdict, judge

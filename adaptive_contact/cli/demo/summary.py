@@ -1,4 +1,7 @@
-"""The result: in words for the report, ``summary.json`` for programs, a table for people."""
+"""The result in words: what the title of the report says.
+
+The figures: ``summary.json`` for programs, a table for the person who ran the demo.
+"""
 
 from __future__ import annotations
 
@@ -167,7 +170,12 @@ def _detector(judged: Judged) -> dict[str, Any]:
 def _cells(summary: Summary) -> tuple[str, ...]:
     counted = summary.counted
     median = f"{counted.latency.median_ms:.0f} ms" if counted.latency else "-"
-    return (str(counted.touches), percent(counted.recall), median, str(summary.false_alarms))
+    return (
+        str(counted.touches),
+        percent(counted.recall),
+        median,
+        str(summary.false_alarms),
+    )
 
 
 def _version() -> str:

@@ -29,16 +29,16 @@ from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.obstacles import ObstacleSettings
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_studies.paper.comparison_events import alarm_ticks
 from adaptive_contact_studies.paper.comparison_rules import (
     JUDGED_AFTER_TICKS,
     Prediction,
+    alarm_ticks,
     paper_rule,
 )
 from adaptive_contact_studies.paper.data import Stream
-from adaptive_contact_studies.paper.identification import PAPER_WINDOW
+from adaptive_contact_studies.paper.identification import fitted, predictions
 from adaptive_contact_studies.paper.recording import simulation_of
-from adaptive_contact_studies.paper.responses import fitted, predictions
+from adaptive_contact_studies.paper.rows import PAPER_WINDOW
 
 __all__ = ["ten_collisions"]
 

@@ -1,4 +1,18 @@
-"""The compressed fit against PySINDy's own on the raw rows: equality and speed."""
+r"""The paper's fit as PySINDy makes it, from the compressed factor.
+
+``DiscreteSINDy`` with ``STLSQ`` sees the rows :math:`(\Theta, X_{next})`; here it sees the triangle
+of their QR factorisation.  Column norms, ridge solutions, thresholds and the unbiased refit depend
+on the rows through :math:`\Theta^\top\Theta` and :math:`\Theta^\top X_{next}` only, so that
+supports are the same and coefficients differ by rounding.  (PySINDy's unbiased refit drops
+directions whose singular value is below :math:`10^{-6}` of the largest; the triangle has the same
+singular values.)
+
+``raw`` thresholds coefficients in the units of the data, ``normalised`` those of columns with unit
+Euclidean norm, which PySINDy offers as ``normalize_columns``: λ then grows with the square root of
+the number of rows.
+
+The compressed fit against PySINDy's own on the raw rows: equality and speed.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +26,80 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.fit import FitSettings, fit_sparse
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
 from adaptive_contact.robot import Robot
 from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.paper.data import Stream, join, load, record_all
-from adaptive_contact_studies.paper.identification import PAPER_WINDOW
 from adaptive_contact_studies.paper.plan import FULL
-from adaptive_contact_studies.paper.rows import free_rows, residual_unit
+from adaptive_contact_studies.paper.rows import PAPER_WINDOW, free_rows, residual_unit
 
-__all__ = ["Comparison", "compare", "compare_all", "compare_full"]
+__all__ = ["RIDGE", "compare", "compare_all", "compare_full", "paper_fit"]
 
 Array = NDArray[np.float64]
+
+# PySINDy's default ridge term, which the paper does not mention changing.
+RIDGE: Final = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class PaperFit:
+    """A fit as the paper makes it.
+
+    Attributes:
+        status: ``ok``, ``emptied`` where some state has no terms left, or why there is none.
+        coefficients: (p, states), zero where there is no fit.
+    """
+
+    status: FitStatus
+    coefficients: Array
+
+    @property
+    def terms(self) -> list[int]:
+        """(states,) how many each has."""
+        return [int(n) for n in np.count_nonzero(self.coefficients, axis=0)]
+
+
+def paper_fit(
+    factor: Factor, threshold: float, *, normalised: bool = False, ridge: float = RIDGE
+) -> PaperFit:
+    """Fit with PySINDy's STLSQ, unscaled targets.
+
+    Args:
+        factor: of Θ and the next states.
+        threshold: λ.
+        normalised: threshold coefficients of columns with unit norm.
+        ridge: α.
+
+    Returns:
+        The fit with its status; never raises for bad data.
+    """
+    from pysindy.optimizers import STLSQ
+
+    empty = np.zeros((factor.terms, factor.outputs))
+    if factor.rows < factor.terms:
+        return PaperFit(FitStatus.TOO_FEW_ROWS, empty)
+    r, qty = factor.system
+    if not (np.isfinite(r).all() and np.isfinite(qty).all()):
+        return PaperFit(FitStatus.NOT_FINITE, empty)
+    # A column that is zero throughout has no norm to be divided by, and no coefficient.
+    used = np.square(r).sum(axis=0) > 0.0
+    if not used.any():
+        return PaperFit(FitStatus.EMPTIED, empty)
+    optimizer = STLSQ(threshold=threshold, alpha=ridge, normalize_columns=normalised)
+    with warnings.catch_warnings():
+        # Read off the result instead: an emptied state from the support.
+        warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
+        warnings.filterwarnings("ignore", message=".*did not converge")
+        optimizer.fit(r[:, used], qty)
+    coefficients = empty.copy()
+    coefficients[used] = np.asarray(optimizer.coef_, dtype=np.float64).T
+    if not np.isfinite(coefficients).all():
+        return PaperFit(FitStatus.NOT_FINITE, empty)
+    emptied = not (coefficients != 0.0).any(axis=0).all()
+    return PaperFit(FitStatus.EMPTIED if emptied else FitStatus.OK, coefficients)
+
+
 _COMPARED: Final[tuple[tuple[LibraryName, Window, float], ...]] = (
     ("servo", Window(), 0.05),
     ("servo", Window(), 0.3),

@@ -20,13 +20,13 @@ from adaptive_contact.fit.train import Stretch
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_studies.cache import Store, plain, read_arrays, write_arrays
-from adaptive_contact_studies.paper.fingerprints import (
+from adaptive_contact_studies.paper.plan import GantrySettings, Piece
+from adaptive_contact_studies.paper.recording import (
     physics_fingerprint,
+    record_gantry,
+    record_leg,
     require_unchanged_source,
 )
-from adaptive_contact_studies.paper.gantry import record_gantry
-from adaptive_contact_studies.paper.plan import GantrySettings, Piece
-from adaptive_contact_studies.paper.recording import record_leg
 from adaptive_contact_studies.training import stretch_of
 from adaptive_contact_studies.workers import alone, worker_pool
 

@@ -18,12 +18,14 @@ from adaptive_contact_studies.paper.comparison_rules import Calibration
 from adaptive_contact_studies.paper.detectors import DETECTORS, Bench
 from adaptive_contact_studies.paper.evaluation import (
     AIM,
+    AIMS,
     DEFAULT,
     FACTORS,
     MODELS,
     NEAR_TURN_TICKS,
     ONLINE,
     TOP_SCORE,
+    aim_name,
     jobs_of,
     online_events,
     read_job,
@@ -46,7 +48,6 @@ from adaptive_contact_studies.paper.touched import (
     touched_streams,
     what_alarms_are,
 )
-from adaptive_contact_studies.paper.variants import AIMS, aim_name
 
 __all__ = ["detection"]
 

@@ -23,11 +23,11 @@ from adaptive_contact.robot.gait_phase import directions
 from adaptive_contact.score import Events, LegOutcome, find_swings, match, summarise
 from adaptive_contact_studies.evaluate import leg_stream
 from adaptive_contact_studies.paper.analytical import Gains, NominalLeg, predict
-from adaptive_contact_studies.paper.comparison_events import alarm_ticks
 from adaptive_contact_studies.paper.comparison_rules import (
     Calibration,
     Motion,
     Prediction,
+    alarm_ticks,
     calibrate,
     learn_noise,
     likelihood_ratio,

@@ -1,4 +1,12 @@
-"""Every detector on the report's streams, piece by piece, in processes.
+"""The default detector itself, sample by sample, on many streams at once.
+
+The product's learner with other settings, on the same streams: other aims, and ungated.
+
+An aim moves more than a threshold: what is told as a contact is not learned from, so that every aim
+is one more play of the streams.  The ungated learner is the design's: recursive least squares over
+every tick, contact or not.
+
+Every detector on the report's streams, piece by piece, in processes.
 
 Of free streams only counts are kept: alarms at every swept threshold, ticks above it, judged ticks,
 residuals.  Of streams with contacts every score is kept, as the sweep has to be matched against the
@@ -7,32 +15,33 @@ truth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.learn.mode import LearnerMode
+from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.score import Events
+from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_studies.cache import Store, plain
-from adaptive_contact_studies.paper.comparison_events import alarm_ticks
+from adaptive_contact_studies.evaluate import samples_of
+from adaptive_contact_studies.paper.comparison_rules import alarm_ticks
 from adaptive_contact_studies.paper.data import Stream, load
 from adaptive_contact_studies.paper.detectors import DETECTORS, Evidence, evidence_of
 from adaptive_contact_studies.paper.models import Learned, learned, models_key
-from adaptive_contact_studies.paper.online import play_streams
 from adaptive_contact_studies.paper.plan import GantrySettings, Piece, Plan
-from adaptive_contact_studies.paper.variants import (
-    AIMS,
-    aim_name,
-    at_other_aims,
-    play_at,
-    play_ungated,
-)
 
 __all__ = [
     "AIM",
+    "AIMS",
     "DEFAULT",
     "FACTORS",
     "MODELS",
@@ -40,11 +49,108 @@ __all__ = [
     "ONLINE",
     "TOP_SCORE",
     "UNGATED",
+    "aim_name",
+    "at_other_aims",
     "evaluate",
     "jobs_of",
     "online_events",
+    "play_at",
+    "play_streams",
+    "play_ungated",
     "read_job",
 ]
+
+
+def play_streams(
+    robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
+) -> list[Events]:
+    """Feed every stream to a learner of its own.
+
+    The same calls as in the service; streams side by side share the evaluation of their
+    libraries, which does not change a number (a test compares with one at a time).
+
+    Args:
+        robot: its description.
+        baselines: what the learners start from, by seed of the robot.
+        streams: of any length.
+
+    Returns:
+        The events of each.
+    """
+    learners = [
+        ContactLearner(robot, s.leg, baselines[s.piece.leg_run.robot_seed]) for s in streams
+    ]
+    samples: list[list[ServoSample]] = [samples_of(s.run, s.leg) for s in streams]
+    events: list[list[ContactEvent]] = [[] for _ in streams]
+    team = LegGroup(learners)
+    for tick in itertools.zip_longest(*samples):
+        for own, event in zip(events, team.advance(tick), strict=True):
+            if event is not None:
+                own.append(event)
+    return [Events.of(own) for own in events]
+
+
+# False alarms per robot-hour beside the product's own aim of one: the default's curve.
+AIMS: Final = (0.1, 10.0, 100.0)
+
+
+def aim_name(per_hour: float) -> str:
+    """Such as ``aim 0.1``."""
+    return f"aim {per_hour:g}"
+
+
+def at_other_aims(plan: Plan, piece: Piece) -> bool:
+    """Whether a piece is one of those played at every aim.
+
+    All collisions, so that the curve is of the same touches as every other; of the free motion
+    that of the first robot: three more plays of everything would take longer than all the rest.
+    """
+    return piece.role == "touch" or piece.leg_run.robot_seed == plan.robots[0]
+
+
+def play_at(
+    per_hour: float, robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
+) -> list[Events]:
+    """The default detector with another aim.
+
+    Args:
+        per_hour: false alarms per robot-hour that its thresholds aim at.
+        robot: its description.
+        baselines: what the learners start from, by seed of the robot.
+        streams: of any length.
+
+    Returns:
+        The events of each.
+    """
+    detector = msgspec.structs.replace(robot.detector, false_alarms_per_hour=per_hour)
+    return play_streams(msgspec.structs.replace(robot, detector=detector), baselines, streams)
+
+
+def play_ungated(
+    robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
+) -> list[Events]:
+    """Learners that take every tick for free motion, one stream after the other.
+
+    Args:
+        robot: its description.
+        baselines: what the learners start from, by seed of the robot.
+        streams: of any length.
+
+    Returns:
+        The events of each.
+    """
+    found = []
+    for stream in streams:
+        learner = ContactLearner(
+            robot,
+            stream.leg,
+            baselines[stream.piece.leg_run.robot_seed],
+            mode=LearnerMode.UNGATED,
+        )
+        told = [learner.update(sample) for sample in samples_of(stream.run, stream.leg)]
+        found.append(Events.of([event for event in told if event is not None]))
+    return found
+
 
 # Swept thresholds, over those of the aim, 15 to a decade.  Far below it: a heavy tail sets an aim's
 # threshold hundreds of times above what most ticks score.

@@ -5,23 +5,36 @@ Eq. 8; the sweep of λ stops when some state has no terms left.  R² is given fo
 position :math:`\theta[k+1]`, and for its first and second backward differences.  Beside it stand
 the root mean square over the noise floor, the sensitivity of the prediction to the joint's own
 command, the number of terms and the condition number.
+
+Figure 2: several responses of one joint to its command, with what models foretold.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
-from adaptive_contact.model import Factor, Library, LibraryName, Window, leg_library
+from adaptive_contact.model import (
+    Factor,
+    LegModel,
+    Library,
+    LibraryName,
+    Window,
+    leg_library,
+    stack,
+)
 from adaptive_contact.model.window import Rows
 from adaptive_contact.robot import Leg, Robot
+from adaptive_contact_studies.paper.compression import RIDGE, paper_fit
 from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.rows import (
+    NO_MODEL,
+    PAPER_WINDOW,
     FreeRows,
     blockwise,
     factor_of,
@@ -31,14 +44,11 @@ from adaptive_contact_studies.paper.rows import (
     residual_unit,
     rms_deg,
 )
-from adaptive_contact_studies.paper.stlsq import RIDGE, paper_fit
 
-__all__ = ["LAMBDAS", "PAPER_WINDOW", "identification"]
+__all__ = ["LAMBDAS", "fitted", "identification", "predictions", "responses"]
 
 Array = NDArray[np.float64]
 
-# N, N', M of the paper's model; the paper does not print its own (see the window study).
-PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
 # Log-spaced, three to a decade, and the paper's own choice.
 LAMBDAS: Final = tuple(sorted({round(10.0 ** (e / 3), 6) for e in range(-12, 7)} | {5.0}))
 PAPER_LAMBDA: Final = 5.0
@@ -378,3 +388,69 @@ def _window_row(
         "test_rms_deg": rms_deg(residual),
         "over_floor": [v / float(np.degrees(noise_floor())) for v in rms_deg(residual)],
     }
+
+
+FEMUR: Final = 1
+# Ticks of the test stream that are drawn, three swings, from this one on where there are so many.
+_FIRST: Final = 1000
+_DRAWN: Final = 70
+
+
+class Fitted(NamedTuple):
+    """A model, and how its fit ended.
+
+    Attributes:
+        model: None where the fit left nothing, so that nobody predicts with zeros.
+        status: of the fit.
+    """
+
+    model: LegModel | None
+    status: FitStatus
+
+
+def fitted(
+    robot: Robot, stream: Stream, name: LibraryName, window: Window, threshold: float
+) -> Fitted:
+    """A model of a stream's free swings; λ in units of the residual."""
+    library = leg_library(robot, robot.leg(stream.piece.leg_run.leg), name, window)
+    rows = free_rows(stream, library)
+    factor = factor_of(library, rows.windows, rows.windows.increment)
+    fit = fit_sparse(factor, FitSettings(threshold=threshold, unit=residual_unit(factor)))
+    return Fitted(
+        None if fit.status in NO_MODEL else LegModel(library, fit.coefficients), fit.status
+    )
+
+
+def predictions(model: LegModel | None, measured: Array, desired: Array) -> Array:
+    """(n, J) rad, the positions foretold one tick before; NaN where nothing foretells them.
+
+    That is without a model, and where the window was not full.
+    """
+    out = np.full_like(measured, np.nan)
+    if model is None:
+        return out
+    cut = stack(measured, desired, model.library.window)
+    out[cut.tick + 1] = cut.measured[:, 0] + model.increment(cut.measured, cut.desired, cut.preview)
+    return out
+
+
+def responses(
+    robot: Robot, train: Stream, test: Stream, thresholds: dict[LibraryName, float]
+) -> dict[str, Any]:
+    """What Figure 2 draws."""
+    windows: dict[LibraryName, Window] = {"paper": PAPER_WINDOW, "servo": Window()}
+    first = max(min(_FIRST, len(test.swing) - _DRAWN), 0)
+    drawn = slice(first, first + _DRAWN)
+    shown: dict[str, Any] = {
+        "t_s": np.arange(len(test.swing))[drawn] * 0.02,
+        "measured": np.degrees(test.measured[drawn, FEMUR]),
+        "desired": np.degrees(test.desired[drawn, FEMUR]),
+        "swing": test.swing[drawn],
+        "status": {},
+    }
+    for name, window in windows.items():
+        fit = fitted(robot, train, name, window, thresholds[name])
+        told = predictions(fit.model, test.measured, test.desired)
+        shown["status"][name] = fit.status.value
+        shown[name] = np.degrees(told[drawn, FEMUR])
+    return shown

@@ -24,10 +24,10 @@ from adaptive_contact.model import Factor, Library, LibraryName, Window
 from adaptive_contact.model.window import Rows, stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS
 from adaptive_contact.robot.description import Axis
-from adaptive_contact_studies.paper.comparison_events import alarm_ticks
 from adaptive_contact_studies.paper.comparison_rules import (
     Motion,
     Prediction,
+    alarm_ticks,
     calibrate,
     learn_noise,
     likelihood_ratio,

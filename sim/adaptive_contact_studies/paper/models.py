@@ -29,10 +29,9 @@ from adaptive_contact_studies.paper.detectors import (
     evidence_of,
     tune_bench,
 )
-from adaptive_contact_studies.paper.fingerprints import physics_fingerprint, source_fingerprint
-from adaptive_contact_studies.paper.identification import PAPER_WINDOW
 from adaptive_contact_studies.paper.plan import LegRun, Piece, Plan
-from adaptive_contact_studies.paper.rows import rms_deg
+from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
+from adaptive_contact_studies.paper.rows import PAPER_WINDOW, rms_deg
 
 __all__ = ["Learned", "learn_robot", "learned", "models_key"]
 

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
-from adaptive_contact.model import Factor, Library, Rows, stack
+from adaptive_contact.model import Factor, Library, Rows, Window, stack
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_studies.paper.data import Stream
 
 __all__ = [
     "NO_MODEL",
+    "PAPER_WINDOW",
     "FreeRows",
     "blockwise",
     "factor_of",
@@ -31,6 +32,8 @@ __all__ = [
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# N, N', M of the paper's model; the paper does not print its own (see the window study).
+PAPER_WINDOW: Final = Window(past_measured=2, past_desired=2, preview=1)
 # Rows whose regressors are held at once: 295 doubles each, some tens of megabytes.
 BLOCK: Final = 20_000
 # What a joint that never moves leaves as its residual, rad.

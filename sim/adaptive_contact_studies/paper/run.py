@@ -9,15 +9,13 @@ from __future__ import annotations
 import json
 import os
 import platform
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from adaptive_contact.errors import RecordingError
 from adaptive_contact.robot import shipped_robot
@@ -28,18 +26,18 @@ from adaptive_contact_studies.paper.data import Stream, join, load, parallel, re
 from adaptive_contact_studies.paper.detection import detection
 from adaptive_contact_studies.paper.detectors import DETECTORS
 from adaptive_contact_studies.paper.evaluation import ONLINE, evaluate, jobs_of
-from adaptive_contact_studies.paper.fingerprints import physics_fingerprint, source_fingerprint
-from adaptive_contact_studies.paper.identification import identification
+from adaptive_contact_studies.paper.identification import identification, responses
 from adaptive_contact_studies.paper.logs import run_logs
 from adaptive_contact_studies.paper.models import learn_robot, learned
 from adaptive_contact_studies.paper.plan import Piece, Plan, Role
+from adaptive_contact_studies.paper.recording import physics_fingerprint, source_fingerprint
 from adaptive_contact_studies.paper.report import write_report
-from adaptive_contact_studies.paper.responses import responses
 from adaptive_contact_studies.paper.workspace import (
     study_leg_run,
     workspace,
     workspace_pieces,
 )
+from adaptive_contact_studies.show.progress import Tell, progress
 
 __all__ = ["STAGES", "run_paper"]
 
@@ -54,9 +52,6 @@ STAGES: Final = (
 )
 _PAPER_ROLES: Final[tuple[Literal["train", "tune"], ...]] = ("train", "tune")
 _ROLES: Final[tuple[Role, ...]] = ("train", "tune", "touch", "stand", "free")
-# Console lines without a terminal, at most one per stage and so many seconds.
-_LINE_S: Final = 20.0
-_PIPE_WIDTH: Final = 100
 
 
 def run_paper(
@@ -186,7 +181,7 @@ class _Runner:
         with self._bar("learning the legs of each robot", len(items)) as tell:
             for _ in parallel(learn_robot, items, self.workers):
                 tell(1.0)
-        with self._told("choosing lags, joints, gains and thresholds on tuning streams"):
+        with self._bar("choosing lags, joints, gains and thresholds on tuning streams", 1.0):
             learned(self.store, self.plan)
         jobs = [
             job
@@ -264,41 +259,8 @@ class _Runner:
         with self._bar(f"simulating {what}", seconds) as tell:
             record_all(self.store, pieces, self.workers, tell)
 
-    @contextmanager
-    def _told(self, what: str) -> Iterator[None]:
-        start = time.monotonic()
-        yield
-        self.console.print(f"{what}: {time.monotonic() - start:.0f} s")
-
-    @contextmanager
-    def _bar(self, what: str, total: float) -> Iterator[Callable[[float], None]]:
-        """A progress bar on a terminal, now and then a line elsewhere."""
-        start = last = time.monotonic()
-        done = 0.0
-        bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=self.console,
-            disable=not self.console.is_terminal,
-            transient=True,
-        )
-        with bar:
-            task = bar.add_task(what, total=total)
-
-            def tell(amount: float) -> None:
-                nonlocal done, last
-                done += amount
-                bar.advance(task, amount)
-                now = time.monotonic()
-                if bar.disable and now - last > _LINE_S:
-                    last = now
-                    self.console.print(f"{what}: {100 * done / max(total, 1e-9):.0f} %")
-
-            yield tell
-        self.console.print(f"{what}: {time.monotonic() - start:.0f} s")
+    def _bar(self, what: str, total: float) -> AbstractContextManager[Tell]:
+        return progress(self.console, what, total)
 
 
 def _swings(stream: Stream) -> int:

@@ -33,18 +33,19 @@ from adaptive_contact.score import (
 )
 from adaptive_contact_studies.cache import Store
 from adaptive_contact_studies.evaluate import leg_stream
-from adaptive_contact_studies.paper.comparison_events import alarm_ticks
+from adaptive_contact_studies.paper.comparison_rules import alarm_ticks
 from adaptive_contact_studies.paper.data import load
 from adaptive_contact_studies.paper.detectors import DETECTORS
 from adaptive_contact_studies.paper.evaluation import (
+    AIMS,
     DEFAULT,
     ONLINE,
+    aim_name,
     jobs_of,
     online_events,
     read_job,
 )
 from adaptive_contact_studies.paper.plan import Piece, Plan
-from adaptive_contact_studies.paper.variants import AIMS, aim_name
 
 __all__ = [
     "BOTH",

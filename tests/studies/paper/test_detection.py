@@ -18,10 +18,18 @@ from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.evaluate import samples_of
 from adaptive_contact_studies.paper import detection as study
 from adaptive_contact_studies.paper.data import Stream
-from adaptive_contact_studies.paper.evaluation import AIM, FACTORS, _tail
-from adaptive_contact_studies.paper.online import play_streams
+from adaptive_contact_studies.paper.evaluation import (
+    AIM,
+    AIMS,
+    FACTORS,
+    _tail,
+    at_other_aims,
+    play_at,
+    play_streams,
+    play_ungated,
+)
 from adaptive_contact_studies.paper.plan import FULL, LegRun, Piece
-from adaptive_contact_studies.paper.tables_limits import limits_section
+from adaptive_contact_studies.paper.tables_detection import limits_section
 from adaptive_contact_studies.paper.touched import (
     BOTH,
     SLOW_FAST,
@@ -37,7 +45,6 @@ from adaptive_contact_studies.paper.touched import (
     slips,
     what_alarms_are,
 )
-from adaptive_contact_studies.paper.variants import AIMS, at_other_aims, play_at, play_ungated
 from adaptive_contact_studies.paper.verdicts import losses, losses_table, sentence
 
 TICK_NS = 20_000_000

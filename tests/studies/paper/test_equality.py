@@ -14,11 +14,9 @@ from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
 from adaptive_contact.fit.sparse_regression import RANK_CUTOFF
 from adaptive_contact.model import Factor, Library, Window, leg_library
 from adaptive_contact.robot import Robot
-from adaptive_contact_studies.paper.compression import compare
+from adaptive_contact_studies.paper.compression import compare, paper_fit
 from adaptive_contact_studies.paper.data import Stream
-from adaptive_contact_studies.paper.identification import PAPER_WINDOW
-from adaptive_contact_studies.paper.rows import factor_of, free_rows
-from adaptive_contact_studies.paper.stlsq import paper_fit
+from adaptive_contact_studies.paper.rows import PAPER_WINDOW, factor_of, free_rows
 
 # N, N', M of the study, and a smaller one.  The larger has singular values below 1e-6 of the
 # largest, which PySINDy's unbiased refit cuts off; the smaller keeps full rank in its eyes.

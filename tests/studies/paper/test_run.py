@@ -18,7 +18,7 @@ from adaptive_contact.robot import Robot
 from adaptive_contact.score import Events
 from adaptive_contact_studies.evaluate import play
 from adaptive_contact_studies.paper.data import Stream
-from adaptive_contact_studies.paper.online import play_streams
+from adaptive_contact_studies.paper.evaluation import play_streams
 from adaptive_contact_studies.paper.plan import QUICK
 from adaptive_contact_studies.paper.report import write_document
 from adaptive_contact_studies.paper.run import run_paper

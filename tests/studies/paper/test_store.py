@@ -138,7 +138,7 @@ def test_damaged_results_are_made_anew(tmp_path: Path) -> None:
 def test_source_that_changes_meanwhile_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from adaptive_contact_studies.paper import fingerprints as store
+    from adaptive_contact_studies.paper import recording as store
 
     store.source_fingerprint()
     store.require_unchanged_source()

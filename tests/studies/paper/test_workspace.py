@@ -8,15 +8,13 @@ import pytest
 from adaptive_contact_studies.cache import plain
 from adaptive_contact_studies.paper.tables import sections
 from adaptive_contact_studies.paper.workspace import (
-    _difference,
-    nearest_regions,
-    workspace,
-)
-from adaptive_contact_studies.paper.workspace_maps import (
     _CELL_M,
+    _difference,
     _edges,
     map_extent,
+    nearest_regions,
     residual_map,
+    workspace,
 )
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from adaptive_contact.cli.scenarios import app
 from adaptive_contact.errors import AdaptiveContactError
-from adaptive_contact_studies.scenarios import figures, runner, runs
+from adaptive_contact_studies.scenarios import judge, runner, runs
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.results import (
     belongs,
@@ -68,7 +68,7 @@ def test_a_quick_run_makes_figures_pages_and_a_report(
 ) -> None:
     short = replace(runs.QUICK_SIZES, before_s=3.0, after_s=6.0, first_seed=9400)
     monkeypatch.setattr(runs, "QUICK_SIZES", short)
-    monkeypatch.setattr(figures, "_BOOTSTRAPS", 20)
+    monkeypatch.setattr(judge, "_BOOTSTRAPS", 20)
     out, docs = tmp_path / "out", tmp_path / "docs"
     arguments = ["run", "step-friction4", "--quick", "--seeds", "1", "--processes", "1"]
     result = RUN.invoke(app, [*arguments, "--out", str(out), "--json"])

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from adaptive_contact.score import SwingTable
-from adaptive_contact_studies.scenarios.figures import quantile
-from adaptive_contact_studies.scenarios.goals import goals, pooled
-from adaptive_contact_studies.scenarios.judge import SETTLED, longest_lock_out, swings_until_valid
+from adaptive_contact_studies.scenarios.judge import (
+    SETTLED,
+    longest_lock_out,
+    quantile,
+    swings_until_valid,
+)
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.replay import STATUSES, SwingLog
+from adaptive_contact_studies.scenarios.results import goals, pooled
 
 
 def swings(story: str) -> SwingTable:

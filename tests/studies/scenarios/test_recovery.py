@@ -13,8 +13,13 @@ import pytest
 
 from adaptive_contact.score import match, summarise
 from adaptive_contact_studies.evaluate import leg_stream
-from adaptive_contact_studies.scenarios.figures import Judgement, judge_scenario, quantile
-from adaptive_contact_studies.scenarios.judge import Recovery, within
+from adaptive_contact_studies.scenarios.judge import (
+    Judgement,
+    Recovery,
+    judge_scenario,
+    quantile,
+    within,
+)
 from adaptive_contact_studies.scenarios.learners import robot
 from adaptive_contact_studies.scenarios.recording import record
 from adaptive_contact_studies.scenarios.registry import scenarios

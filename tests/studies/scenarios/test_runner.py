@@ -11,13 +11,13 @@ import pytest
 from rich.console import Console
 
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
-from adaptive_contact_studies.scenarios import figures as figures_module
+from adaptive_contact_studies.scenarios import judge as figures_module
 from adaptive_contact_studies.scenarios import runner
-from adaptive_contact_studies.scenarios.figures import figures, judge_scenario
+from adaptive_contact_studies.scenarios.judge import figures, judge_scenario
 from adaptive_contact_studies.scenarios.recording import Recording, file_of
 from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.replay import load_replay, replay_file
-from adaptive_contact_studies.scenarios.report import report_text
+from adaptive_contact_studies.scenarios.report import report_text, results_table
 from adaptive_contact_studies.scenarios.results import (
     best_form,
     merge,
@@ -28,7 +28,6 @@ from adaptive_contact_studies.scenarios.results import (
 from adaptive_contact_studies.scenarios.runner import Done, Folders, jobs, run
 from adaptive_contact_studies.scenarios.runs import QUICK_SIZES
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, Scenario, Variant
-from adaptive_contact_studies.scenarios.words import results_table
 
 SIZES = replace(QUICK_SIZES, leg_runs=6, before_s=3.0, after_s=5.0, first_seed=9300)
 
