@@ -144,14 +144,7 @@ class OneRobot:
 
     def _faults(self, robot: Robot) -> Iterator[tuple[str | None, Fault]]:
         for leg, samples in self._samples.items():
-            facts = None
-            if leg in robot.leg_ids:
-                described = robot.leg(leg)
-                facts = LegFacts(
-                    joints=list(described.joints),
-                    lengths=described.chain is not None,
-                    quantum_rad=robot.quantum(leg),
-                )
+            facts = LegFacts.of(robot, leg) if leg in robot.leg_ids else None
             faults = check_leg(
                 leg,
                 samples,

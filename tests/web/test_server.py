@@ -427,6 +427,7 @@ def test_a_stream_resumes_where_it_was(running: Running) -> None:
         with running.stream(after) as one:
             times = re.findall(rb'"t":(\d)', read_until(one, b'{"t":4}\n\n'))
         assert times == [b"%d" % t for t in range(first, 5)], after
+    running.until(lambda: running.site.streams == 0)
     with running.stream(f"{session}.99") as one:  # from the future: what comes next
         running.until(lambda: running.site.streams == 1)
         running.push(b'{"t":5}')
