@@ -108,9 +108,9 @@ def option(
     """
     names = (name, short) if short else (name,)
     panel = settings.pop("panel", None)
-    return typer.Option(
-        *names, help=text or None, metavar=metavar, rich_help_panel=panel, **settings
-    )
+    # Square brackets are no markup here: a default, such as [hexapod], stands in them.
+    shown = text.replace("[", "\\[") or None
+    return typer.Option(*names, help=shown, metavar=metavar, rich_help_panel=panel, **settings)
 
 
 def seconds_option(
@@ -253,6 +253,12 @@ MaxSessionsOption = Annotated[
 ]
 JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads instead of msgpack.")]
 JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
+ForceOption = Annotated[bool, option("--force", "Replace what is there already.")]
+SeedOption = Annotated[int, option("--seed", "Of what is random.", min=0)]
+ProcessesOption = Annotated[int, option("--processes", "Runs worked on at a time.", min=1, max=64)]
+BaselineOutOption = Annotated[
+    Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
+]
 ConfigOption = Annotated[
     Path | None,
     option(

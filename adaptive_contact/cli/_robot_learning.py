@@ -41,9 +41,7 @@ def learn(
     *,
     config: opt.ConfigOption = None,
     device: DeviceOption = None,
-    out: Annotated[Path, option("--out", "Where the baseline goes.", "FILE", short="-o")] = Path(
-        "baseline.json"
-    ),
+    out: opt.BaselineOutOption = Path("baseline.json"),
     drive: Annotated[
         bool,
         option(
@@ -84,10 +82,10 @@ def learn(
             "FILE.mcap",
         ),
     ] = None,
-    seed: Annotated[int, option("--seed", min=0)] = 0,
+    seed: opt.SeedOption = 0,
     realtime: opt.RealtimeOption = False,
     network: opt.Network,
-    json: Annotated[bool, option("--json", "Print JSON.")] = False,
+    json: opt.JsonOption = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
     stop = opt.stoppable()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from adaptive_contact.cli._options import BaselineOption, JsonOption, option
+from adaptive_contact.cli._options import BaselineOption, JsonOption, ProcessesOption, option
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.files import write_file
@@ -20,9 +20,7 @@ def bench(
     speeds_only: Annotated[
         bool, option("--speeds", "Leave the headline runs out (minutes of work).")
     ] = False,
-    processes: Annotated[
-        int, option("--processes", "Runs simulated at a time.", min=1, max=64)
-    ] = 2,
+    processes: ProcessesOption = 2,
     json: JsonOption = False,
 ) -> None:
     """Measure recall, latency and false alarms on unseen runs, and how fast everything is."""

@@ -303,7 +303,7 @@ class VirtualOptions:
         True
     )
     realtime: opt.RealtimeOption = False
-    seed: Annotated[int, option("--seed", min=0)] = 0
+    seed: opt.SeedOption = 0
     robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0
     seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None
     record: Annotated[

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import check_output, option
+from adaptive_contact.cli._options import ForceOption, check_output, option
 from adaptive_contact.cli._output import overwrite, say
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content
@@ -48,7 +48,7 @@ def export(
         ),
     ],
     out: Annotated[Path, option("--out", "File or folder.", "OUT", short="-o", show_default=False)],
-    force: Annotated[bool, option("--force", "Replace what is there already.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
     from adaptive_contact.service.recording import read_recording

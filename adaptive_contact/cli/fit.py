@@ -34,9 +34,7 @@ def fit(
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
-    ] = Path("baseline.json"),
+    out: opt.BaselineOutOption = Path("baseline.json"),
     config: opt.ConfigOption = None,
     free: Annotated[
         bool, option("--free", "Nothing was touched: without truth, use the swings to their ends.")

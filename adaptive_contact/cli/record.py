@@ -31,7 +31,7 @@ def record(
     seconds: Annotated[
         float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
     ] = None,
-    force: Annotated[bool, option("--force", "Replace the file if it is there already.")] = False,
+    force: opt.ForceOption = False,
     network: opt.Network,
 ) -> None:
     """Record messages of any key, byte for byte, until Ctrl-C."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from adaptive_contact.cli._bus import DeviceOption
-from adaptive_contact.cli._options import Commands, flatten, option
+from adaptive_contact.cli._options import Commands, ForceOption, flatten, option
 from adaptive_contact.cli._robot_check import check
 from adaptive_contact.cli._robot_learning import learn
 
@@ -98,7 +98,7 @@ class Wishes:
             "EEPROM of AX, RX, MX and XL-320).",
         ),
     ] = False
-    force: Annotated[bool, option("--force", "Replace the file.")] = False
+    force: ForceOption = False
 
 
 @app.command()

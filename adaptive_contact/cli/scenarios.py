@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption, option
+from adaptive_contact.cli._options import Commands, JsonOption, ProcessesOption, option
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
@@ -105,9 +105,7 @@ def run(
         bool,
         option("--goals", "The frozen and the full learner only: all goals, in half the time."),
     ] = False,
-    processes: Annotated[
-        int, option("--processes", "Recordings worked on at a time.", min=1, max=64)
-    ] = 2,
+    processes: ProcessesOption = 2,
     scheduler: SchedulerOption = None,
     pages: Annotated[bool, option("--pages/--no-pages", "Draw plots.")] = True,
     out: OutOption = DEFAULT_OUT,

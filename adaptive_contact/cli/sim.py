@@ -25,15 +25,11 @@ from adaptive_contact.errors import ConfigurationError, LinkError
 
 
 def baseline(
-    out: Annotated[
-        Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
-    ] = Path("baseline.json"),
+    out: opt.BaselineOutOption = Path("baseline.json"),
     robot: Annotated[
-        str, option("--robot", "Which robot: hexapod, quadruped12, leg5. [hexapod]", "NAME")
+        str, option("--robot", "Which robot: hexapod, quadruped12, leg5.", "NAME")
     ] = "hexapod",
-    processes: Annotated[
-        int, option("--processes", "Runs simulated at a time.", min=1, max=64)
-    ] = 2,
+    processes: opt.ProcessesOption = 2,
     scheduler: SchedulerOption = None,
     json: opt.JsonOption = False,
 ) -> None:
