@@ -96,3 +96,8 @@ class BusError(AdaptiveContactError):
 
 class SimulationDivergedError(AdaptiveContactError):
     """The simulated robot left the range of the physically possible."""
+
+
+def reason_of(error: OSError) -> str:
+    """The system's words for a failure, in lower case."""
+    return (error.strerror or str(error)).lower()

@@ -14,7 +14,7 @@ import typer
 
 from adaptive_contact.cli._options import Commands, JsonOption, StateOption, option
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.files import write_file
 from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
@@ -194,7 +194,7 @@ def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Store
             ) from error
     except OSError as error:
         raise ConfigurationError(
-            f"{root} cannot be read ({(error.strerror or str(error)).lower()}); run as the "
+            f"{root} cannot be read ({reason_of(error)}); run as the "
             "service's user, or give another --state DIR"
         ) from error
     found = []

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-from adaptive_contact.errors import ConfigurationError, LinkError
+from adaptive_contact.errors import ConfigurationError, LinkError, reason_of
 from adaptive_contact.wire import JSON, MSGPACK
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -308,5 +308,5 @@ def _tcp(address: tuple[str, int], timeout_s: float) -> str | None:
     except ConnectionRefusedError:
         return _NOBODY
     except OSError as error:
-        return f"{{}} cannot be reached ({(error.strerror or str(error)).lower()})"
+        return f"{{}} cannot be reached ({reason_of(error)})"
     return None

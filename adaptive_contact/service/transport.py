@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 import zenoh
 
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
@@ -176,7 +176,7 @@ def _from_file(path: Path) -> zenoh.Config:
             pass
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: cannot be read: {(error.strerror or str(error)).lower()}; give a Zenoh "
+            f"{path}: cannot be read: {reason_of(error)}; give a Zenoh "
             "configuration with --zenoh-config (docs/security.md has some)"
         ) from error
     try:
