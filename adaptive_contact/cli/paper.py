@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 __all__ = ["paper"]
 
@@ -47,6 +48,9 @@ def paper(
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.run import STAGES, run_paper
         from adaptive_contact_studies.workers import on_cluster
+        for needed in ("matplotlib", "jinja2"):  # said before hours of work, not after
+            if find_spec(needed) is None:
+                raise MissingExtraError("the report", "studies")
     import dataclasses
 
     from threadpoolctl import threadpool_limits
