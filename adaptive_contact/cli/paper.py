@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -10,7 +11,7 @@ import typer
 
 from adaptive_contact.cli._options import option
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 _OUT: Final = Path("out/paper")
 _LOGS: Final = Path("../shared/data")
@@ -37,6 +38,9 @@ def paper(
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.run import STAGES, run_paper
         from adaptive_contact_studies.workers import on_cluster
+        for needed in ("matplotlib", "jinja2"):  # said before hours of work, not after
+            if find_spec(needed) is None:
+                raise MissingExtraError("the report", "studies")
     import dataclasses
 
     from threadpoolctl import threadpool_limits
