@@ -38,8 +38,6 @@ class HeadlineRun(NamedTuple):
 class _Outcome(NamedTuple):
     row: str
     outcomes: list[LegOutcome]
-    learner_s: float
-    leg_ticks: int
 
 
 def _pose(
@@ -108,5 +106,4 @@ def run_headline(
 def _one(spec: HeadlineRun, robot: Robot, baseline: Baseline) -> _Outcome:
     run = record_arrays(spec.settings, spec.seconds)
     played = play(run, robot, baseline)
-    outcomes = score_run(run, robot, played.events)
-    return _Outcome(spec.row, outcomes, played.seconds, len(run.t_ns) * len(played.learners))
+    return _Outcome(spec.row, score_run(run, robot, played.events))
