@@ -48,6 +48,7 @@ def paper(
         from adaptive_contact_studies.paper.plan import FULL, QUICK
         from adaptive_contact_studies.paper.run import STAGES, run_paper
         from adaptive_contact_studies.workers import on_cluster
+
         for needed in ("matplotlib", "jinja2"):  # said before hours of work, not after
             if find_spec(needed) is None:
                 raise MissingExtraError("the report", "studies")
