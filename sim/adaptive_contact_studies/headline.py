@@ -86,7 +86,7 @@ def run_headline(
         baseline: of the default detector.
         runs: what to simulate.
         processes: how many runs at a time; the result does not depend on it.
-        progress: told of every run that is done.
+        progress: called with every run that is done.
 
     Returns:
         The figures of every row.
