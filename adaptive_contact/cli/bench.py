@@ -36,10 +36,9 @@ def bench(
     with needs_studies():
         from adaptive_contact_sim import SimulationSettings, TerrainSettings, WalkSettings
         from adaptive_contact_sim.arrays import record_arrays
-        from adaptive_contact_studies.benchmark import real_time_factor
         from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
         from adaptive_contact_studies.paper.compression import compare_full
-        from adaptive_contact_studies.speed import restore_speed, tick_speed
+        from adaptive_contact_studies.speed import real_time_factor, restore_speed, tick_speed
 
     from adaptive_contact.cli._console import table_console
 

@@ -106,7 +106,7 @@ class PoseSettings:
         clear_m: how far above an obstacle the foot is when it comes, at least: more than a sole
             that is tilted reaches below the foot's point.
         vary_rad: per joint, how far from the leg's posture at rest is what joints beyond three
-            follow, drawn anew for each end of a trial; empty leaves it where it is.
+            follow, drawn again for each end of a trial; empty leaves it where it is.
     """
 
     legs: tuple[str, ...] = ("rf",)

@@ -96,7 +96,7 @@ def read_arrays(path: Path) -> Arrays | None:
         with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error):
-        return None  # never written, or cut by a full disk: made anew
+        return None  # never written, or cut by a full disk: made again
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -38,8 +38,6 @@ class HeadlineRun(NamedTuple):
 class _Outcome(NamedTuple):
     row: str
     outcomes: list[LegOutcome]
-    learner_s: float
-    leg_ticks: int
 
 
 def _pose(
@@ -88,7 +86,7 @@ def run_headline(
         baseline: of the default detector.
         runs: what to simulate.
         processes: how many runs at a time; the result does not depend on it.
-        progress: told of every run that is done.
+        progress: called with every run that is done.
 
     Returns:
         The figures of every row.
@@ -108,5 +106,4 @@ def run_headline(
 def _one(spec: HeadlineRun, robot: Robot, baseline: Baseline) -> _Outcome:
     run = record_arrays(spec.settings, spec.seconds)
     played = play(run, robot, baseline)
-    outcomes = score_run(run, robot, played.events)
-    return _Outcome(spec.row, outcomes, played.seconds, len(run.t_ns) * len(played.learners))
+    return _Outcome(spec.row, score_run(run, robot, played.events))

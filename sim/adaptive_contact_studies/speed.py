@@ -1,4 +1,7 @@
-"""How fast the learners are, in one process."""
+"""How fast the learners are, in one process.
+
+How fast the simulator is.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,12 @@ from adaptive_contact.service.refits import ProcessRefitter
 from adaptive_contact.service.state import Identity, Record, Refused, StateStore
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import samples_of
 
-__all__ = ["RestoreSpeed", "TickSpeed", "restore_speed", "tick_speed"]
+__all__ = ["Speed", "real_time_factor", "restore_speed", "tick_speed"]
 
 
 @dataclass(frozen=True)
@@ -257,3 +263,52 @@ def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -
             took.append(time.perf_counter() - start)
             store.close()
     return RestoreSpeed(legs=len(run.legs), seconds=max(took), kilobytes=kilobytes)
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Simulated seconds per second of one core.
+
+    Attributes:
+        factor: of the whole simulator: physics, servo law, gait, readings, messages.
+        engine: of the engine's step alone in the same run's last state, with nothing of ours.
+    """
+
+    factor: float
+    engine: float
+
+
+def real_time_factor(
+    settings: SimulationSettings | None = None,
+    *,
+    seconds: float = 10.0,
+    engine_seconds: float = 2.0,
+) -> Speed:
+    """Measure the simulator on this machine, this process's CPU time being what counts.
+
+    Args:
+        settings: what to run; the tripod gait on the rough field by default.
+        seconds: simulated time measured.
+        engine_seconds: simulated time the bare engine is measured for.
+
+    Returns:
+        The speeds.
+    """
+    import mujoco
+
+    sim = Simulation(
+        settings
+        or SimulationSettings(motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=1)
+    )
+    for _ in sim.run(2.0):  # into the walk
+        pass
+    start = time.process_time()
+    for _ in sim.run(seconds):
+        pass
+    whole = time.process_time() - start
+    plant = sim.plant
+    start = time.process_time()
+    for _ in range(round(engine_seconds / plant.step_s)):
+        mujoco.mj_step(plant.model, plant.data)
+    bare = time.process_time() - start
+    return Speed(factor=seconds / whole, engine=engine_seconds / bare)

@@ -113,7 +113,7 @@ def learn_shipped(
         name: of the robot, see :data:`~adaptive_contact_sim.robots.ROBOTS`.
         runs: what to learn from, the robot's :data:`TRAINING_RUNS` by default.
         processes: how many runs to simulate at a time; the result does not depend on it.
-        progress: told of every run recorded and every leg fitted.
+        progress: called with every run recorded and every leg fitted.
 
     Returns:
         The baseline with its figures.

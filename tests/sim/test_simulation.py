@@ -17,7 +17,7 @@ from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.benchmark import real_time_factor
+from adaptive_contact_studies.speed import real_time_factor
 
 EVERYTHING = {
     "pose": SimulationSettings(

@@ -202,7 +202,7 @@ class Listening:
             raise self._failure
 
     def end(self) -> None:
-        """Stop; everything heard so far is written then.
+        """Stop; everything received so far is written then.
 
         Raises:
             RecordingError: it is not.

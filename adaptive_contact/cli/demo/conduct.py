@@ -253,7 +253,7 @@ def _conduct(
         last = _settle(feed, recorder, robot, stop)
         recording.end()
         for drift in settings.drifts:
-            # It went as a query, which no subscription hears; a recording should tell it.
+            # It went as a query, which no subscription receives; a recording should tell it.
             writer.write_message(SIM_DRIFT, drift, run.drift_ns)
         return Take(
             drift_ns=run.drift_ns,

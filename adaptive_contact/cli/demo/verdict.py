@@ -48,7 +48,7 @@ _LEAST_TICKS: Final = 4
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Level:
-    """How well a model foretells a leg, one value per swing, on the ticks that touched nothing.
+    """How well a model predicts a leg, one value per swing, on the ticks that touched nothing.
 
     Attributes:
         t_ns: (s,) beginning of the swing.
@@ -98,7 +98,7 @@ class Verdict:
         service: the events that the service published.
         frozen: those of the model it started with, on the same samples.
         truth: per leg.
-        versions: newest model version of each leg that the service told of.
+        versions: newest model version of each leg that the service reported.
     """
 
     start_ns: int

@@ -276,7 +276,7 @@ class GaitedBackend:
         return float(self._horns.direction[index] * made.speeds[self._at, index])
 
     def set_goal(self, index: int, angle_rad: float) -> None:
-        """Not heard: the robot's own controller writes goals."""
+        """Ignored: the robot's own controller writes goals."""
 
     def goal(self, index: int) -> float | None:
         """The goal in force, of the robot's own controller."""
@@ -284,10 +284,10 @@ class GaitedBackend:
         return self._horns.horn(index, 0.0 if made is None else float(made.goals[index]))
 
     def set_torque(self, index: int, on: bool) -> None:
-        """Not heard: the robot's own controller keeps the torque on."""
+        """Ignored: the robot's own controller keeps the torque on."""
 
     def set_slope(self, index: int, slope_rad: float) -> None:
-        """Not heard: the servos are the simulation's own."""
+        """Ignored: the servos are the simulation's own."""
 
     def _let_begin(self, now_s: float) -> None:
         """Let the present tick be now, by the monotonic clock and in the time stamps to come."""

@@ -224,7 +224,7 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
         gains: of the observer.
 
     Returns:
-        (n, 3) rad for each, the reading foretold one tick before; NaN at the first.
+        (n, 3) rad for each, the reading predicted one tick before; NaN at the first.
     """
     total = sum(len(measured) for measured, _ in streams)
     chunk = int(np.clip(total // _SIDE_BY_SIDE, *_CHUNKS))
@@ -252,7 +252,7 @@ def predict(leg: NominalLeg, streams: list[tuple[Array, Array]], gains: Gains) -
 
 
 def _observe(dynamics: _Dynamics, measured: Array, desired: Array, gains: Gains) -> Array:
-    """(ticks, 3, s) readings foretold, the first repeating the reading."""
+    """(ticks, 3, s) readings predicted, the first repeating the reading."""
     told = np.empty_like(measured)
     told[0] = measured[0]
     q, v = measured[0].copy(), np.zeros_like(measured[0])

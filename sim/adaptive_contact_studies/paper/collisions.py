@@ -56,7 +56,7 @@ _MARGIN: Final = 10
 
 @dataclass
 class _Listener:
-    """Takes down body and joints at every physics step; told of each by the plant."""
+    """Takes down body and joints at every physics step; called by the plant."""
 
     sim: Simulation
     leg: int

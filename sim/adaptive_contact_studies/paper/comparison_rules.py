@@ -164,8 +164,8 @@ class Prediction(NamedTuple):
     """A model's one-step predictions for a stream, NaN where it made none.
 
     Attributes:
-        residual: (n, J) rad, reading k minus what was foretold at k - 1.
-        increment: (n, J) rad, the movement foretold from k - 1 to k.
+        residual: (n, J) rad, reading k minus what was predicted at k - 1.
+        increment: (n, J) rad, the movement predicted from k - 1 to k.
     """
 
     residual: Array

@@ -65,7 +65,7 @@ def detection(
     Args:
         root: the store's folder; streams not evaluated yet are evaluated now.
         plan: what was simulated.
-        progress: told of every detector that is scored.
+        progress: called with every detector that is scored.
 
     Returns:
         A tree of figures.

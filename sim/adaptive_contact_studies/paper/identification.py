@@ -6,7 +6,7 @@ position :math:`\theta[k+1]`, and for its first and second backward differences.
 the root mean square over the noise floor, the sensitivity of the prediction to the joint's own
 command, the number of terms and the condition number.
 
-Figure 2: several responses of one joint to its command, with what models foretold.
+Figure 2: several responses of one joint to its command, with what models predicted.
 """
 
 from __future__ import annotations
@@ -422,7 +422,7 @@ def fitted(
 
 
 def predictions(model: LegModel | None, measured: Array, desired: Array) -> Array:
-    """(n, J) rad, the positions foretold one tick before; NaN where nothing foretells them.
+    """(n, J) rad, the positions predicted one tick before; NaN where nothing predicts them.
 
     That is without a model, and where the window was not full.
     """

@@ -192,7 +192,7 @@ class _Runner:
             for _, done in parallel(evaluate, jobs, self.workers):
                 tell(float(done))
         with self._bar("scoring, thresholds swept", len(DETECTORS) + len(ONLINE)) as tell:
-            return plain(detection(self.root, self.plan, tell))  # half a minute: made anew
+            return plain(detection(self.root, self.plan, tell))  # half a minute: made again
 
     def workspace(self) -> Any:
         """One model or several, of every leg-run."""

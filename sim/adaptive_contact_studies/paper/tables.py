@@ -221,14 +221,14 @@ def _compression(data: Any) -> list[Section]:
 
 
 def _decided(row: Mapping[str, Any], status: Mapping[str, str | None], name: str) -> str:
-    """A detector's latency at a collision; no miss is told of one that has no model."""
+    """A detector's latency at a collision; without a model there is no miss."""
     if status[name] is not None:
         return "no model"
     return "missed" if row[f"{name}_ms"] is None else number(row[f"{name}_ms"], 0)
 
 
 def _found_of(data: Any) -> str:
-    """Which of both found how many, and how soon; who is better, whoever it is."""
+    """Which of both found how many, and how soon; which is better."""
     told = []
     for name, title in (("paper", "the paper's rule"), ("default", "the default")):
         if data["status"][name] is None:

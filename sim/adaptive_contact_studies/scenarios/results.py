@@ -270,7 +270,7 @@ def merge(new: Tree, path: Path) -> Tree:
 
     Raises:
         ConfigurationError: what the file has is of another learner, simulator or size, and not
-            all of it was made anew.
+            all of it was made again.
     """
     made = Belongs(**{name: new[name] for name in Belongs._fields})
     refuse_to_lose(path, made, new["scenarios"])
@@ -292,7 +292,7 @@ def refuse_to_lose(path: Path, made: Belongs, names: Collection[str]) -> None:
     Args:
         path: of the file with the old ones; there may be none.
         made: what the new ones belong to.
-        names: scenarios that are made anew.
+        names: scenarios that are made again.
 
     Raises:
         ConfigurationError: they would.

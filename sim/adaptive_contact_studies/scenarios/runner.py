@@ -134,7 +134,7 @@ def run(
         work: what is missing.
         folders: where it goes.
         processes: how many at a time; with one, no other process is started.
-        progress: told of every job that is done.
+        progress: called with every job that is done.
 
     Returns:
         Why some have no replays, one line each.
