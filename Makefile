@@ -77,7 +77,7 @@ unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments tha
 	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)
 
 many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
-	$(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \
+	PYTHONPATH=tests $(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \
 	  $(MANY_OPTIONS)
 
 same-faults: env  ## faults of one line that `make same` must find, planted one after another
@@ -98,7 +98,7 @@ baseline: env  ## learn the shipped baseline again
 	$(BIN)/python -m adaptive_contact sim baseline --out models/adaptive_contact_models/hexapod/baseline.json
 
 soak: env  ## MINUTES of walking with drifts, refits, two router kills, one service kill
-	$(BIN)/python -m adaptive_contact_sim.soak --minutes $(MINUTES) --seed $(SEED) --out out/soak
+	PYTHONPATH=tests $(BIN)/python -m soak --minutes $(MINUTES) --seed $(SEED) --out out/soak
 
 fuzz: env  ## ten million broken payloads through the codec and the sample checks
 	$(BIN)/python tests/service/fuzz.py 10000000 $(SEED)

@@ -17,6 +17,7 @@ import pytest
 
 import adaptive_contact
 import adaptive_contact_sim
+import adaptive_contact_studies
 from adaptive_contact.errors import BaselineError, ConfigurationError
 from adaptive_contact.files import holds_content, why_not_writable, write_file
 
@@ -188,7 +189,7 @@ def _writes(call: ast.Call) -> str | None:
 
 def test_every_file_is_written_by_the_one_helper() -> None:
     found = []
-    for package in (adaptive_contact, adaptive_contact_sim):
+    for package in (adaptive_contact, adaptive_contact_sim, adaptive_contact_studies):
         root = Path(package.__file__).parent
         for path in sorted(root.rglob("*.py")):
             where = path.relative_to(root.parent).as_posix()

@@ -6,7 +6,6 @@ recording is long, ticks are drawn together by their largest test ratio, so that
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from importlib import resources
@@ -17,11 +16,10 @@ import msgspec
 import numpy as np
 
 from adaptive_contact.cli._output import say
-from adaptive_contact.errors import ConfigurationError, MissingExtraError, RecordingError
+from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
-from adaptive_contact.service.replay_trace import LegTrace, Spans
-
-__all__ = ["check_plot", "write_plot"]
+from adaptive_contact.service.replay import LegTrace, Spans
+from adaptive_contact_studies.show.figures import needs_matplotlib, new_figure, png
 
 # Of all legs together: 400 000 ticks are 2 MB of text, 20 minutes of six legs at 50 Hz.
 _MAX_POINTS: Final = 400_000
@@ -49,10 +47,7 @@ def check_plot(path: Path) -> None:
     if path.suffix.lower() not in _SUFFIXES:
         raise ConfigurationError(f"--plot {path}: expected a name that ends with .html or .png")
     if path.suffix.lower() == ".png":
-        try:
-            import matplotlib  # noqa: F401 - only whether it is there
-        except ImportError as error:
-            raise MissingExtraError("--plot FILE.png", "plot") from error
+        needs_matplotlib("--plot FILE.png", "plot")
 
 
 def write_plot(path: Path, traces: Sequence[LegTrace], title: str) -> None:
@@ -135,18 +130,13 @@ def _merged(spans: Spans, room: int) -> list[list[int]]:
 
 
 def _png(traces: Sequence[LegTrace], title: str) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     end_s = max(float(trace.t_s.max(initial=1.0)) for trace in traces)
     # A step of a second gets a third of an inch, up to what viewers open.
-    figure = Figure(
-        figsize=(min(60.0, max(12.0, end_s / 3)), 1.0 + 1.5 * len(traces)),
-        dpi=100,
-    )
-    FigureCanvasAgg(figure)
+    wide = min(60.0, max(12.0, end_s / 3))
+    figure = new_figure(wide, 1.0 + 1.5 * len(traces), layout=None)
     axes = figure.subplots(len(traces), 1, sharex=True, squeeze=False)[:, 0]
     for axis, trace in zip(axes, traces, strict=True):
         for place, (name, colour) in enumerate(_STRIPS):
@@ -177,6 +167,4 @@ def _png(traces: Sequence[LegTrace], title: str) -> bytes:
     figure.subplots_adjust(
         left=0.8 / width, right=1 - 0.2 / width, top=1 - 0.5 / height, bottom=0.85 / height
     )
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png")
-    return picture.getvalue()
+    return png(figure)

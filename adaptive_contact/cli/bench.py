@@ -5,30 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from adaptive_contact.cli._options import BaselineOption, JsonOption
+from adaptive_contact.cli._options import BaselineOption, JsonOption, ProcessesOption, option
 from adaptive_contact.cli._output import say_json
-from adaptive_contact.cli._sim_options import needs_simulator
+from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.files import write_file
 
 if TYPE_CHECKING:
     from adaptive_contact.score import Summary
 
-__all__ = ["bench"]
-
 
 def bench(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where bench.json goes.")
-    ] = Path("out/bench"),
+    out: Annotated[Path, option("--out", "Where bench.json goes.", "FOLDER")] = Path("out/bench"),
     baseline: BaselineOption = None,
     speeds_only: Annotated[
-        bool, typer.Option("--speeds", help="Leave the headline runs out (minutes of work).")
+        bool, option("--speeds", "Leave the headline runs out (minutes of work).")
     ] = False,
-    processes: Annotated[
-        int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
-    ] = 2,
+    processes: ProcessesOption = 2,
     json: JsonOption = False,
 ) -> None:
     """Measure recall, latency and false alarms on unseen runs, and how fast everything is."""
@@ -41,13 +33,12 @@ def bench(
     from adaptive_contact.robot import shipped_robot
     from adaptive_contact.score.tables import summary_json
 
-    with needs_simulator():
+    with needs_studies():
         from adaptive_contact_sim import SimulationSettings, TerrainSettings, WalkSettings
         from adaptive_contact_sim.arrays import record_arrays
-        from adaptive_contact_sim.benchmark import real_time_factor
-        from adaptive_contact_sim.experiments.compression import compare_full
-        from adaptive_contact_sim.headline import HEADLINE_RUNS, run_headline
-        from adaptive_contact_sim.speed import restore_speed, tick_speed
+        from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
+        from adaptive_contact_studies.paper.compression import compare_full
+        from adaptive_contact_studies.speed import real_time_factor, restore_speed, tick_speed
 
     from adaptive_contact.cli._console import table_console
 

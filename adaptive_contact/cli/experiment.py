@@ -10,9 +10,7 @@ import typer
 
 from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._output import say_json
-from adaptive_contact.cli._sim_options import needs_simulator
-
-__all__ = ["app"]
+from adaptive_contact.cli._sim_options import needs_studies
 
 app = Commands(help="Single experiments on data of one's own.", no_args_is_help=True)
 
@@ -35,10 +33,10 @@ def logs(
     json: JsonOption = False,
 ) -> None:
     """Fit and test the libraries on recordings of real servos."""
-    with needs_simulator():
-        from adaptive_contact_sim.experiments.logs import run_logs
-    from adaptive_contact_sim.experiments.store import plain
-    from adaptive_contact_sim.experiments.tables import sections
+    with needs_studies():
+        from adaptive_contact_studies.paper.logs import run_logs
+    from adaptive_contact_studies.cache import plain
+    from adaptive_contact_studies.paper.tables import sections
 
     tree = plain(run_logs(path))
     if json:

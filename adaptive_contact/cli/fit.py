@@ -8,13 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    JsonOption,
-    check_output,
-    recorded_robot,
-    say_damage,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
@@ -24,16 +19,6 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.findings import Finding
     from adaptive_contact.wire import Rejected, ServoSample
-
-__all__ = [
-    "check_conventions",
-    "check_streams",
-    "fit",
-    "gather",
-    "print_training",
-    "refuse_useless",
-    "undetermined",
-]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -49,36 +34,25 @@ def fit(
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON)."),
-    ] = Path("baseline.json"),
-    config: ConfigOption = None,
+    out: opt.BaselineOutOption = Path("baseline.json"),
+    config: opt.ConfigOption = None,
     free: Annotated[
-        bool,
-        typer.Option(
-            "--free",
-            help="Nothing was touched: without truth, use the swings to their ends.",
-        ),
+        bool, option("--free", "Nothing was touched: without truth, use the swings to their ends.")
     ] = False,
     library: Annotated[
-        Literal["servo", "paper", "linear"],
-        typer.Option("--library", help="Candidate terms."),
+        Literal["servo", "paper", "linear"], option("--library", "Candidate terms.")
     ] = "servo",
     threshold: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--threshold",
-            metavar="λ",
+            "STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
+            "λ",
             min=0.0,
-            help="STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
-            show_default=False,
         ),
     ] = None,
-    equations: Annotated[
-        bool, typer.Option("--equations", help="Print every leg's equations, too.")
-    ] = False,
-    json: JsonOption = False,
+    equations: Annotated[bool, option("--equations", "Print every leg's equations, too.")] = False,
+    json: opt.JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
     from threadpoolctl import threadpool_limits
@@ -87,8 +61,8 @@ def fit(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    check_output(out, "--out")
-    robot = recorded_robot(config, recordings)
+    opt.check_output(out, "--out")
+    robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
@@ -179,7 +153,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
-        say_damage(recording)
+        opt.say_damage(recording)
         for line in robots.trouble(None):
             say_note(f"{path}: {line}")
         of = f"{path}: " if len(recordings) > 1 else ""

@@ -3,56 +3,51 @@
 from __future__ import annotations
 
 import shlex
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
-from adaptive_contact.errors import ConfigurationError
-
-__all__ = ["paper"]
+from adaptive_contact.cli._options import option
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 _OUT: Final = Path("out/paper")
 _LOGS: Final = Path("../shared/data")
 
 
 def paper(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")] = _OUT,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A few minutes: fewer legs, fewer hours.")
-    ] = False,
-    workers: Annotated[
-        int, typer.Option("--workers", min=0, help="Processes, 0 for one per core.")
-    ] = 0,
+    out: Annotated[Path, option("--out", "Where results go.", "DIR")] = _OUT,
+    quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
+    workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
     scheduler: SchedulerOption = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, max=90, help="Of all streams.")] = 0,
+    seed: Annotated[int, option("--seed", "Of all streams.", min=0, max=90)] = 0,
     stage: Annotated[
-        list[str] | None,
-        typer.Option("--stage", metavar="NAME", help="Only this stage; repeatable."),
+        list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
     ] = None,
     logs: Annotated[
-        Path | None,
-        typer.Option(
-            "--logs", metavar="PATH", help="Recordings of real servos; skipped where absent."
-        ),
+        Path | None, option("--logs", "Recordings of real servos; skipped where absent.", "PATH")
     ] = _LOGS,
     docs: Annotated[
-        Path | None,
-        typer.Option("--docs", metavar="FILE.md", help="Write the results as a document, too."),
+        Path | None, option("--docs", "Write the results as a document, too.", "FILE.md")
     ] = None,
 ) -> None:
     """Run the paper's experiments in the simulator: figures, results.json, report.html."""
-    with needs_simulator():
-        from adaptive_contact_sim.experiments.plan import FULL, QUICK
-        from adaptive_contact_sim.experiments.run import STAGES, run_paper
-        from adaptive_contact_sim.workers import on_cluster
+    with needs_studies():
+        from adaptive_contact_studies.paper.plan import FULL, QUICK
+        from adaptive_contact_studies.paper.run import STAGES, run_paper
+        from adaptive_contact_studies.workers import on_cluster
+
+        for needed in ("matplotlib", "jinja2"):  # said before hours of work, not after
+            if find_spec(needed) is None:
+                raise MissingExtraError("the report", "studies")
     import dataclasses
 
     from threadpoolctl import threadpool_limits
 
     from adaptive_contact.cli._console import table_console
-    from adaptive_contact_sim.experiments.report import write_document
+    from adaptive_contact_studies.paper.report import write_document
 
     unknown = [name for name in stage or () if name not in STAGES]
     if unknown:

@@ -4,46 +4,38 @@ from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption
+from adaptive_contact.cli._options import Commands, JsonOption, ProcessesOption, option
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.cli._sim_options import SchedulerOption, needs_simulator
+from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from adaptive_contact_sim.trials.figures import Judgement
-    from adaptive_contact_sim.trials.runner import Done, Folders, Job
-
-__all__ = ["app"]
+    from adaptive_contact_studies.scenarios.judge import Judgement
+    from adaptive_contact_studies.scenarios.runner import Done, Folders, Job
 
 app = Commands(
     help="Drifts, contacts and trouble, replayed through the learner and lesser ones.",
     no_args_is_help=True,
 )
 
-OutOption = Annotated[
-    Path,
-    typer.Option("--out", metavar="FOLDER", help="Recordings, replays, figures and pages."),
-]
+OutOption = Annotated[Path, option("--out", "Recordings, replays, figures and pages.", "FOLDER")]
 DEFAULT_OUT = Path("out/scenarios")
 # How a command ends that Ctrl-C stopped, as shells have it.
 INTERRUPTED = 130
-# Where there is no terminal for a bar, a log gets a line after each such share of the work.
-LOG_SHARE = 0.05
 
 
 @app.command("list")
 def list_(json: JsonOption = False) -> None:
     """Show all scenarios: their names, what happens, how much is simulated."""
-    with needs_simulator():
-        from adaptive_contact_sim.trials.registry import scenarios
+    with needs_studies():
+        from adaptive_contact_studies.scenarios.registry import scenarios
 
     known = scenarios().values()
     if json:
@@ -89,38 +81,33 @@ def run(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]...", help="Which (`scenarios list`).")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="All of them.")] = False,
+    everything: Annotated[bool, option("--all", "All of them.")] = False,
     seeds: Annotated[
-        int | None,
-        typer.Option("--seeds", metavar="N", min=1, max=200, help="Leg-runs of each. [20]"),
+        int | None, option("--seeds", "Leg-runs of each. [20]", "N", min=1, max=200)
     ] = None,
     steady_walks: Annotated[
         int | None,
-        typer.Option(
+        option(
             "--steady-walks",
-            metavar="N",
+            "Walks in which nothing changes; a third of the work is theirs. [60: 10 hours]",
+            "N",
             min=1,
             max=600,
-            help="Walks in which nothing changes; a third of the work is theirs. [60: 10 hours]",
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Short recordings, two leg-runs: does it all run?")
+        bool, option("--quick", "Short recordings, two leg-runs: does it all run?")
     ] = False,
     brief: Annotated[
-        bool, typer.Option("--brief", help="Short recordings, six leg-runs: half an hour.")
+        bool, option("--brief", "Short recordings, six leg-runs: half an hour.")
     ] = False,
     only_goals: Annotated[
         bool,
-        typer.Option(
-            "--goals", help="The frozen and the full learner only: all goals, in half the time."
-        ),
+        option("--goals", "The frozen and the full learner only: all goals, in half the time."),
     ] = False,
-    processes: Annotated[
-        int, typer.Option("--processes", min=1, max=64, help="Recordings worked on at a time.")
-    ] = 2,
+    processes: ProcessesOption = 2,
     scheduler: SchedulerOption = None,
-    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Draw plots.")] = True,
+    pages: Annotated[bool, option("--pages/--no-pages", "Draw plots.")] = True,
     out: OutOption = DEFAULT_OUT,
     json: JsonOption = False,
 ) -> None:
@@ -132,10 +119,11 @@ def run(
     What was made is kept and never made again: after Ctrl-C, the same command goes on where it
     stopped, and ends with the same numbers.
     """
-    with needs_simulator():
-        from adaptive_contact_sim.trials.figures import judge_scenario
-        from adaptive_contact_sim.trials.registry import named, scenarios
-        from adaptive_contact_sim.trials.results import (
+    with needs_studies():
+        from adaptive_contact_studies.scenarios.judge import judge_scenario
+        from adaptive_contact_studies.scenarios.registry import named, scenarios
+        from adaptive_contact_studies.scenarios.report import results_table
+        from adaptive_contact_studies.scenarios.results import (
             belongs,
             form_of,
             merge,
@@ -143,11 +131,10 @@ def run(
             results,
             write_results,
         )
-        from adaptive_contact_sim.trials.runner import Folders, jobs
-        from adaptive_contact_sim.trials.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
-        from adaptive_contact_sim.trials.spec import GOALS_VARIANTS
-        from adaptive_contact_sim.trials.words import results_table
-        from adaptive_contact_sim.workers import on_cluster
+        from adaptive_contact_studies.scenarios.runner import Folders, jobs
+        from adaptive_contact_studies.scenarios.runs import BRIEF_SIZES, FULL_SIZES, QUICK_SIZES
+        from adaptive_contact_studies.scenarios.spec import GOALS_VARIANTS
+        from adaptive_contact_studies.workers import on_cluster
 
     from adaptive_contact.cli._console import table_console
 
@@ -206,18 +193,16 @@ def run(
 @app.command()
 def report(
     out: OutOption = DEFAULT_OUT,
-    docs: Annotated[
-        Path, typer.Option("--docs", metavar="FOLDER", help="Where adaptation.md goes.")
-    ] = Path("docs"),
+    docs: Annotated[Path, option("--docs", "Where adaptation.md goes.", "FOLDER")] = Path("docs"),
 ) -> None:
     """Write docs/adaptation.md, with its pictures: of the full form, where there are figures of it.
 
     Forms are never mixed: each has figures and pictures of its own.
     """
-    with needs_simulator():
-        from adaptive_contact_sim.trials.report import write_report
-        from adaptive_contact_sim.trials.results import best_form, read_results
-        from adaptive_contact_sim.trials.runner import FULL, Folders
+    with needs_studies():
+        from adaptive_contact_studies.scenarios.report import write_report
+        from adaptive_contact_studies.scenarios.results import best_form, read_results
+        from adaptive_contact_studies.scenarios.runner import FULL, Folders
 
     form = best_form(out)
     folders = Folders.of(out, form)
@@ -227,42 +212,18 @@ def report(
 
 
 def _work(work: list[Job], folders: Folders, processes: int, console: Console) -> list[str]:
-    """Make what is missing, with a bar."""
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    from adaptive_contact_sim.trials.runner import run as run_jobs
+    from adaptive_contact_studies.scenarios.runner import run as run_jobs
+    from adaptive_contact_studies.show.progress import progress
 
     if not work:
         return []
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[minutes]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as bar:
-        total = sum(job.work for job in work)
-        simulated = finished = told = 0.0
-        started_s = time.monotonic()
-        task = bar.add_task("recording and replaying", total=total, minutes="0 min simulated")
+    simulated_s = 0.0
+    with progress(console, "recording and replaying", sum(job.work for job in work)) as tell:
 
         def step(done: Done) -> None:
-            nonlocal simulated, finished, told
-            simulated += done.job.recording.seconds
-            bar.update(task, advance=done.job.work, minutes=f"{simulated / 60:.0f} min simulated")
-            finished += done.job.work / total
-            if not console.is_terminal and finished >= told + LOG_SHARE:
-                told = finished
-                minutes = (time.monotonic() - started_s) / 60
-                left = minutes * (1.0 / finished - 1.0)
-                say(f"{finished:.0%} in {minutes:.0f} min, about {left:.0f} to go", err=True)
+            nonlocal simulated_s
+            simulated_s += done.job.recording.seconds
+            tell(done.job.work, f"{simulated_s / 60:.0f} min simulated")
 
         return run_jobs(work, folders, processes=processes, progress=step)
 
@@ -271,9 +232,8 @@ def _draw(
     judgements: list[Judgement], tree: dict[str, Any], folders: Folders, console: Console
 ) -> None:
     """Draw the pages, or say why there are none."""
-    from adaptive_contact_sim.trials.pages import draw_page
-    from adaptive_contact_sim.trials.report import SUMMARY
-    from adaptive_contact_sim.trials.summary_page import draw_summary
+    from adaptive_contact_studies.scenarios.pages import draw_page, draw_summary
+    from adaptive_contact_studies.scenarios.report import SUMMARY
 
     try:
         with console.status("drawing"):

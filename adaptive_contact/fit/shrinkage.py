@@ -5,7 +5,7 @@ has, and the next motion shows it.  What is known of any leg then takes the plac
 motions did not tell:
 
 - A command acts through the servo's law, which saturates.  Terms that grow with the command without
-  bound are left out: a fit to steps of half a degree foretells ten for one of seventeen.
+  bound are left out: a fit to steps of half a degree predicts ten for a step of seventeen.
 - The joints of a leg have servos of one kind: each joint's own terms are drawn towards the
   coefficients that fit all joints at once, scaled alike.
 - A joint moves by its own servo: what others add is drawn towards nothing, ten times as firmly.

@@ -1,16 +1,14 @@
 """MuJoCo simulator of an AX-12A hexapod: servo law, gaits, terrain, contact truth, drift.
 
-The only package of the project that imports mujoco (extra ``sim``).  For science, the shortest
-way is :func:`record_arrays`; for control loops, :class:`Simulation`; for the wire and files,
-:func:`run`.
+Besides ``adaptive_contact_studies`` the only package that imports mujoco (extra ``sim``).  For
+science, the shortest way is :func:`record_arrays`; for control loops, :class:`Simulation`; for the
+wire and files, :func:`run`.
 """
 
 from __future__ import annotations
 
 from adaptive_contact_sim.arrays import LegArrays, Onset, Run, record_arrays
-from adaptive_contact_sim.benchmark import Speed, real_time_factor
 from adaptive_contact_sim.drift import KINDS, Injection, Kind
-from adaptive_contact_sim.drift_spec import drift_from, parse_drift
 from adaptive_contact_sim.elements import JOINTS, LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.obstacles import ObstacleSettings
@@ -20,7 +18,9 @@ from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import ROBOTS, SimulatedRobot, simulated_robot
 from adaptive_contact_sim.scenario import (
     Scenario,
+    drift_from,
     load_scenario,
+    parse_drift,
     parse_scenario,
     shipped_scenarios,
 )
@@ -51,7 +51,6 @@ __all__ = [
     "SimulatedRobot",
     "Simulation",
     "SimulationSettings",
-    "Speed",
     "TerrainSettings",
     "Tick",
     "Truth",
@@ -62,7 +61,6 @@ __all__ = [
     "manufactured",
     "parse_drift",
     "parse_scenario",
-    "real_time_factor",
     "record_arrays",
     "record_file",
     "run",

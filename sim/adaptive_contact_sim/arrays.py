@@ -5,15 +5,20 @@ The same streams as :meth:`Simulation.tick` gives, leg by leg, plus what only a 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.score import TruthChanges, truth_changes
+from adaptive_contact.wire import ContactTruth
 from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.truth import Change
 
-__all__ = ["LegArrays", "Onset", "Run", "record_arrays"]
+__all__ = ["LegArrays", "Onset", "Run", "record_arrays", "record_run"]
 
 Array = NDArray[np.float64]
 
@@ -65,6 +70,29 @@ class LegArrays:
     onsets: tuple[Onset, ...]
     releases_ns: tuple[int, ...]
 
+    @property
+    def changes(self) -> list[ContactTruth]:
+        """Changes of contact as messages, in order of time."""
+        onsets = [
+            ContactTruth(
+                t_ns=o.t_ns,
+                contact=True,
+                force=o.force_n,
+                speed_m_s=o.speed_m_s,
+                surface=o.surface,
+                part=o.part,
+                grazing=o.grazing,
+            )
+            for o in self.onsets
+        ]
+        releases = [ContactTruth(t_ns=t, contact=False, force=0.0) for t in self.releases_ns]
+        return sorted([*onsets, *releases], key=lambda change: (change.t_ns, change.contact))
+
+    @property
+    def truth(self) -> TruthChanges:
+        """Changes of contact as the scoring takes them."""
+        return truth_changes(self.changes)
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -99,62 +127,88 @@ def record_arrays(
     Raises:
         SimulationDivergedError: the physics blew up.
     """
-    sim = Simulation(settings, parameters)
-    layout = sim.layout
-    n, legs, joints = round(seconds / settings.period_s), len(layout.legs), len(layout.joints)
-    measured = np.zeros((n, legs * joints))
-    desired, angle = np.zeros_like(measured), np.zeros_like(measured)
-    valid = np.ones((n, legs * joints), dtype=np.bool_)
-    swing = np.zeros((n, legs), dtype=np.bool_)
-    force = np.zeros((n, legs))
+    return record_run(Simulation(settings, parameters), seconds)
+
+
+def record_run(
+    sim: Simulation,
+    seconds: float,
+    *,
+    legs: Sequence[str] | None = None,
+    before_tick: Callable[[], None] = lambda: None,
+) -> Run:
+    """Advance a simulation as fast as possible, and keep what it does as arrays.
+
+    Args:
+        sim: not advanced yet.
+        seconds: simulated time.
+        legs: that are kept, all by default.
+        before_tick: called before each tick.
+
+    Raises:
+        SimulationDivergedError: the physics blew up.
+    """
+    settings, layout = sim.settings, sim.layout
+    kept = {leg: layout.legs.index(leg) for leg in (layout.legs if legs is None else legs)}
+    n, rows, joints = round(seconds / settings.period_s), list(kept.values()), len(layout.joints)
+    measured, desired, angle = (np.zeros((n, len(rows), joints)) for _ in range(3))
+    valid = np.ones(measured.shape, dtype=np.bool_)
+    swing = np.zeros((n, len(rows)), dtype=np.bool_)
+    force = np.zeros((n, len(rows)))
     position, rotation = np.zeros((n, 3)), np.zeros((n, 3, 3))
     onsets: list[list[Onset]] = [[] for _ in layout.legs]
     releases: list[list[int]] = [[] for _ in layout.legs]
+
+    def own(of_servos: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(of_servos).reshape(len(layout.legs), joints)[rows]
+
     for k in range(n):
-        angle[k] = sim.plant.joint_angles
+        before_tick()
+        angle[k] = own(sim.plant.joint_angles)
         position[k], rotation[k] = sim.plant.body_pose()
         sim.advance()
-        measured[k], desired[k], valid[k] = sim.reading.angle_rad, sim.desired, sim.reading.valid
-        swing[k] = [phase == "swing" for phase in sim.phase]
-        force[k] = sim.plant.forces.mean(axis=0)
+        measured[k], desired[k] = own(sim.reading.angle_rad), own(sim.desired)
+        valid[k] = own(sim.reading.valid)
+        swing[k] = [sim.phase[row] == "swing" for row in rows]
+        force[k] = [sim.plant.forces[:, row].mean() for row in rows]
         for change in sim.changes:
-            t_ns = sim.time_of_step(change.step)
-            if not change.contact:
-                releases[change.leg].append(t_ns)
-                continue
-            touch = change.touch
-            onsets[change.leg].append(
-                Onset(
-                    t_ns=t_ns,
-                    # Physics step s ends tick (s - 1) // substeps's physics.
-                    tick=max(change.step - 1, 0) // sim.plant.substeps,
-                    force_n=change.force_n,
-                    speed_m_s=None if touch is None else touch.speed_m_s,
-                    part=None if touch is None else layout.parts[touch.part],
-                    surface=None if touch is None else sim.surface_of(touch.other),
-                    grazing=touch is not None and touch.grazing,
-                )
-            )
-    t_ns_all = settings.epoch_ns + np.arange(n, dtype=np.int64) * round(settings.period_s * 1e9)
-    shape = (n, legs, joints)
+            if change.contact:
+                onsets[change.leg].append(_onset(sim, change))
+            else:
+                releases[change.leg].append(sim.time_of_step(change.step))
+    t_ns = settings.epoch_ns + np.arange(n, dtype=np.int64) * round(settings.period_s * 1e9)
     return Run(
-        t_ns=t_ns_all,
+        t_ns=t_ns,
         legs={
             leg: LegArrays(
-                measured=measured.reshape(shape)[:, i],
-                desired=desired.reshape(shape)[:, i],
-                valid=valid.reshape(shape)[:, i],
+                measured=measured[:, i],
+                desired=desired[:, i],
+                valid=valid[:, i],
                 swing=swing[:, i],
-                contact=_contact(t_ns_all, onsets[i], releases[i]),
+                contact=_contact(t_ns, onsets[row], releases[row]),
                 force_n=force[:, i],
-                angle=angle.reshape(shape)[:, i],
-                onsets=tuple(onsets[i]),
-                releases_ns=tuple(releases[i]),
+                angle=angle[:, i],
+                onsets=tuple(onsets[row]),
+                releases_ns=tuple(releases[row]),
             )
-            for i, leg in enumerate(layout.legs)
+            for i, (leg, row) in enumerate(kept.items())
         },
         position_m=position,
         rotation=rotation,
+    )
+
+
+def _onset(sim: Simulation, change: Change) -> Onset:
+    touch = change.touch
+    return Onset(
+        t_ns=sim.time_of_step(change.step),
+        # Physics step s ends tick (s - 1) // substeps's physics.
+        tick=max(change.step - 1, 0) // sim.plant.substeps,
+        force_n=change.force_n,
+        speed_m_s=None if touch is None else touch.speed_m_s,
+        part=None if touch is None else sim.layout.parts[touch.part],
+        surface=None if touch is None else sim.surface_of(touch.other),
+        grazing=touch is not None and touch.grazing,
     )
 
 

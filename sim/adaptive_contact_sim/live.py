@@ -1,4 +1,6 @@
-"""A simulation on the wire: samples and truth out, drifts and contact events in.
+"""Keeping time: a tick every so often, without drift.
+
+A simulation on the wire: samples and truth out, drifts and contact events in.
 
 Callbacks only enqueue; one loop makes ticks, answers drifts between them, and keeps time.
 """
@@ -6,6 +8,7 @@ Callbacks only enqueue; one loop makes ticks, answers drifts between them, and k
 from __future__ import annotations
 
 import queue
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
@@ -24,14 +27,60 @@ from adaptive_contact.wire import (
     servo_key,
     truth_key,
 )
-from adaptive_contact_sim.pace import Pace
 from adaptive_contact_sim.simulation import Simulation, Tick
 
 if TYPE_CHECKING:
+    from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
-    from adaptive_contact.service.traffic import Received
 
-__all__ = ["Outcome", "run_live", "run_offline"]
+__all__ = ["Outcome", "Pace", "run_live", "run_offline"]
+
+# Further behind than this, lost time is let go instead of caught up in a burst.
+_LET_GO_S = 0.5
+
+
+class Pace:
+    """Waits for the next tick's moment; moments lie on a grid fixed at the start.
+
+    Args:
+        period_s: between ticks, of the wall clock; 0 for as fast as possible.
+        clock: monotonic seconds.
+    """
+
+    def __init__(self, period_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._period_s = period_s
+        self._clock = clock
+        self._start = clock()
+        self._next = self._start
+        self.ticks = 0
+        self.late = 0
+
+    @property
+    def elapsed_s(self) -> float:
+        """Wall clock time since the start."""
+        return self._clock() - self._start
+
+    def wait(self, stop: Event) -> bool:
+        """Wait until the next tick is due.
+
+        Args:
+            stop: ends the waiting when set.
+
+        Returns:
+            False when stopped.
+        """
+        self.ticks += 1
+        if self._period_s == 0.0:
+            return not stop.is_set()
+        self._next += self._period_s
+        ahead = self._next - self._clock()
+        if ahead > 0.0:
+            return not stop.wait(ahead)
+        self.late += 1
+        if ahead < -_LET_GO_S:
+            self._next = self._clock()
+        return not stop.is_set()
+
 
 T = TypeVar("T")
 

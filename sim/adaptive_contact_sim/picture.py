@@ -1,22 +1,264 @@
-"""Pictures of the simulation without a window: the engine's renderer on EGL.
+"""A moment of a simulation, kept cheaply and shown later.
+
+Painting takes longer than simulating, so a run in real time only keeps moments; they are set
+up again on a stage of their own, and painted, when the run is over.
+
+A drawn stick figure: the picture for machines without OpenGL.
+
+The same view as the rendered one, in parallel projection: ground grid, obstacle, body outline,
+legs as limbs, feet that touch in red.  Needs pillow only.
+
+Pictures of the simulation without a window: the engine's renderer on EGL.
 
 Where EGL does not work, :func:`painter` falls back to a drawn stick figure
-(:mod:`adaptive_contact_sim.stick`), so that a picture can always be made.
+(:mod:`adaptive_contact_sim.picture`), so that a picture can always be made.
+
+Pictures into files: ``.png`` (the last moment), ``.gif`` or ``.mp4``.
+
+A run keeps moments, and the film is painted when it is over: painting a frame takes longer than a
+control tick, and a run in real time must not wait for it.
 """
 
 from __future__ import annotations
 
 import importlib
-from typing import Any, Final, Protocol
+import io
+import math
+import tempfile
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as PILImage
+from PIL import ImageDraw
 
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.stage import Stage
+from adaptive_contact.errors import ConfigurationError, MissingExtraError
+from adaptive_contact.files import write_file
+from adaptive_contact_sim.elements import Elements
+from adaptive_contact_sim.scene import OBSTACLES, PARKED_M
+from adaptive_contact_sim.simulation import Simulation
 
-__all__ = ["EnginePainter", "Painter", "painter"]
+__all__ = ["EnginePainter", "Film", "Moment", "Stage", "StickPainter", "painter"]
+
+Array = NDArray[np.float64]
+
+
+class Moment(NamedTuple):
+    """What a picture shows.
+
+    Attributes:
+        configuration: of the engine's joints, ``qpos``.
+        mocap_m, mocap_quaternion: places of the movable obstacles.
+        touching: (L,) whether each leg touches.
+        caption: lines for the corner.
+    """
+
+    configuration: Array
+    mocap_m: Array
+    mocap_quaternion: Array
+    touching: NDArray[np.bool_]
+    caption: tuple[str, ...]
+
+    @classmethod
+    def of(cls, sim: Simulation) -> Moment:
+        """Keep the present."""
+        data = sim.plant.data
+        lines = [f"{sim.time_s:.1f} s"]
+        for kind, legs in sim.drift.holds().items():
+            values = {round(v, 3) for joints in legs.values() for v in joints.values()}
+            value = f"{values.pop():g}" if len(values) == 1 else "various"
+            lines.append(f"{kind} {value}: {' '.join(legs)}")
+        return cls(
+            configuration=data.qpos.copy(),
+            mocap_m=data.mocap_pos.copy(),
+            mocap_quaternion=data.mocap_quat.copy(),
+            touching=sim.plant.forces[-1] > 0.0,
+            caption=tuple(lines),
+        )
+
+
+class Stage:
+    """The scene of a simulation, on which moments are set up.
+
+    Args:
+        sim: whose scene.
+    """
+
+    def __init__(self, sim: Simulation) -> None:
+        self.model = sim.scene(looks=True)  # the simulation's own may be without
+        self.elements = Elements.resolve(self.model, sim.layout)
+        self.terrain = sim.terrain
+        self.data = mujoco.MjData(self.model)
+        self.touching: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
+        self.set(Moment.of(sim))
+
+    def set(self, moment: Moment) -> None:
+        """Set up a moment."""
+        self.data.qpos[:] = moment.configuration
+        self.data.mocap_pos[:] = moment.mocap_m
+        self.data.mocap_quat[:] = moment.mocap_quaternion
+        self.touching = moment.touching
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    @property
+    def position_m(self) -> Array:
+        """(3,) of the body."""
+        return np.asarray(self.data.xpos[self.elements.body])
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) of the body."""
+        return np.asarray(self.data.xmat[self.elements.body].reshape(3, 3))
+
+    @property
+    def feet_m(self) -> Array:
+        """(L, 3) of the feet."""
+        return np.asarray(self.data.site_xpos[self.elements.foot_sites])
+
+
+Pixels = NDArray[np.uint8]
+
+_AZIMUTH_RAD: Final = math.radians(128.0)
+_ELEVATION_RAD: Final = math.radians(24.0)
+_SPAN_M: Final = 0.95  # of the world across the picture
+_GRID_M: Final = 0.1
+_GRID_HALF: Final = 8
+_SKY: Final = (236, 241, 247)
+_LINE: Final = (188, 184, 174)
+_BODY: Final = ((58, 64, 74), (38, 42, 50))
+_NEAR_LEG: Final = (66, 74, 88)
+_FAR_LEG: Final = (132, 140, 152)
+_TOUCHING: Final = (237, 41, 36)
+_FREE: Final = (41, 140, 224)
+_OBSTACLE: Final = (205, 108, 78)
+_OVERSAMPLE: Final = 2
+
+
+class StickPainter:
+    """Draws the robot as limbs.
+
+    Args:
+        stage: whose robot to draw.
+        width, height: of the picture.
+    """
+
+    def __init__(self, stage: Stage, width: int, height: int) -> None:
+        self._size = (width, height)
+        self._scale = width * _OVERSAMPLE / _SPAN_M
+        self._centre = stage.position_m.copy()
+        model, layout = stage.model, stage.elements.layout
+        self._links = np.array(
+            [[model.body(f"{leg}_{j}").id for j in layout.joints] for leg in layout.legs]
+        )
+        # Outline of the body: the legs' first joints, in order around it.
+        deck = model.body_pos[self._links[:, 0], :2]
+        self._deck = deck[np.argsort(np.arctan2(deck[:, 1], deck[:, 0]))]
+        towards = np.array([math.cos(_AZIMUTH_RAD), math.sin(_AZIMUTH_RAD)])
+        self._towards = -towards  # from the scene to the viewer, level
+
+    def paint(self, stage: Stage) -> Pixels:
+        """Draw what is set up."""
+        width, height = self._size
+        big = (width * _OVERSAMPLE, height * _OVERSAMPLE)
+        picture = PILImage.new("RGB", big, _SKY)
+        draw = ImageDraw.Draw(picture)
+        position, rotation = stage.position_m, stage.rotation
+        self._centre[:2] += (position[:2] - self._centre[:2]) / 8.0
+        self._draw_ground(draw, stage, big)
+        self._draw_obstacles(draw, stage, big)
+
+        feet, touching = stage.feet_m, stage.touching
+        depth = (feet[:, :2] - position[:2]) @ self._towards
+        order = np.argsort(depth)
+        for leg in order[: len(order) // 2]:
+            self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _FAR_LEG, big)
+        for z, colour in ((-0.022, _BODY[1]), (0.026, _BODY[0])):
+            deck = np.column_stack([self._deck, np.full(len(self._deck), z)])
+            if len(deck) > 2:  # a leg on a stand has no body
+                corners = deck @ rotation.T + position
+                draw.polygon(self._project(corners, big), fill=colour)
+        nose = np.array([[0.125, 0.03, 0.026], [0.125, -0.03, 0.026]]) @ rotation.T + position
+        draw.line(self._project(nose, big), fill=(242, 140, 26), width=4 * _OVERSAMPLE)
+        for leg in order[len(order) // 2 :]:
+            self._draw_leg(draw, stage, int(leg), bool(touching[leg]), _NEAR_LEG, big)
+        small = picture.resize(self._size, PILImage.Resampling.LANCZOS)
+        return np.asarray(small, dtype=np.uint8).copy()
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def _project(self, points: Array, size: tuple[int, int]) -> list[tuple[float, float]]:
+        """World points (n, 3) m to pixels."""
+        offset = points - self._centre
+        right = offset[:, 0] * -math.sin(_AZIMUTH_RAD) + offset[:, 1] * math.cos(_AZIMUTH_RAD)
+        away = offset[:, 0] * math.cos(_AZIMUTH_RAD) + offset[:, 1] * math.sin(_AZIMUTH_RAD)
+        up = points[:, 2] * math.cos(_ELEVATION_RAD) + away * math.sin(_ELEVATION_RAD)
+        x = size[0] / 2 + right * self._scale
+        y = size[1] * 0.62 - up * self._scale
+        return [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
+
+    def _draw_ground(self, draw: ImageDraw.ImageDraw, stage: Stage, size: tuple[int, int]) -> None:
+        """Grid lines on the ground around the robot, following its heights."""
+        base = np.round(self._centre[:2] / _GRID_M) * _GRID_M
+        fine = np.linspace(-_GRID_HALF * _GRID_M, _GRID_HALF * _GRID_M, 8 * _GRID_HALF + 1)
+        for k in range(-_GRID_HALF, _GRID_HALF + 1):
+            for axis in (0, 1):
+                line = np.zeros((fine.size, 3))
+                line[:, axis] = base[axis] + k * _GRID_M
+                line[:, 1 - axis] = base[1 - axis] + fine
+                line[:, 2] = stage.terrain.height_at(line[:, 0], line[:, 1])
+                draw.line(self._project(line, size), fill=_LINE, width=_OVERSAMPLE)
+
+    def _draw_obstacles(
+        self, draw: ImageDraw.ImageDraw, stage: Stage, size: tuple[int, int]
+    ) -> None:
+        """The obstacles that stand, as the outlines of their boxes."""
+        for name in OBSTACLES:
+            if stage.model.body_mocapid.max() < 0:
+                return
+            geom = stage.model.geom(f"obstacle_{name}").id
+            if stage.data.geom_xpos[geom, 2] > PARKED_M[2] / 2:
+                self._draw_box(draw, stage, geom, size)
+
+    def _draw_box(
+        self, draw: ImageDraw.ImageDraw, stage: Stage, geom: int, size: tuple[int, int]
+    ) -> None:
+        half = stage.model.geom_aabb[geom, 3:]
+        signs = np.array(
+            [[a, b, c] for c in (-1, 1) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+        )
+        rotation = stage.data.geom_xmat[geom].reshape(3, 3)
+        box = (signs * half) @ rotation.T + stage.data.geom_xpos[geom]
+        box[:, 2] = np.maximum(box[:, 2], 0.0)  # what is under the ground is not seen
+        corners = self._project(box, size)
+        for face in ((0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)):
+            draw.polygon([corners[i] for i in face], fill=_OBSTACLE, outline=(150, 70, 48))
+
+    def _draw_leg(
+        self,
+        draw: ImageDraw.ImageDraw,
+        stage: Stage,
+        leg: int,
+        touching: bool,
+        colour: tuple[int, int, int],
+        size: tuple[int, int],
+    ) -> None:
+        joints = stage.data.xpos[self._links[leg]]
+        foot = stage.feet_m[leg]
+        points = self._project(np.vstack([joints, foot]), size)
+        for k, width in enumerate(np.linspace(10, 7, len(joints)).round().astype(int).tolist()):
+            draw.line(points[k : k + 2], fill=colour, width=width * _OVERSAMPLE)
+        for x, y in points[:-1]:
+            r = 6 * _OVERSAMPLE
+            draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
+        x, y = points[-1]
+        r = 7 * _OVERSAMPLE
+        draw.ellipse((x - r, y - r, x + r, y + r), fill=_TOUCHING if touching else _FREE)
+
 
 Image = NDArray[np.uint8]
 
@@ -49,7 +291,7 @@ def painter(stage: Stage, width: int, height: int) -> tuple[Painter, str | None]
     try:
         return EnginePainter(stage, width, height), None
     except ConfigurationError as error:
-        from adaptive_contact_sim.stick import StickPainter
+        from adaptive_contact_sim.picture import StickPainter
 
         return StickPainter(stage, width, height), str(error)
 
@@ -126,3 +368,136 @@ class EnginePainter:
 
 def _line(error: BaseException) -> str:
     return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+# File kind -> width, height, control ticks per frame.
+_KINDS: Final = {".png": (960, 720, 1), ".gif": (480, 360, 4), ".mp4": (800, 600, 2)}
+_GIF_COLOURS: Final = 96
+# Painting takes three times the time that was filmed, and a gif grows by 0.3 MB per second.
+_LONGEST_S: Final = 300.0
+
+
+class Film:
+    """A picture or film of a run; a context manager.
+
+    Args:
+        path: where to; its ending says what.
+        sim: what to film.
+
+    Raises:
+        ConfigurationError: the ending is none of those known, or the folder does not exist.
+        MissingExtraError: a library for it is not installed.
+    """
+
+    def __init__(self, path: Path, sim: Simulation) -> None:
+        self.path = path
+        self._kind = path.suffix.lower()
+        if self._kind not in _KINDS:
+            raise ConfigurationError(
+                f"cannot render to '{path.name}'; expected a name ending in {', '.join(_KINDS)}"
+            )
+        if not path.absolute().parent.is_dir():
+            raise ConfigurationError(
+                f"cannot render to '{path}': its folder does not exist; make it"
+            )
+        _need_pillow()
+        self._width, self._height, self._every = _KINDS[self._kind]
+        self._frame_s = self._every * sim.settings.period_s
+        self._most = round(_LONGEST_S / self._frame_s)
+        if self._kind == ".mp4":
+            _need_video()
+        self._sim = sim
+        self._stage = Stage(sim)
+        self._painter: Painter
+        self._painter, self.fallback = painter(self._stage, self._width, self._height)
+        self._moments: list[Moment] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def look(self) -> None:
+        """Keep the present moment, if a frame is due."""
+        if self._kind == ".png":
+            self._moments[:] = [Moment.of(self._sim)]
+        elif self._sim.ticks % self._every == 0 and len(self._moments) < self._most:
+            self._moments.append(Moment.of(self._sim))
+
+    def close(self) -> None:
+        """Paint what was kept, and write the file."""
+        moments = self._moments or [Moment.of(self._sim)]
+        if self._kind == ".mp4":
+            data = self._video(moments)
+        elif self._kind == ".png":
+            data = _encoded(self._paint(moments[-1]), "PNG")
+        else:
+            # One palette per frame, no dithering: flat colours stay flat, and compress.
+            first, *rest = (
+                self._paint(moment).quantize(_GIF_COLOURS, method=2, dither=0) for moment in moments
+            )
+            data = _encoded(
+                first,
+                "GIF",
+                save_all=True,
+                append_images=rest,
+                duration=round(self._frame_s * 1e3),
+                loop=0,
+                optimize=False,
+            )
+        self._painter.close()
+        write_file(self.path, data, advice="give another --render")
+
+    def _video(self, moments: list[Moment]) -> bytes:
+        """The film as MP4, which ffmpeg writes into a file of its own."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "film.mp4")
+            writer = _video(path, 1.0 / self._frame_s)
+            for moment in moments:
+                writer.append_data(np.asarray(self._paint(moment)))
+            writer.close()
+            return path.read_bytes()
+
+    def _paint(self, moment: Moment) -> Any:
+        """A pillow image of a moment, with its caption."""
+        from PIL import Image as PILImage
+        from PIL import ImageDraw
+
+        self._stage.set(moment)
+        picture = PILImage.fromarray(self._painter.paint(self._stage))
+        draw = ImageDraw.Draw(picture)
+        size = max(12, self._height // 32)
+        for i, line in enumerate(moment.caption):
+            place = (size * 0.7, size * (0.5 + 1.3 * i))
+            draw.text(place, line, fill=(40, 44, 52), font_size=size)
+        return picture
+
+
+def _encoded(picture: Any, kind: str, **options: Any) -> bytes:
+    data = io.BytesIO()
+    picture.save(data, kind, **options)
+    return data.getvalue()
+
+
+def _need_pillow() -> None:
+    try:
+        importlib.import_module("PIL")
+    except ImportError as error:
+        raise MissingExtraError("--render", "plot") from error
+
+
+def _need_video() -> None:
+    try:
+        importlib.import_module("imageio.v2")
+        importlib.import_module("imageio_ffmpeg")  # imageio finds its ffmpeg through it
+    except ImportError as error:
+        raise MissingExtraError("rendering to .mp4", "video") from error
+
+
+def _video(path: Path, frames_per_s: float) -> Any:
+    import imageio.v2 as imageio
+
+    return imageio.get_writer(
+        path, fps=frames_per_s, codec="libx264", quality=7, macro_block_size=8
+    )

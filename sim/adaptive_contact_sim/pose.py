@@ -1,4 +1,10 @@
-"""The paper's set-up: the body stands on five legs, one leg moves in the air or onto obstacles.
+"""Where the moving leg of the pose set-up goes: parts of its workspace.
+
+The subspaces are layers 5 cm high with 5 cm between them, in the coxa's frame: reach 13 to 22 cm
+from the coxa axis and yaw within 30 degrees (assumed; the paper draws them without figures).  A
+reach below 0 lies behind the axis.
+
+The paper's set-up: the body stands on five legs, one leg moves in the air or onto obstacles.
 
 A trial is one ascent from the lower to the upper subspace and one descent back, each between
 random points and 10 control ticks long, then a hold of 3 ticks that counts as stance.  Segments
@@ -21,11 +27,44 @@ from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import Geometry
 from adaptive_contact_sim.motion import Goal, World
 from adaptive_contact_sim.obstacles import Approach, ObstacleCourse, ObstacleSettings
-from adaptive_contact_sim.workspace import WORKSPACES
 
-__all__ = ["PoseMotion", "PoseSettings", "Workspace"]
+__all__ = ["WORKSPACES", "PoseMotion", "PoseSettings", "Space", "Workspace"]
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Space:
+    """A part of the leg's workspace: yaw, reach and height in the coxa's frame."""
+
+    yaw_rad: tuple[float, float]
+    reach_m: tuple[float, float]
+    height_m: tuple[float, float]
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Draw a point, (3,) m, uniform in yaw, reach and height."""
+        yaw, reach = rng.uniform(*self.yaw_rad), rng.uniform(*self.reach_m)
+        height = rng.uniform(*self.height_m)
+        return np.array([reach * math.cos(yaw), reach * math.sin(yaw), height])
+
+
+# Lower and upper subspace, by name of the workspace.
+WORKSPACES: Final = {
+    "paper": (
+        Space((-math.radians(30), math.radians(30)), (0.13, 0.22), (-0.125, -0.075)),
+        Space((-math.radians(30), math.radians(30)), (0.13, 0.22), (-0.025, 0.025)),
+    ),
+    "whole": (
+        Space((-math.radians(50), math.radians(50)), (0.09, 0.24), (-0.13, -0.03)),
+        Space((-math.radians(50), math.radians(50)), (0.09, 0.25), (-0.03, 0.12)),
+    ),
+    # Of a leg that hangs down 0.38 m: under its hip, to the front, to the back and to the sides.
+    "hung": (
+        Space((-math.radians(60), math.radians(60)), (-0.09, 0.09), (-0.355, -0.315)),
+        Space((-math.radians(60), math.radians(60)), (-0.09, 0.09), (-0.285, -0.235)),
+    ),
+}
+
 Path = Literal["cartesian", "joint"]
 Workspace = Literal["paper", "whole", "hung"]
 
@@ -67,7 +106,7 @@ class PoseSettings:
         clear_m: how far above an obstacle the foot is when it comes, at least: more than a sole
             that is tilted reaches below the foot's point.
         vary_rad: per joint, how far from the leg's posture at rest is what joints beyond three
-            follow, drawn anew for each end of a trial; empty leaves it where it is.
+            follow, drawn again for each end of a trial; empty leaves it where it is.
     """
 
     legs: tuple[str, ...] = ("rf",)

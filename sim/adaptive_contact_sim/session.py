@@ -15,8 +15,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact_sim.live import Outcome, run_live, run_offline
-from adaptive_contact_sim.pace import Pace
+from adaptive_contact_sim.live import Outcome, Pace, run_live, run_offline
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import PoseGroupSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
@@ -24,7 +23,7 @@ from adaptive_contact_sim.walk import WalkSettings
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.settings import Finding
 
 __all__ = ["Report", "RunPlan", "describe", "run"]
 
@@ -124,7 +123,7 @@ def run(
             recorder = stack.enter_context(TickRecorder(plan.record, sim, encoding))
             looks.append(recorder.write)
         if plan.render is not None:
-            from adaptive_contact_sim.film import Film
+            from adaptive_contact_sim.picture import Film
 
             film = stack.enter_context(Film(plan.render, sim))
             looks.append(lambda _: film.look())

@@ -1,7 +1,7 @@
 r"""A walking controller: gait, steering, reaction to touch, posture.
 
 It knows what a real one may know: its own commands, the positions its servos report, the body's
-attitude (as from an IMU), and contacts it is told of.  Only the steering uses the body's true
+attitude (as from an IMU), and contacts reported to it.  Only the steering uses the body's true
 place, as an operator would, to keep the robot on the field.
 
 All points are feet in the body's frame, :math:`p_i`.  With the wanted twist :math:`(v, \omega)` of

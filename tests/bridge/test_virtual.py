@@ -21,14 +21,13 @@ from adaptive_contact_sim.virtual import (
     parse_fault,
 )
 from adaptive_contact_sim.virtual.assembly import VirtualSettings, with_ports
-from adaptive_contact_sim.virtual.gaited import GaitedBackend
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend, order
-from adaptive_contact_sim.virtual.physics import LocalSource
+from adaptive_contact_sim.virtual.physics import GaitedBackend, LocalSource
 from adaptive_contact_sim.virtual.port import VirtualPort
 from adaptive_contact_sim.virtual.quadruped import QuadrupedBackend, QuadrupedPlant, quadruped_order
-from adaptive_contact_sim.virtual.quadruped_trials import SCENARIOS, play, record
 from adaptive_contact_sim.virtual.session import VirtualPlan, run
+from adaptive_contact_studies.quadruped_trials import SCENARIOS, play, record
 
 
 def horns(robot: str = "hexapod") -> Horns:

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 import adaptive_contact.cli
 from adaptive_contact.cli import doctor, main
 from adaptive_contact.service.doctor import Examination, diagnose
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.recording import RecordingWriter
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, ServoSample, encode
 
 CLI: Final = Path(adaptive_contact.cli.__file__).parent
@@ -34,7 +34,7 @@ TYPED: Final = HOSTILE.replace("\x00", "")  # no command line has a zero
 def test_commands_print_through_one_helper() -> None:
     """Another way to print would be another place to forget what the wire may hold."""
     found = []
-    for path in sorted(CLI.glob("*.py")):
+    for path in sorted(CLI.rglob("*.py")):
         if path.name in ("_output.py", "_console.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -13,11 +13,11 @@ from adaptive_contact.detect.layout import new_legs
 from adaptive_contact.errors import IdentificationError
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.noise import WINDOWS, context
-from adaptive_contact_sim.experiments.comparison_events import alarm_ticks
-from adaptive_contact_sim.experiments.comparison_rules import (
+from adaptive_contact_studies.paper.comparison_rules import (
     JUDGED_AFTER_TICKS,
     Motion,
     Prediction,
+    alarm_ticks,
     calibrate,
     learn_noise,
     likelihood_ratio,

@@ -30,6 +30,7 @@ EXTRAS = (
     *("mujoco", "mujoco_core", "mujoco_studio", "glfw", "OpenGL"),
     *("dynamixel_sdk", "dynamixel_easy_sdk", "serial"),
     *("matplotlib", "mpl_toolkits", "pylab", "PIL", "imageio", "imageio_ffmpeg"),
+    *("jinja2", "markupsafe"),
 )
 
 

@@ -22,6 +22,10 @@ from adaptive_contact.wire import (
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
 
+from adaptive_contact.cli.demo.report import draw
+from adaptive_contact.cli.demo.settings import DemoSettings
+from adaptive_contact.cli.demo.summary import outcome_words, percent, touches_words
+from adaptive_contact.cli.demo.verdict import Verdict, judge
 from adaptive_contact_sim import (
     SimulationSettings,
     TerrainSettings,
@@ -29,10 +33,6 @@ from adaptive_contact_sim import (
     parse_drift,
     record_file,
 )
-from adaptive_contact_sim.demo import DemoSettings
-from adaptive_contact_sim.demo.report import draw
-from adaptive_contact_sim.demo.verdict import Verdict, judge
-from adaptive_contact_sim.demo.words import outcome_words, percent, touches_words
 
 SECONDS = 30.0
 DRIFT_S = 12.0

@@ -11,7 +11,17 @@ import pytest
 pytestmark = pytest.mark.e2e
 
 # PySINDy alone takes 1.6 s to import.
-HEAVY = {"pysindy", "sklearn", "mujoco", "matplotlib", "PIL", "zenoh", "mcap", "dynamixel_sdk"}
+HEAVY = {
+    "pysindy",
+    "sklearn",
+    "mujoco",
+    "matplotlib",
+    "PIL",
+    "jinja2",
+    "zenoh",
+    "mcap",
+    "dynamixel_sdk",
+}
 
 COMMANDS = ("", "serve", "watch", "doctor", "record", "replay", "score", "fit", "demo", "sim walk")
 

@@ -11,10 +11,15 @@ import pytest
 
 pytestmark = pytest.mark.e2e
 
-OURS = ("adaptive_contact", "adaptive_contact_models", "adaptive_contact_sim")
+OURS = (
+    "adaptive_contact",
+    "adaptive_contact_models",
+    "adaptive_contact_sim",
+    "adaptive_contact_studies",
+)
 
 
-def test_it_installs_our_three_packages_and_nothing_else(wheel: Path, installed: Any) -> None:
+def test_it_installs_our_packages_and_nothing_else(wheel: Path, installed: Any) -> None:
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(OURS)
     page = {path.name for path in (installed.site / "adaptive_contact/web/static").iterdir()}

@@ -42,7 +42,7 @@ from adaptive_contact.model.library import leg_library
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.model.window import stack
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot, parse_robot
-from adaptive_contact_sim.experiments.log_files import Recording, load_logs
+from adaptive_contact_studies.paper.log_files import Recording, load_logs
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact.robot.gait_phase import infer_phase
 from adaptive_contact.wire import ContactEvent, ServoSample
 from adaptive_contact_sim.arrays import LegArrays, Run, record_arrays
-from adaptive_contact_sim.drift_spec import parse_drift
 from adaptive_contact_sim.robots import simulated_robot
+from adaptive_contact_sim.scenario import parse_drift
 from adaptive_contact_sim.simulation import SimulationSettings
 
 NAME, LEG = "quadruped12", "fr"

@@ -9,7 +9,7 @@ import pytest
 
 from adaptive_contact.fit import FitSettings, fit_sparse
 from adaptive_contact.model import Factor, Library, Window, stack, with_changes
-from adaptive_contact_sim.experiments.log_files import Recording, load_logs
+from adaptive_contact_studies.paper.log_files import Recording, load_logs
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "xl330"
 

@@ -9,7 +9,7 @@ import pytest
 
 from adaptive_contact.fit.train import Stretch, learn
 from adaptive_contact.robot import parse_robot
-from adaptive_contact_sim.experiments.log_files import load_logs
+from adaptive_contact_studies.paper.log_files import load_logs
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "so101"
 MOTIONS = 8

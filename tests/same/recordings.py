@@ -40,10 +40,10 @@ from adaptive_contact_sim import (
     record_arrays,
 )
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.training import stretch_of
-from adaptive_contact_sim.trials.spec import Staging
-from adaptive_contact_sim.trials.staging import stagehand
-from adaptive_contact_sim.virtual import quadruped_trials
+from adaptive_contact_studies import quadruped_trials
+from adaptive_contact_studies.scenarios.spec import Staging
+from adaptive_contact_studies.scenarios.staging import stagehand
+from adaptive_contact_studies.training import stretch_of
 
 __all__ = ["RECIPES", "Recording", "kept", "quick"]
 

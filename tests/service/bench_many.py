@@ -1,6 +1,6 @@
 """Many legs of one robot.toml through the whole service, for minutes; a script, not a test.
 
-    python tests/service/bench_many.py [--legs N] [--minutes M] [--realtime] [--out DIR]
+    make many LEGS=N MINUTES=M [MANY_OPTIONS=--realtime]
 
 Two processes: `serve` with its own learners, its state and its refits, and this one, which walks N
 legs at 50 Hz each and times their events.  The legs are copies of the shipped hexapod's, with its
@@ -32,9 +32,9 @@ import numpy as np
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -223,7 +223,7 @@ def quantiles(late: np.ndarray) -> dict[str, float]:
 
 def slope_mb_min(rows: list[tuple[float, float]]) -> float | None:
     """Of memory over the last half, or 330 s where that is longer; None in a shorter run."""
-    from adaptive_contact_sim.soak.memory import slope_of
+    from soak.memory import slope_of
 
     last_s = rows[-1][0] if rows else 0.0
     half_s = min(last_s / 2.0, last_s - SLOPE_S)

@@ -8,13 +8,12 @@ from pathlib import Path
 
 from adaptive_contact_sim.drift import KINDS
 from adaptive_contact_sim.elements import LEGS
-from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose import WORKSPACES, PoseSettings
 from adaptive_contact_sim.scenario import parse_scenario
 from adaptive_contact_sim.scene import build
 from adaptive_contact_sim.servo import QUANTUM_RAD, ServoParameters
 from adaptive_contact_sim.terrain import Terrain, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_sim.workspace import WORKSPACES
 
 TEXT = (Path(__file__).parents[2] / "docs/simulator.md").read_text(encoding="utf-8")
 FLOWING = " ".join(TEXT.split())

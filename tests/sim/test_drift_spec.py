@@ -4,7 +4,7 @@ import pytest
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
-from adaptive_contact_sim.drift_spec import drift_from, parse_drift
+from adaptive_contact_sim.scenario import drift_from, parse_drift
 
 
 def test_the_whole_form() -> None:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings, router_settings
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     ALL_SERVO,
     ALL_TRUTH,
@@ -29,8 +29,7 @@ from adaptive_contact.wire import (
     decode,
     encode,
 )
-from adaptive_contact_sim.live import run_live
-from adaptive_contact_sim.pace import Pace
+from adaptive_contact_sim.live import Pace, run_live
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings, Tick
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings

@@ -14,14 +14,11 @@ from adaptive_contact.service.recording import read_recording
 from adaptive_contact.wire import ContactTruth, Drift, ServoSample, decode, servo_key, truth_key
 from adaptive_contact_sim import picture
 from adaptive_contact_sim.drift import Injection
-from adaptive_contact_sim.film import Film
 from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.picture import EnginePainter
+from adaptive_contact_sim.picture import EnginePainter, Film, Moment, Stage, StickPainter
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.stage import Moment, Stage
-from adaptive_contact_sim.stick import StickPainter
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 

@@ -10,9 +10,8 @@ from adaptive_contact_sim.arrays import record_arrays
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.legs import LegGeometry
 from adaptive_contact_sim.obstacles import ObstacleSettings
-from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose import WORKSPACES, PoseSettings
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.workspace import WORKSPACES
 
 GEOMETRY = LegGeometry.of()
 

@@ -12,24 +12,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run, record_arrays
-from adaptive_contact_sim.demo import DemoSettings
-from adaptive_contact_sim.drift_spec import parse_drift
 from adaptive_contact_sim.gait import GAITS, Sway
 from adaptive_contact_sim.legs import ChainLegs, LegGeometry
 from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.robots import ROBOTS, simulated_robot
-from adaptive_contact_sim.scenario import parse_scenario
+from adaptive_contact_sim.scenario import parse_drift, parse_scenario
 from adaptive_contact_sim.servo import STS3215, XM430_W210, ServoBank, ServoKind
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.training import TRAINING_RUNS, learn_shipped
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.training import TRAINING_RUNS, learn_shipped
 
 
 def quadruped(gait: str, ground: str, seconds: float) -> Run:

@@ -8,7 +8,6 @@ import pytest
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import MSGPACK, Drift, ServoSample, decode, encode
 from adaptive_contact_sim.arrays import record_arrays
-from adaptive_contact_sim.benchmark import real_time_factor
 from adaptive_contact_sim.drift import Injection
 from adaptive_contact_sim.elements import LEGS
 from adaptive_contact_sim.encoder import EncoderSettings
@@ -18,6 +17,7 @@ from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.speed import real_time_factor
 
 EVERYTHING = {
     "pose": SimulationSettings(

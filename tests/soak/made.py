@@ -6,7 +6,8 @@ from pathlib import Path
 
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.wire import ContactEvent
-from adaptive_contact_sim.soak.conduct import Broken, Heard, Take
+
+from .conduct import Broken, Heard, Take
 
 S = 1_000_000_000
 ROBOT = shipped_robot()

@@ -13,9 +13,8 @@ from adaptive_contact.wire import LearnerStatus
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact_sim.soak import accounts
-from adaptive_contact_sim.soak.conduct import Broken, Heard
-
+from . import accounts
+from .conduct import Broken, Heard
 from .made import ROBOT, S, event, take
 
 SENT = {seq * 20_000_000: seq for seq in range(1, 1001)}

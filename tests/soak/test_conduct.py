@@ -10,8 +10,9 @@ import pytest
 pytest.importorskip("mujoco")
 
 from adaptive_contact.robot import shipped_robot
-from adaptive_contact_sim.soak import SoakPlan, conduct, judge
-from adaptive_contact_sim.soak.memory import CURVE_S
+
+from . import SoakPlan, conduct, judge
+from .memory import CURVE_S
 
 
 @pytest.mark.e2e

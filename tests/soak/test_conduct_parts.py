@@ -14,10 +14,11 @@ from adaptive_contact.errors import ConfigurationError
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact_sim.demo.child import Child
-from adaptive_contact_sim.drift_spec import parse_drift
-from adaptive_contact_sim.soak.conduct import _born, _children, _crash, _resident_mb
-from adaptive_contact_sim.soak.plan import SoakPlan
+from adaptive_contact.cli.demo.child import Child
+from adaptive_contact_sim.scenario import parse_drift
+
+from .conduct import _born, _children, _crash, _resident_mb
+from .plan import SoakPlan
 
 
 @pytest.mark.e2e

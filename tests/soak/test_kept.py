@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from adaptive_contact_sim.soak.conduct import Broken, Heard
-from adaptive_contact_sim.soak.kept import keep_heard
-
+from .conduct import Broken, Heard
+from .kept import keep_heard
 from .made import event, take
 
 

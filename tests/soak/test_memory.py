@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact_sim.soak import verdict
-from adaptive_contact_sim.soak.memory import Resident, curves_of, grown, slope_of
+from . import verdict
+from .memory import Resident, curves_of, grown, slope_of
 
 
 def test_memory_is_judged_per_life_after_the_warm_up() -> None:

@@ -15,11 +15,10 @@ from adaptive_contact.wire import ContactEvent
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact_sim.soak.arrival import Arrivals, SourceClock, judge_arrivals
-from adaptive_contact_sim.soak.conduct import Broken, Heard
-from adaptive_contact_sim.soak.recovery import recovery_of, right_events
-
+from .arrival import Arrivals, SourceClock, judge_arrivals
+from .conduct import Broken, Heard
 from .made import S, event, take
+from .recovery import recovery_of, right_events
 
 
 def outcome(onsets_s: list[float], found: list[bool]) -> LegOutcome:

@@ -12,9 +12,8 @@ from adaptive_contact.wire import ContactTruth
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact_sim.soak.releases import judge_releases
-
 from .made import S
+from .releases import judge_releases
 
 TRUE_S = [(1.0, True), (2.0, False), (3.0, True), (4.0, False)]
 

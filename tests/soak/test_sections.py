@@ -12,11 +12,10 @@ from adaptive_contact.wire import ContactTruth
 
 pytest.importorskip("mujoco")
 
-from adaptive_contact_sim.soak import sections
-from adaptive_contact_sim.soak.plan import Drifting
-from adaptive_contact_sim.soak.releases import judge_releases
-
+from . import sections
 from .made import S
+from .plan import Drifting
+from .releases import judge_releases
 
 
 def test_windows_last_two_seconds_and_what_lies_between_is_a_section() -> None:

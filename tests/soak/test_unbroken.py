@@ -18,14 +18,14 @@ pytest.importorskip("mujoco")
 
 from adaptive_contact_sim.recorder import TickRecorder
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
-from adaptive_contact_sim.soak.arrival import SourceClock
-from adaptive_contact_sim.soak.conduct import Broken
-from adaptive_contact_sim.soak.recovery import recovery_of
-from adaptive_contact_sim.soak.unbroken import missed_anyway, unbroken
 from adaptive_contact_sim.walk import WalkSettings
 
+from .arrival import SourceClock
+from .conduct import Broken
 from .made import S, event
+from .recovery import recovery_of
 from .test_recovery import outcome
+from .unbroken import missed_anyway, unbroken
 
 FAULT = Broken("service", 8 * S, 10 * S)
 TOUCHES = [9.9, 11.5, 12.9, 14.3]

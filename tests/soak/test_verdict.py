@@ -12,12 +12,12 @@ import pytest
 pytest.importorskip("mujoco")
 
 from adaptive_contact.score import Events
-from adaptive_contact_sim.soak import sections, verdict
-from adaptive_contact_sim.soak.arrival import Arrivals
-from adaptive_contact_sim.soak.memory import Grown
-from adaptive_contact_sim.soak.plan import SoakPlan
 
+from . import sections, verdict
+from .arrival import Arrivals
 from .made import ROBOT
+from .memory import Grown
+from .plan import SoakPlan
 
 
 def section(after: str = "begin", touches: int = 500, **fields: int) -> sections.Section:

@@ -43,7 +43,7 @@ class Desk:
 
 def walk() -> list[Tick]:
     from adaptive_contact_sim import Simulation, SimulationSettings, TerrainSettings, WalkSettings
-    from adaptive_contact_sim.drift_spec import parse_drift
+    from adaptive_contact_sim.scenario import parse_drift
 
     settings = SimulationSettings(
         motion=WalkSettings(),

@@ -6,10 +6,10 @@ Any Dynamixel software can open them, ours or others'.  Bytes and control tables
 
 from __future__ import annotations
 
+from adaptive_contact_sim.virtual.assembly import VirtualServer
 from adaptive_contact_sim.virtual.backend import Backend, KinematicBackend
 from adaptive_contact_sim.virtual.faults import FaultSchedule, FaultSpec, parse_fault
 from adaptive_contact_sim.virtual.port import VirtualPort
-from adaptive_contact_sim.virtual.server import VirtualServer
 from adaptive_contact_sim.virtual.servo import VirtualServo
 
 __all__ = [

@@ -108,7 +108,7 @@ class KinematicBackend:
         self._driven[index] = on
 
     def set_slope(self, index: int, slope_rad: float) -> None:
-        """Not heard: these servos know no load, so their law is only a time constant."""
+        """Ignored: these servos know no load, so their law is only a time constant."""
 
     def place(self, index: int, angle_rad: float) -> None:
         """Put a servo somewhere, at rest, goal included."""

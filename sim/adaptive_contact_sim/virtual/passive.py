@@ -20,7 +20,7 @@ from adaptive_contact_sim.scene import robot_xml
 from adaptive_contact_sim.servo import QUANTUM_RAD, manufactured
 from adaptive_contact_sim.terrain import HARD_SOLREF
 from adaptive_contact_sim.truth import TruthTracker
-from adaptive_contact_sim.virtual.horns import Horns
+from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
 __all__ = ["HUNG_M", "PassiveBackend"]
 
@@ -29,15 +29,11 @@ OnTruth = Callable[[str, ContactTruth], None]
 
 # Of the body over the floor, with the legs out of reach of it.
 HUNG_M: Final = 1.0
-_STEP_S: Final = 0.001
 # Contact truth is judged in batches of a control tick.
 _BATCH: Final = 20
-# Steps made at one call: more would keep the bus waiting.
-_MOST_STEPS: Final = 5
-_LET_GO_S: Final = 0.5
 
 
-class PassiveBackend:
+class PassiveBackend(OnStand):
     """A hexapod on a stand; a backend of virtual servos.
 
     Args:
@@ -59,71 +55,36 @@ class PassiveBackend:
         epoch_ns: int = 0,
         on_truth: OnTruth = lambda *_: None,
     ) -> None:
-        self._horns = horns
-        self.plant = Plant(_on_a_stand(height_m), manufactured(robot_seed), period_s=_STEP_S)
         start = np.zeros(N_SERVOS) if start_rad is None else np.array(start_rad, dtype=np.float64)
+        super().__init__(horns, start, epoch_ns)
+        self.plant = Plant(_on_a_stand(height_m), manufactured(robot_seed), period_s=STEP_S)
         self.plant.joint_angles[:] = start
         mujoco.mj_forward(self.plant.model, self.plant.data)
-        self._goal = start.copy()
-        self._on = np.zeros(N_SERVOS, dtype=np.bool_)
-        self._changed = True
-        self._truth = TruthTracker(_STEP_S, _BATCH)
+        self._written: Array | None = None
+        self._truth = TruthTracker(STEP_S, _BATCH)
         self._forces = np.zeros((_BATCH, len(LEGS)))
-        self._epoch_ns = epoch_ns
         self._on_truth = on_truth
         self._begun = False
-        self._start_s: float | None = None
 
-    def advance(self, now_s: float) -> float:
-        """Bring the robot up to a moment."""
-        if self._start_s is None:
-            self._start_s = now_s
-        target = int((now_s - self._start_s) / _STEP_S)
-        behind = target - self.plant.steps
-        if behind * _STEP_S > _LET_GO_S:
-            lost_s = behind * _STEP_S
-            self._start_s += lost_s
-            self._epoch_ns += round(lost_s * 1e9)
-            target = self.plant.steps
-        for _ in range(min(target - self.plant.steps, _MOST_STEPS)):
-            self._step()
-        return self._start_s + (self.plant.steps + 1) * _STEP_S
+    def joints(self) -> tuple[Array, Array]:
+        """Angles and speeds of the joints."""
+        return self.plant.joint_angles, self.plant.joint_speeds
 
-    def angle(self, index: int) -> float:
-        """Angle of a servo's horn, rad."""
-        return self._horns.horn(index, float(self.plant.joint_angles[index]))
-
-    def speed(self, index: int) -> float:
-        """Speed of a servo's horn, rad/s."""
-        return float(self._horns.direction[index] * self.plant.joint_speeds[index])
-
-    def set_goal(self, index: int, angle_rad: float) -> None:
-        """Write a servo's goal."""
-        self._goal[index] = self._horns.joint(index, angle_rad)
-        self._changed = True
-
-    def goal(self, index: int) -> float | None:
-        """Nobody but the bus writes goals."""
-        return None
-
-    def set_torque(self, index: int, on: bool) -> None:
-        """Switch a servo's drive on or off."""
-        self._on[index] = on
-        self._changed = True
+    def steps(self) -> int:
+        """Physics steps made."""
+        return self.plant.steps
 
     def set_slope(self, index: int, slope_rad: float) -> None:
         """Set a servo's compliance slope."""
         self.plant.servos.parameters.slope_steps[index] = slope_rad / QUANTUM_RAD
         self.plant.servos.refresh()
 
-    # -- private -------------------------------------------------------------------------------
-
-    def _step(self) -> None:
-        plant = self.plant
-        if self._changed or not self._on.all():
-            # A servo without torque has its goal where it is: no error, no drive.
-            plant.servos.write_goal(np.where(self._on, self._goal, plant.joint_angles))
-            self._changed = False
+    def step(self) -> None:
+        """Make one step, and judge contacts when a batch is full."""
+        plant, target = self.plant, self.target()
+        if self._written is None or not np.array_equal(target, self._written):
+            plant.servos.write_goal(target)
+            self._written = target
         plant.advance()
         row = (plant.steps - 1) % _BATCH
         self._forces[row] = plant.forces[0]
@@ -141,7 +102,7 @@ class PassiveBackend:
             self._on_truth(
                 LEGS[change.leg],
                 ContactTruth(
-                    t_ns=self._epoch_ns + change.step * round(_STEP_S * 1e9),
+                    t_ns=self._epoch_ns + change.step * round(STEP_S * 1e9),
                     contact=change.contact,
                     force=change.force_n,
                     speed_m_s=None if touch is None else touch.speed_m_s,

@@ -16,9 +16,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Frame, Instruction, Status
-from adaptive_contact.bridge.protocol1 import Protocol1
-from adaptive_contact.bridge.protocol2 import Protocol2, fast_sync_status
+from adaptive_contact.bridge.packets import (
+    BROADCAST_ID,
+    Codec,
+    Frame,
+    Instruction,
+    Protocol1,
+    Protocol2,
+    Status,
+    fast_sync_status,
+)
 from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact_sim.virtual.faults import FaultSchedule
 from adaptive_contact_sim.virtual.servo import RANGE2, Refusal, VirtualServo
@@ -251,7 +258,7 @@ class VirtualPort:
         for wanted, address, size in asked:
             group = [servo for servo in self._hearing if servo.id == wanted and servo.answers]
             if not group or self.faults.strike("silent", wanted, elapsed_s) is not None:
-                # Each waits for the one before it: whoever comes after a mute one stays mute.
+                # Each waits for the one before it: those after a mute one stay mute.
                 break
             statuses = [(servo, _told(servo, address, size)) for servo in group]
             if frame.code == Instruction.FAST_SYNC_READ:
@@ -331,7 +338,7 @@ class VirtualPort:
 
 
 def _overlap(one: bytes, other: bytes) -> bytes:
-    """Two packets on the wire at once: it is pulled to 0 by whoever sends a 0."""
+    """Two packets on the wire at once: a 0 of either pulls it to 0."""
     short, long = sorted((one, other), key=len)
     return bytes(a & b for a, b in zip(short, long, strict=False)) + long[len(short) :]
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_sim.plant import Touch
 from adaptive_contact_sim.terrain import HARD_SOLREF, soft_contact
-from adaptive_contact_sim.virtual.horns import Horns
+from adaptive_contact_sim.virtual.horns import STEP_S, Horns, OnStand
 
 __all__ = [
     "JOINTS",
@@ -55,9 +55,6 @@ _ABSURD_RAD_S: Final = 100.0
 _HARD_SOLIMP: Final = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
 _PLATE_M: Final = (0.05, 0.03, 0.02)
 _PARKED_M: Final = (0.0, 0.0, -3.0)
-_STEP_S: Final = 0.001
-_LET_GO_S: Final = 0.5
-_MOST_STEPS: Final = 5
 
 
 class QuadrupedPlant:
@@ -163,7 +160,7 @@ class QuadrupedPlant:
         fastest = float(np.abs(self.speeds).max())
         if not fastest < _ABSURD_RAD_S:
             raise SimulationDivergedError(
-                f"at {self.steps * _STEP_S:.3f} s a joint turns at {fastest:.3g} rad/s; expected "
+                f"at {self.steps * STEP_S:.3f} s a joint turns at {fastest:.3g} rad/s; expected "
                 f"below {_ABSURD_RAD_S:.0f}; report the scenario and seed"
             )
 
@@ -172,7 +169,7 @@ class QuadrupedPlant:
         return np.asarray(np.rint(goal_rad / STEP_RAD) * STEP_RAD)
 
 
-class QuadrupedBackend:
+class QuadrupedBackend(OnStand):
     """The quadruped on its stand, moved by the bus; a backend of virtual servos.
 
     Args:
@@ -181,47 +178,22 @@ class QuadrupedBackend:
     """
 
     def __init__(self, horns: Horns, *, robot_seed: int = 0) -> None:
-        self._horns = horns
         start = np.tile(np.array([-0.4, -1.2]), len(LEGS))
+        super().__init__(horns, start)
         self.plant = QuadrupedPlant(robot_seed, start)
-        self._goal = start.copy()
-        self._on = np.zeros(N_SERVOS, dtype=np.bool_)
-        self._start_s: float | None = None
 
-    def advance(self, now_s: float) -> float:
-        """Bring the robot up to a moment."""
-        if self._start_s is None:
-            self._start_s = now_s
-        target = int((now_s - self._start_s) / _STEP_S)
-        behind = target - self.plant.steps
-        if behind * _STEP_S > _LET_GO_S:
-            self._start_s += behind * _STEP_S
-            behind = 0
-        for _ in range(min(behind, _MOST_STEPS)):
-            # A servo without torque has its goal where it is: no error, no drive.
-            self.plant.write_goal(np.where(self._on, self._goal, self.plant.angles))
-            self.plant.step()
-        return self._start_s + (self.plant.steps + 1) * _STEP_S
+    def joints(self) -> tuple[Array, Array]:
+        """Angles and speeds of the joints."""
+        return self.plant.angles, self.plant.speeds
 
-    def angle(self, index: int) -> float:
-        """Angle of a servo's horn, rad."""
-        return self._horns.horn(index, float(self.plant.angles[index]))
+    def steps(self) -> int:
+        """Physics steps made."""
+        return self.plant.steps
 
-    def speed(self, index: int) -> float:
-        """Speed of a servo's horn, rad/s."""
-        return float(self._horns.direction[index] * self.plant.speeds[index])
-
-    def set_goal(self, index: int, angle_rad: float) -> None:
-        """Write a servo's goal."""
-        self._goal[index] = self._horns.joint(index, angle_rad)
-
-    def goal(self, index: int) -> float | None:
-        """Nobody but the bus writes goals."""
-        return None
-
-    def set_torque(self, index: int, on: bool) -> None:
-        """Switch a servo's drive on or off."""
-        self._on[index] = on
+    def step(self) -> None:
+        """Make one step."""
+        self.plant.write_goal(self.target())
+        self.plant.step()
 
     def set_slope(self, index: int, slope_rad: float) -> None:
         """Set a servo's gain."""

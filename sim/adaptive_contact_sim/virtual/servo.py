@@ -19,8 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.bridge.law import LAW_REGISTERS, slope_rad
-from adaptive_contact.bridge.modes import DriveMode
+from adaptive_contact.bridge.modes import LAW_REGISTERS, DriveMode, slope_rad
 from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
 from adaptive_contact_sim.virtual.backend import Backend
 
@@ -79,7 +78,7 @@ class VirtualServo:
         rng: of the reading noise.
         noise_steps: standard deviation of a reading, in steps.
         return_delay: register, 2 us each; 250 when new.
-        baud: it hears packets at this rate only.
+        baud: it receives packets at this rate only.
 
     Attributes:
         id, baud: follow their registers.
@@ -176,7 +175,7 @@ class VirtualServo:
         return bits | self._latched
 
     def reboot(self) -> None:
-        """Begin anew, as after a loss of power: no torque, what is not in EEPROM as delivered."""
+        """Begin again, as after a loss of power: no torque, what is not in EEPROM as delivered."""
         self._power_on()
         self._set_slope()
 

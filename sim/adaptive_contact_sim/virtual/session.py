@@ -26,10 +26,9 @@ from adaptive_contact_sim.virtual.assembly import (
     with_ports,
 )
 from adaptive_contact_sim.virtual.backend import Backend
-from adaptive_contact_sim.virtual.gaited import GaitedBackend
 from adaptive_contact_sim.virtual.horns import Horns
 from adaptive_contact_sim.virtual.passive import PassiveBackend, order
-from adaptive_contact_sim.virtual.physics import ProcessSource
+from adaptive_contact_sim.virtual.physics import GaitedBackend, ProcessSource
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings

@@ -1,0 +1,388 @@
+"""Ask a bus who is there, and make a robot description of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, Literal, NamedTuple
+
+import msgspec
+
+from adaptive_contact.bridge.bus import Bus, Pong
+from adaptive_contact.bridge.handshake import (
+    ANSWERS_NOW,
+    USUAL_BAUDS,
+    Place,
+    let_answer,
+    look_elsewhere,
+    named,
+    scan,
+    scan_again,
+)
+from adaptive_contact.bridge.modes import read_slope
+from adaptive_contact.bridge.packets import MAX_ID
+from adaptive_contact.bridge.tables import ServoModel, model_of_number
+from adaptive_contact.errors import BusError, ConfigurationError
+from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
+
+_PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
+# Servos are numbered one after the other: so far beyond the last heard, all are asked again.
+_BEYOND: Final = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """What answers on a port.
+
+    Attributes:
+        name: of the port.
+        port: device, baud rate and protocol at which they answer.
+        servos: model by id; None for one without a control table here.
+        names: what each is, in words, by id.
+        slopes_rad: how steep each servo's controller is, by id, where it tells.
+        mute: ids of those that answer pings and no reads.
+        elsewhere: ids that answer at another baud rate and protocol, by these.
+        done: what was written.
+    """
+
+    name: str
+    port: Port
+    servos: dict[int, ServoModel | None]
+    names: dict[int, str]
+    slopes_rad: dict[int, float] = dataclasses.field(default_factory=dict)
+    mute: tuple[int, ...] = ()
+    elsewhere: dict[Place, list[int]] = dataclasses.field(default_factory=dict)
+    done: tuple[str, ...] = ()
+
+
+class Wanted(NamedTuple):
+    """The servos of one leg, from the body outwards, and their port where it was named."""
+
+    port: str | None
+    ids: tuple[int, ...]
+
+
+def wanted_legs(text: str) -> tuple[Wanted, ...]:
+    """The legs of ``--ids``: ``2,4,6/8,10,12``, with a port's name where there are several.
+
+    Raises:
+        ConfigurationError: it cannot be read, or an id is there twice.
+    """
+
+    def refuse(what: str) -> ConfigurationError:
+        return ConfigurationError(
+            f"--ids {text}: {what}; give each leg's ids from the body outwards, and '/' between "
+            "legs, such as 2,4,6/8,10,12 (with several ports left:2,4,6/right:2,4,6)"
+        )
+
+    legs: list[Wanted] = []
+    taken: set[tuple[str | None, int]] = set()
+    for leg in text.split("/"):
+        port, colon, rest = leg.rpartition(":")
+        words = [word.strip() for word in rest.split(",")]
+        if not all(word.isascii() and word.isdigit() for word in words):
+            raise refuse(f"'{leg}' is no list of ids")
+        ids = tuple(int(word) for word in words)
+        if max(ids) > MAX_ID:
+            raise refuse(f"{max(ids)} is no id (0 to {MAX_ID})")
+        legs.append(Wanted(port.strip() if colon else None, ids))
+        for servo in ids:
+            if (legs[-1].port, servo) in taken:
+                raise refuse(f"{servo} is there twice")
+            taken.add((legs[-1].port, servo))
+    return tuple(legs)
+
+
+def find_servos(
+    name: str,
+    device: str,
+    bauds: Sequence[int] = USUAL_BAUDS,
+    *,
+    ids: Sequence[int] = (),
+    configure: bool = False,
+) -> Found:
+    """Ask a port at all usual rates, in both protocols, who is there.
+
+    Writes nothing, but with ``configure`` the status return level of servos that answer no reads.
+
+    Args:
+        name: of the port.
+        device: its path.
+        bauds: rates to try.
+        ids: of servos that ought to be there; those that are not are looked for at other rates.
+            Without, ids that are missing in the row are.
+        configure: let servos answer reads.
+
+    Raises:
+        BusError: the port cannot be opened, or nobody answers.
+    """
+    places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
+    found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
+    if found is None:
+        raise BusError(
+            f"port {name}: no servo answers on {device} at {', '.join(map(str, bauds))} baud; "
+            "check power and cable, or give the rate with --baud"
+        )
+    others = {at: len(there) for at, there in found.elsewhere.items() if at[0] in bauds}
+    most = max(others, key=lambda at: others[at], default=None)
+    if most is not None and others[most] > len(found.servos):
+        # The one that was found first is the odd one.
+        found = _ask(name, device, most, ids) or found
+    return _configured(found, ids) if configure and found.mute else found
+
+
+def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | None:
+    """Ask a port at one baud rate and protocol who is there; None where nobody is."""
+    port = Port(device=device, baud=place[0], protocol=place[1])
+    bus = Bus(name, port)
+    bus.open()
+    try:
+        pongs = scan(bus)
+        if not pongs:
+            return None
+        row = range(min(max(pongs) + _BEYOND, MAX_ID) + 1)
+        found = _found(bus, port, scan_again(bus, pongs, row))
+    finally:
+        bus.close()
+    missing = [servo for servo in ids or row[1:] if servo not in found.servos]
+    return dataclasses.replace(found, elsewhere=look_elsewhere(name, port, missing))
+
+
+def _configured(found: Found, ids: Sequence[int]) -> Found:
+    """Let servos answer that answer pings only; of ``ids`` only, where there are some."""
+    bus = Bus(found.name, found.port)
+    bus.open()
+    try:
+        pongs = scan_again(bus, {}, [s for s in found.mute if s in ids or not ids])
+        done = []
+        for servo in [servo for servo, pong in pongs.items() if not pong.reads]:
+            trouble = let_answer(bus, pongs, servo)
+            done.append(f"servo {servo}: {trouble or ANSWERS_NOW}")
+        now = _found(bus, found.port, pongs)
+    finally:
+        bus.close()
+    return dataclasses.replace(
+        found,
+        servos=found.servos | now.servos,
+        names=found.names | now.names,
+        slopes_rad=found.slopes_rad | now.slopes_rad,
+        mute=tuple(s for s in found.mute if s not in pongs or s in now.mute),
+        done=tuple(done),
+    )
+
+
+def steepness(found: Iterable[Found], robot: Robot) -> dict[str, float]:
+    """How steep a robot's servos are, by model: the median, rad."""
+    by_model: dict[str, list[float]] = {}
+    for one in found:
+        ignored = robot.ports[one.name].ignore if one.name in robot.ports else one.servos
+        for servo, slope in one.slopes_rad.items():
+            if servo in ignored:
+                continue
+            model = one.servos[servo]
+            assert model is not None
+            by_model.setdefault(model.name, []).append(slope)
+    return {name: round(statistics.median(slopes), 3) for name, slopes in by_model.items()}
+
+
+def group(
+    found: Sequence[Found],
+    joints: int,
+    legs: Sequence[str] = (),
+    names: Sequence[str] = (),
+    wanted: Sequence[Wanted] = (),
+) -> Robot:
+    """Take servos in the order of their ids for legs, so many joints each.
+
+    Args:
+        found: what answers, port by port.
+        joints: per leg.
+        legs: ids; ``leg1`` and so on where left out.
+        names: of the joints; the usual ones where left out.
+        wanted: which servos make a leg; the others are ignored.
+
+    Raises:
+        BusError: the servos do not make whole legs, or one is of no known model.
+    """
+    parts = _chosen(found, wanted) if wanted else _dealt(found, joints)
+    if legs and len(legs) != len(parts):
+        raise BusError(
+            f"{len(legs)} legs are named, but the servos make {len(parts)}; correct --legs, "
+            f"{'--ids' if wanted else '--joints'}"
+        )
+    models = [_models(one, part) for one, part in parts]
+    quantum = _quantum(models[0])
+    made: list[Leg] = []
+    used: dict[str, set[int]] = {}
+    for (one, part), own_models in zip(parts, models, strict=True):
+        name = legs[len(made)] if legs else f"leg{len(made) + 1}"
+        alike = len({model.name for model in own_models}) == 1
+        servos = ServoBus(
+            ids=part,
+            model=own_models[0].name if alike else tuple(model.name for model in own_models),
+            port=one.name,
+        )
+        own = None if _quantum(own_models) == quantum else _quantum(own_models)
+        own_names = tuple(names) or _joint_names(len(part))
+        leg = Leg(id=name, joints=own_names, servos=servos, quantum_rad=own)
+        made.append(msgspec.structs.replace(leg, axes=leg.joint_axes))
+        used.setdefault(one.name, set()).update(part)
+    slopes = [s for one in found for servo, s in one.slopes_rad.items() if servo in used[one.name]]
+    ports = {
+        one.name: msgspec.structs.replace(
+            one.port, ignore=tuple(sorted(set(one.servos) - used[one.name]))
+        )
+        for one in found
+        if one.name in used
+    }
+    return Robot(
+        name="my-robot",
+        period_s=0.02,
+        quantum_rad=quantum,
+        legs=tuple(made),
+        servo=ServoLaw(round(statistics.median(slopes), 3)) if slopes else ServoLaw(),
+        ports=ports,
+    )
+
+
+def _dealt(found: Sequence[Found], joints: int) -> list[tuple[Found, tuple[int, ...]]]:
+    """All servos in the order of their ids, so many a leg."""
+    parts: list[tuple[Found, tuple[int, ...]]] = []
+    for one in found:
+        _refuse_unknown(one, sorted(one.servos))
+        ids = sorted(one.servos)
+        if len(ids) % joints:
+            raise BusError(
+                f"port {one.name}: {len(ids)} servos do not make legs of {joints} joints "
+                f"(ids {', '.join(map(str, ids))}); give --joints, or find the one that is "
+                "missing, or name the servos of the legs with --ids"
+            )
+        parts += [(one, tuple(ids[at : at + joints])) for at in range(0, len(ids), joints)]
+    return parts
+
+
+def _chosen(
+    found: Sequence[Found], wanted: Sequence[Wanted]
+) -> list[tuple[Found, tuple[int, ...]]]:
+    """The legs of ``--ids``, each on the port where its servos are."""
+    parts = []
+    for port, ids in wanted:
+        told = ",".join(map(str, ids))
+        here = [one for one in found if port in (one.name, None)]
+        if not here:
+            raise BusError(
+                f"--ids {port}:{told}: there is no port '{port}'; ports are "
+                f"{', '.join(one.name for one in found)}"
+            )
+        on = [one for one in here if set(ids) <= set(one.servos)]
+        if len(on) > 1:
+            raise BusError(
+                f"--ids {told}: ports {', '.join(one.name for one in on)} all have these servos; "
+                f"name the port, such as {on[0].name}:{told}"
+            )
+        if not on:
+            near = max(here, key=lambda one: len(set(ids) & set(one.servos)))
+            lacking = [str(servo) for servo in ids if servo not in near.servos]
+            raise BusError(
+                f"--ids {told}: port {near.name} has no servo {', '.join(lacking)} (ids there are "
+                f"{_ranges(sorted(near.servos))}); check its cable, power, id and baud rate"
+            )
+        _refuse_unknown(on[0], ids)
+        parts.append((on[0], ids))
+    return parts
+
+
+def _refuse_unknown(one: Found, ids: Sequence[int]) -> None:
+    mute = [str(servo) for servo in ids if servo in one.mute]
+    if mute:
+        raise BusError(
+            f"port {one.name}: servo {', '.join(mute)} answers to pings but not to reads (its "
+            "status return level is 0); run this once with --configure, which sets it to 2, or "
+            "name the servos of the legs with --ids"
+        )
+    unknown = [f"{servo} ({one.names[servo]})" for servo in ids if one.servos[servo] is None]
+    if unknown:
+        raise BusError(
+            f"port {one.name}: servo {', '.join(unknown)} is of no known model; see docs/bridge.md "
+            "for those that are, or name the servos of the legs with --ids"
+        )
+
+
+def _models(one: Found, ids: Sequence[int]) -> tuple[ServoModel, ...]:
+    models = tuple(model for servo in ids if (model := one.servos[servo]) is not None)
+    assert len(models) == len(ids)
+    return models
+
+
+def describe(found: Iterable[Found]) -> list[str]:
+    """What answers, one line per port."""
+    lines = []
+    for one in found:
+        models: dict[str, list[int]] = {}
+        for servo, model in sorted(one.servos.items()):
+            name = model.name if model else f"unknown model ({one.names[servo]})"
+            models.setdefault(name, []).append(servo)
+        told = "; ".join(f"{len(ids)} x {name}, ids {_ranges(ids)}" for name, ids in models.items())
+        lines.append(
+            f"port {one.name} ({one.port.device}): {told}; {one.port.baud} baud, protocol "
+            f"{one.port.protocol}"
+        )
+        lines += [f"port {one.name}: {line}" for line in one.done]
+        for (baud, protocol), ids in one.elsewhere.items():
+            does = "answers" if len(ids) == 1 else "answer"
+            lines.append(
+                f"port {one.name}: servo {_ranges(ids)} {does} at {baud} baud, protocol "
+                f"{protocol}: all servos of a port need one baud rate and protocol; set them with "
+                "DYNAMIXEL Wizard"
+            )
+    return lines
+
+
+# -- private -----------------------------------------------------------------------------------
+
+
+def _found(bus: Bus, port: Port, pongs: dict[int, Pong]) -> Found:
+    doubled = [servo for servo, pong in pongs.items() if pong.doubled]
+    if doubled:
+        raise BusError(
+            f"port {bus.name}: several servos answer to id {', '.join(map(str, doubled))} (or "
+            "their line is disturbed); connect them one by one and give each an id of its own"
+        )
+    models = {
+        servo: None if pong.model_number is None else model_of_number(pong.model_number)
+        for servo, pong in pongs.items()
+    }
+    slopes = {
+        servo: read_slope(bus, servo, model)
+        for servo, model in models.items()
+        if model is not None and pongs[servo].reads
+    }
+    return Found(
+        bus.name,
+        port,
+        models,
+        {servo: named(pong) for servo, pong in pongs.items()},
+        {servo: slope for servo, slope in slopes.items() if slope is not None},
+        tuple(servo for servo, pong in pongs.items() if not pong.reads),
+    )
+
+
+def _quantum(models: Sequence[ServoModel]) -> float:
+    """A leg's position step: the largest of its servos', as one number stands for all of them."""
+    return round(max(model.step_rad for model in models), 6)
+
+
+def _joint_names(joints: int) -> tuple[str, ...]:
+    usual: Mapping[int, tuple[str, ...]] = {2: ("hip", "knee"), 3: ("coxa", "femur", "tibia")}
+    return usual.get(joints, tuple(f"joint{i + 1}" for i in range(joints)))
+
+
+def _ranges(ids: Sequence[int]) -> str:
+    parts: list[list[int]] = []
+    for i in ids:
+        if parts and i == parts[-1][-1] + 1:
+            parts[-1].append(i)
+        else:
+            parts.append([i])
+    return ", ".join(f"{p[0]}" if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in parts)

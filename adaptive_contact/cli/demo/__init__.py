@@ -1,0 +1,90 @@
+"""``adaptive-contact demo``: the whole thing in a minute.
+
+:func:`~adaptive_contact.cli.demo.run.run_demo` starts ``adaptive-contact serve`` and
+``adaptive-contact sim walk`` as processes, injects the drift with a third, and judges what was
+recorded: a walk watched by the service, a drift in the middle, a report at the end.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adaptive_contact.cli._options import option, seconds_option
+from adaptive_contact.cli._output import say_note
+from adaptive_contact.cli._sim_options import given, needs_simulator
+from adaptive_contact.cli._web import (
+    WEB_PANEL,
+    HostOption,
+    NoBrowserOption,
+    PortOption,
+    live_page,
+    web_settings,
+)
+
+__all__ = ["demo"]
+
+_STOPPED = 130  # what a shell calls "ended by Ctrl-C"
+
+
+def demo(
+    out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = Path(
+        "out/demo"
+    ),
+    seconds: Annotated[
+        float | None, seconds_option("--seconds", "Of walking, in real time. [60]")
+    ] = None,
+    seed: Annotated[int | None, option("--seed", "Of the walk. [0]", min=0)] = None,
+    robot: Annotated[
+        str | None, option("--robot", "Which walks: hexapod, quadruped12. [hexapod]", "NAME")
+    ] = None,
+    web: Annotated[
+        bool, option("--web", "Show it as a page in the browser, too.", panel=WEB_PANEL)
+    ] = False,
+    port: PortOption = None,
+    host: HostOption = None,
+    no_browser: NoBrowserOption = False,
+) -> None:
+    """Watch a simulated robot walk, one leg drift, and what becomes of its contacts.
+
+    Starts `serve` and `sim walk` as two processes, injects the drift with a third, and writes a
+    picture, the figures and a recording.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: _on_signal(stop))
+    with needs_simulator():
+        from adaptive_contact.cli.demo.conduct import StoppedError
+        from adaptive_contact.cli.demo.run import run_demo
+        from adaptive_contact.cli.demo.settings import DemoSettings
+    from adaptive_contact.cli._console import table_console
+
+    console = table_console()
+    settings = DemoSettings(out=out, **given(seconds=seconds, seed=seed, robot=robot))
+    page_settings = web_settings(web, host, port, no_browser)
+    try:
+        if page_settings is None:
+            run_demo(settings, console, stop)
+            return
+        with live_page(page_settings, browse=not no_browser) as page:
+            page.waits_for(
+                "service and simulator are starting",
+                "The first start on a computer compiles the arithmetic, and takes up to a minute.",
+                "note",
+            )
+            run_demo(settings, console, stop, page)
+            page.close(f"The demo is over; {settings.report} has what was found.")
+    except (StoppedError, KeyboardInterrupt):
+        say_note("stopped; nothing was judged")
+        raise typer.Exit(_STOPPED) from None
+
+
+def _on_signal(stop: threading.Event) -> None:
+    """The first signal asks for an orderly end; the second breaks in, and still ends the others."""
+    if stop.is_set():
+        raise KeyboardInterrupt
+    stop.set()

@@ -1,0 +1,192 @@
+"""Contact events on their way out, on a thread of their own.
+
+An event is put reliably, so links that take nothing any more hold the put up, until the service
+drops them (:mod:`adaptive_contact.service.sockets`).  The learners must not wait for that: the
+worker only appends, and what cannot be sent for so long that the queue is full is dropped, oldest
+first, and counted; so is what is left at the end.  Each put that was slow, or failed, is logged:
+the watchdog sees only those that go on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from typing import Final, NamedTuple, Protocol
+
+import structlog
+
+from adaptive_contact.errors import LinkError
+from adaptive_contact.service.logs import LogThrottle
+from adaptive_contact.wire import Message
+
+_log = structlog.get_logger()
+
+# A robot has some ten events a second; this is more than a minute of them.
+QUEUE_EVENTS: Final = 1024
+# An honest put takes 0.05 ms; a tenth of a second means that a subscriber hangs.
+SLOW_PUT_NS: Final = 100_000_000
+# A put that has gone on for so long is reported before it ends.
+HELD_UP_NS: Final = 500_000_000
+_LATENCIES: Final = 4096
+
+
+class Publishes(Protocol):
+    """Where an event goes, as :class:`adaptive_contact.service.link.Publisher` is."""
+
+    def put(self, message: Message) -> None:
+        """Publish; may block."""
+
+
+class _Letter(NamedTuple):
+    publisher: Publishes
+    message: Message
+    arrival_ns: int
+
+
+class EventPublisher:
+    """Sends messages in order, on the caller's thread until :meth:`start`, then on its own.
+
+    Args:
+        size: messages that wait at most.
+
+    Attributes:
+        lost: messages dropped because the queue was full, that could not be put, or that were left
+            at the end.
+        slow: puts that took longer than a tenth of a second.
+        cut_off: links dropped because they held up a put: their subscribers miss that event.
+    """
+
+    def __init__(self, size: int = QUEUE_EVENTS) -> None:
+        self.lost = 0
+        self.slow = 0
+        self.cut_off = 0
+        self._throttle = LogThrottle()
+        self._size = size
+        self._queue: deque[_Letter] = deque()
+        self._changed = threading.Condition()
+        self._ending = False
+        self._thread: threading.Thread | None = None
+        self._putting_since_ns: int | None = None
+        self._dropped_ns: int | None = None
+        # Handed over by the sending thread, taken by the worker: both ends are atomic.
+        self._latencies: deque[int] = deque(maxlen=_LATENCIES)
+
+    def start(self) -> None:
+        """Send on a thread from now on."""
+        self._thread = threading.Thread(target=self._work, name="outbox", daemon=True)
+        self._thread.start()
+
+    def close(self, timeout_s: float = 0.5) -> None:
+        """Send what waits, as far as that goes in time, count the rest as lost, and end.
+
+        A put that goes on beyond that is not counted: it may yet arrive, and is counted by itself
+        if it fails.  Whoever closes again waits for nothing.
+        """
+        with self._changed:
+            if self._ending:
+                return
+            self._ending = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+        with self._changed:
+            left = len(self._queue)
+            self._queue.clear()  # what is counted as lost must not be sent after all
+            self.lost += left
+        if left:
+            _log.warning("contact events lost", why="not sent by the end", times=left)
+
+    def post(self, publisher: Publishes, message: Message, arrival_ns: int) -> None:
+        """Send a message; waits for nothing once the thread runs.
+
+        Args:
+            publisher: where to.
+            message: what.
+            arrival_ns: monotonic, of the sample that decided it.
+        """
+        letter = _Letter(publisher, message, arrival_ns)
+        if self._thread is None:
+            self._put(letter)
+            return
+        with self._changed:
+            if self._ending:  # nobody may be left to send it
+                self.lost += 1
+                return
+            if len(self._queue) >= self._size:
+                self._queue.popleft()
+                self.lost += 1
+            self._queue.append(letter)
+            self._changed.notify_all()
+
+    def dropped(self, links: int) -> None:
+        """Count links that were dropped because they held up a put."""
+        now_ns = self._dropped_ns = time.monotonic_ns()
+        self.cut_off += links
+        times = self._throttle.passes("dropped", now_ns, links)
+        if times is not None:
+            _log.warning(
+                "links dropped that held up contact events: their subscribers hang or are gone",
+                links=times,
+            )
+
+    def dropped_within(self, now_ns: int, span_ns: int) -> bool:
+        """Whether a link was dropped in the last ``span_ns``."""
+        return self._dropped_ns is not None and now_ns - self._dropped_ns <= span_ns
+
+    def busy_ns(self, now_ns: int) -> int:
+        """How long the put under way has been going on, 0 when there is none."""
+        since_ns = self._putting_since_ns
+        return 0 if since_ns is None else max(0, now_ns - since_ns)
+
+    def latencies(self) -> list[int]:
+        """Arrival of the deciding sample to the event being sent, ns, of those sent since."""
+        taken: list[int] = []
+        with contextlib.suppress(IndexError):
+            while True:
+                taken.append(self._latencies.popleft())
+        return taken
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._queue:
+                    if self._ending:
+                        return
+                    self._changed.wait()
+                letter = self._queue.popleft()
+            self._put(letter)
+
+    def _put(self, letter: _Letter) -> None:
+        began_ns = self._putting_since_ns = time.monotonic_ns()
+        try:
+            letter.publisher.put(letter.message)
+        except Exception as fault:  # a closed link, or a fault of ours: the next must go out
+            self._unsent(fault)
+            return
+        finally:
+            self._putting_since_ns = None
+        done_ns = time.monotonic_ns()
+        self._latencies.append(done_ns - letter.arrival_ns)
+        if done_ns - began_ns > SLOW_PUT_NS:
+            self._slow(done_ns, done_ns - began_ns)
+
+    def _unsent(self, fault: Exception) -> None:
+        with self._changed:  # others count, too
+            self.lost += 1
+        kind = type(fault).__name__
+        why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
+        times = self._throttle.passes(kind, time.monotonic_ns())
+        if times is not None:
+            _log.warning("contact events lost", why=why, times=times)
+
+    def _slow(self, now_ns: int, took_ns: int) -> None:
+        self.slow += 1
+        times = self._throttle.passes("slow", now_ns)
+        if times is not None:
+            _log.warning(
+                "subscribers that hang held up contact events",
+                for_ms=round(took_ns / 1e6),
+                times=times,
+            )

@@ -1,0 +1,336 @@
+"""One leg's place in the service: which samples are used, its publishers, its token, its silence.
+
+A learner counts what it refuses; to read that takes a whole status (70 µs), too much for every
+sample.  So a guard like the learner's own judges here first (2 µs): given the same samples, and
+taken over from the same state, it gives the same answers.
+
+A leg is ``silent`` when no usable sample came for half a second, or none in which a servo answered;
+that is the service's word, not the learner's, for a learner that gets no samples knows of no time
+passing.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+import structlog
+
+from adaptive_contact.detect.stream import CONFIRM_SAMPLES, LONGEST_GAP, SHORT_GAP, StreamGuard
+from adaptive_contact.service.event_publisher import EventPublisher
+from adaptive_contact.service.interfaces import Learner
+from adaptive_contact.service.link import Declared, Link
+from adaptive_contact.service.logs import FaultLog, LogThrottle
+from adaptive_contact.service.settings import leg_token
+from adaptive_contact.service.state.keeper import Position
+from adaptive_contact.wire import (
+    ContactEvent,
+    LearnerStatus,
+    ModelReport,
+    Reject,
+    Rejected,
+    ServoSample,
+    Status,
+    contact_key,
+    learner_key,
+)
+
+_log = structlog.get_logger()
+
+
+class Admission:
+    """Judges the samples of one leg as its learner will.
+
+    Args:
+        joints: J, what a sample must bring.
+        resumes: where the leg's source was when the service was last here.
+
+    Attributes:
+        position: of the last sample that was used.
+        missed_down: samples that passed while the service was down.
+    """
+
+    def __init__(self, joints: int, resumes: Position | None = None) -> None:
+        self.position = resumes
+        self.missed_down = 0 if resumes is None else resumes.missed_down
+        # Until it is known how many samples passed meanwhile.
+        self._resumes = resumes
+        self._first_seq = self._in_order = 0  # number of the stream's first sample, its samples
+        self._guard = StreamGuard(joints)
+        if resumes is not None:
+            runs = {"run": resumes.run, "old_runs": list(resumes.superseded)}
+            self._guard.restore({"begun": True, **runs})
+
+    @property
+    def resuming(self) -> bool:
+        """Whether it is not known yet how many samples passed while the service was down."""
+        return self._resumes is not None
+
+    def judge(self, sample: ServoSample) -> Reject | None:
+        """Why the next sample is refused, None if it is used; all have to come by here in order."""
+        answer = self._guard.admit(sample)
+        if isinstance(answer, Reject):
+            return answer
+        self._count_missed_down(sample, restart=answer.restart)
+        if self._resumes is None:
+            older = self._guard.older_runs
+            self.position = Position(sample.run, sample.seq, self.missed_down, older)
+        return None
+
+    def _count_missed_down(self, sample: ServoSample, *, restart: bool) -> None:
+        """Count what passed while the service was down; a long gap, once a stream confirms it."""
+        before = self._resumes
+        if before is None:
+            return
+        if sample.run != before.run:  # another start of the source: no number tells
+            self._resumes = None
+            return
+        if restart:
+            self._first_seq, self._in_order = sample.seq, 0
+        self._in_order += 1
+        gap = self._first_seq - before.seq - 1
+        if gap <= SHORT_GAP or self._in_order >= CONFIRM_SAMPLES:
+            self.missed_down += gap if 0 < gap < LONGEST_GAP else 0
+            self._resumes = None
+
+
+_TOLD_AFTER_NS: Final = 500_000_000
+
+
+class JointAvailability:
+    """Follows ``valid`` of one leg's samples.
+
+    Args:
+        joints: J, of every sample.
+    """
+
+    def __init__(self, joints: int) -> None:
+        self._mute_since_ns: list[int | None] = [None] * joints
+        self._any_mute = False
+
+    def follow(self, valid: list[bool] | None, now_ns: int) -> bool:
+        """Take in which readings of a sample are good, (J,); whether any is."""
+        if valid is None or all(valid):
+            if self._any_mute:
+                self._mute_since_ns = [None] * len(self._mute_since_ns)
+                self._any_mute = False
+            return True
+        self._any_mute = True
+        for joint, good in enumerate(valid):
+            if good:
+                self._mute_since_ns[joint] = None
+            elif self._mute_since_ns[joint] is None:
+                self._mute_since_ns[joint] = now_ns
+        return any(valid)
+
+    def note(self, now_ns: int) -> str | None:
+        """One line on the joints that have not answered for half a second; None without any."""
+        if not self._any_mute:
+            return None
+        mute = {
+            joint: (now_ns - since_ns) / 1e9
+            for joint, since_ns in enumerate(self._mute_since_ns, start=1)
+            if since_ns is not None and now_ns - since_ns > _TOLD_AFTER_NS
+        }
+        if not mute:
+            return None
+        for_s = f"{min(mute.values()):.1f} s"
+        if len(mute) == len(self._mute_since_ns):
+            return f"no servo has answered for {for_s}"
+        which = ", ".join(map(str, mute))
+        joints = f"joint {which} has" if len(mute) == 1 else f"joints {which} have"
+        return f"{joints} not answered for {for_s}: judged by the others"
+
+
+SILENT_AFTER_S: Final = 0.5
+STATUS_PERIOD_S: Final = 1.0
+
+_SILENT_AFTER_NS: Final = int(SILENT_AFTER_S * 1e9)
+_STATUS_PERIOD_NS: Final = int(STATUS_PERIOD_S * 1e9)
+_REFUSAL_SHOWN_NS: Final = 5_000_000_000
+
+
+class LegEndpoint:
+    """What the service keeps per leg; all calls from the worker.
+
+    Args:
+        link: where to publish.
+        leg: its id.
+        learner: the leg's.
+        joints: how many its samples bring.
+        now_ns: monotonic.
+        resumes: where the leg's source was when the service was last here.
+
+    Attributes:
+        model_version: as the last look found it.
+        heard_samples: readable samples so far, used or not.
+        position: of the last one that was used.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        leg: str,
+        learner: Learner,
+        joints: int,
+        now_ns: int,
+        resumes: Position | None = None,
+    ) -> None:
+        self.leg = leg
+        self.learner = learner
+        self._told_of = learner.status  # as of the last look, to tell what is new since
+        self.model_version = self._told_of.model_version
+        self.heard_samples = 0
+        self.position = resumes
+        self._admission = Admission(joints, resumes)
+        self._answers = JointAvailability(joints)
+        self._link = link
+        self._contact = link.publisher(contact_key(leg), reliable=True, history=1)
+        self._status = link.publisher(learner_key(leg))
+        self._token: Declared | None = None
+        self._since_ns = now_ns
+        self._seen_ns: int | None = None  # when a sample came that was used and told something
+        self._used_ns = now_ns  # when a sample came that was used
+        self._unused: Reject | None = None
+        self._unused_ns = 0
+        self._refused: Rejected | None = None
+        self._refused_ns = 0
+        self._published: Status | None = None
+        self._published_ns = now_ns
+        self._throttle = LogThrottle()
+        self._faults = FaultLog()
+
+    def heard(self, sample: ServoSample, now_ns: int) -> Reject | None:
+        """Note a readable sample.
+
+        Returns:
+            Why the learner will refuse it, and count it; None if it will use it.
+        """
+        self.heard_samples += 1
+        refused = self._admission.judge(sample)
+        if refused is not None:
+            self._unused, self._unused_ns = refused, now_ns
+            return refused
+        self.position = self._admission.position
+        self._used_ns = now_ns
+        if not self._answers.follow(sample.valid, now_ns):
+            return None
+        self._seen_ns = now_ns
+        if self._token is None:
+            self._token = self._link.token(leg_token(self.leg))
+        return None
+
+    def refused(self, why: Rejected, now_ns: int) -> None:
+        """Count a payload that could not be read."""
+        self.learner.count(why.reason)
+        self._refused = why
+        self._refused_ns = now_ns
+
+    @property
+    def ever_heard(self) -> bool:
+        """Whether any readable sample has come."""
+        return self.heard_samples > 0
+
+    def silent(self, now_ns: int) -> bool:
+        """Tell whether nothing that could be used, or no servo's answer, has come for too long."""
+        return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
+
+    def publish_event(
+        self, event: ContactEvent, arrival_ns: int, publisher: EventPublisher
+    ) -> None:
+        """Send a change of contact; ``arrival_ns`` is monotonic, of the deciding sample."""
+        publisher.post(self._contact, event, arrival_ns)
+
+    def publish_status(self, now_ns: int, *, anyway: bool = False) -> Status | None:
+        """Send the status if a second has passed, it has changed, or it is wanted anyway.
+
+        Returns:
+            The new status where it has changed, otherwise None.
+        """
+        status = self.status(now_ns)
+        self._tell_news(self._told_of, status, now_ns)
+        self._told_of = status
+        self.model_version = status.model_version
+        # Until it is known what passed while the service was down, counts would not add up.
+        changed = status.status != self._published and not self._admission.resuming
+        if not (changed or anyway) and now_ns - self._published_ns < _STATUS_PERIOD_NS:
+            return None
+        self._status.put(status)
+        if self._token is not None and status.status == "silent":
+            self._token.close()
+            self._token = None
+        self._published = status.status
+        self._published_ns = now_ns
+        return status.status if changed else None
+
+    def status(self, now_ns: int) -> LearnerStatus:
+        """The learner's status, with what only the service can know put in."""
+        status = self._told()
+        missed_down = self._admission.missed_down
+        if missed_down:
+            status = msgspec.structs.replace(status, missed=status.missed + missed_down)
+        notes = [] if status.note is None else [status.note]
+        if self._refused is not None and now_ns - self._refused_ns < _REFUSAL_SHOWN_NS:
+            why = ": ".join(filter(None, (self._refused.reason, self._refused.detail.strip(" :"))))
+            notes.insert(0, f"payload refused: {why}")
+        quiet = self.silent(now_ns)
+        gone = now_ns - self._used_ns > _SILENT_AFTER_NS
+        mute = None if gone else self._answers.note(now_ns)
+        if quiet:
+            notes.insert(0, self._silence(now_ns) if mute is None else mute)
+        elif mute is not None:
+            notes.insert(0, mute)
+        if not quiet and len(notes) == (status.note is not None):
+            return status
+        return msgspec.structs.replace(
+            status, status="silent" if quiet else status.status, note="; ".join(notes)
+        )
+
+    def _tell_news(self, before: LearnerStatus, now: LearnerStatus, now_ns: int) -> None:
+        """Log what became of refits, what the leg changed in, and that the source restarted."""
+        for name in ("promoted", "refused", "rolled_back"):
+            if getattr(now.refits, name) > getattr(before.refits, name):
+                # Most are refused, each minute of a leg that has not changed.
+                say = _log.debug if name == "refused" else _log.info
+                why, version = now.refits.last_reason, now.model_version
+                say("refit", leg=self.leg, outcome=name, why=why, model_version=version)
+        kind = now.drift.kind
+        news = kind is not None and kind != before.drift.kind
+        if news and self._throttle.passes(("kind", kind), now_ns) is not None:
+            _log.info("leg changed", leg=self.leg, kind=kind, level=round(now.drift.level, 2))
+        restarts = now.restarts - before.restarts
+        stands_for = self._throttle.passes("restart", now_ns, restarts) if restarts > 0 else None
+        if stands_for is not None:
+            _log.info("source restarted", leg=self.leg, times=stands_for)
+
+    def report(self) -> ModelReport | None:
+        """The leg's model, None before there is one."""
+        try:
+            return self.learner.model_report
+        except Exception as fault:  # of one leg, which must not end the others' service
+            self._restart_leg(fault)
+            return self.learner.model_report
+
+    def _told(self) -> LearnerStatus:
+        try:
+            return self.learner.status
+        except Exception as fault:  # of one leg, as in `report`
+            self._restart_leg(fault)
+            return self.learner.status
+
+    def _restart_leg(self, fault: Exception) -> None:
+        self.learner.reset_after_fault(fault)
+        self._faults(self.leg, fault)
+
+    def _silence(self, now_ns: int) -> str:
+        """One line on a silent leg: samples that are all refused are another fault than none."""
+        seen = self._seen_ns
+        since = _seconds(now_ns - (self._since_ns if seen is None else seen))
+        how_long = f"{'yet, after' if seen is None else 'for'} {since}"
+        if self._unused is None or now_ns - self._unused_ns > _SILENT_AFTER_NS:
+            return f"no sample {how_long}"
+        return f"no usable sample {how_long}: {self._unused}"
+
+
+def _seconds(duration_ns: int) -> str:
+    return f"{duration_ns / 1e9:.1f} s"

@@ -1,0 +1,187 @@
+"""What is around the service: its router, other services, and samples on keys that nobody reads.
+
+Two services on one network give every event twice, and are never wanted; nothing on the wire
+stops them, so each listens for the status of others and says that they are there.
+
+Looked at once a second by the worker, which must not wait: why a router is lost is found out on a
+thread of its own, for a look-up of a name or a host that is off can take seconds.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from collections import deque
+from typing import Final
+
+import structlog
+
+from adaptive_contact.service.interfaces import Received
+from adaptive_contact.service.link import Declared, Link
+from adaptive_contact.service.logs import LogThrottle
+from adaptive_contact.service.settings import shown
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.wire import MAX_PAYLOAD_BYTES, decode, meant_key, namespace_of
+
+_log = structlog.get_logger()
+
+# A service speaks once a second.
+_GONE_AFTER_NS: Final = 3_000_000_000
+_REMEMBERED: Final = 8
+
+
+class PeerServices:
+    """Listens for other services.
+
+    Args:
+        link: open.
+
+    Attributes:
+        instance: our own mark, to be told in our own status.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.instance = secrets.token_hex(4)
+        self._heard: deque[Received] = deque(maxlen=4 * _REMEMBERED)
+        self._seen: dict[str, tuple[int, ServiceStatus]] = {}
+        link.subscribe(SERVICE_STATUS, self._hear)
+
+    def _hear(self, received: Received) -> None:
+        if len(received.payload) <= MAX_PAYLOAD_BYTES:  # no service says more, and these are kept
+            self._heard.append(received)
+
+    def note(self, now_ns: int) -> str | None:
+        """One line where another service is there, otherwise None; ``now_ns`` is monotonic."""
+        for _ in range(len(self._heard)):
+            received = self._heard.popleft()
+            status = decode(received.payload, ServiceStatus, received.encoding)
+            if isinstance(status, ServiceStatus) and status.instance != self.instance:
+                self._seen.pop(status.instance, None)
+                self._seen[status.instance] = (received.arrival_ns, status)
+                if len(self._seen) > _REMEMBERED:  # somebody makes them up
+                    del self._seen[next(iter(self._seen))]
+        self._seen = {
+            mark: seen for mark, seen in self._seen.items() if now_ns - seen[0] < _GONE_AFTER_NS
+        }
+        if not self._seen:
+            return None
+        _, other = next(reversed(self._seen.values()))
+        return (
+            f"another service runs here for robot {other.robot[:32]} (up {other.uptime_s:.0f} s): "
+            "every event comes twice; stop one of them, or give each robot a --namespace"
+        )
+
+
+_LOOK_NS: Final = 1_000_000_000
+# Keys that look like those of samples.  Others, such as a camera's pictures, are not asked for.
+_LIKE_SERVO: Final = ("**/$*ervo$*", "**/servo/*")
+_MOST_STRAYS: Final = 8
+
+
+class UnreadKeys:
+    """Looks for misspelt keys while a described leg has no samples, and only then.
+
+    A leg that has samples needs no help, and a second subscription to all of them would cost.
+
+    Args:
+        link: open.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._listening: list[Declared] = []
+        self._found: dict[str, str] = {}  # filled on Zenoh's thread
+        self._throttle = LogThrottle()
+
+    def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
+        """Give each key that nobody reads, with what was probably meant.
+
+        Args:
+            lonely: a described leg has had no samples yet.
+            now_ns: monotonic.
+        """
+        if lonely and not self._listening:
+            self._listening = [self._link.subscribe(key, self._hear) for key in _LIKE_SERVO]
+        elif not lonely and self._listening:
+            for declared in self._listening:
+                declared.close()
+            self._listening = []
+            self._found = {}
+        found = dict(self._found)
+        for key, question in found.items():
+            if self._throttle.passes(key, now_ns) is not None:
+                _log.warning("a key is read by nobody", key=key, question=question)
+        return found
+
+    def _hear(self, received: Received) -> None:
+        key = received.key
+        if key in self._found or len(self._found) >= _MOST_STRAYS:
+            return
+        meant, namespace = meant_key(key), namespace_of(key)
+        if meant is not None:
+            self._found[key] = f"did you mean {meant}?"
+        elif namespace:
+            self._found[key] = f"is {namespace} the robot's --namespace?"
+
+
+class NetworkHealth:
+    """Watches them, and logs what changes.
+
+    Args:
+        link: open.
+        now_ns: monotonic.
+
+    Attributes:
+        note: one line on what is wrong, None when all is well.
+    """
+
+    def __init__(self, link: Link, now_ns: int) -> None:
+        self.note: str | None = None
+        self._link = link
+        self._rivals = PeerServices(link)
+        self._throttle = LogThrottle()
+        self._due_ns = now_ns
+        self._joined = link.is_connected()  # a router runs before it is let in, a client does not
+        self._connected = True
+
+    @property
+    def instance(self) -> str:
+        """The service's own mark among others."""
+        return self._rivals.instance
+
+    def look(self, now_ns: int) -> None:
+        """Look, if it is time."""
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + _LOOK_NS
+        rival = self._rivals.note(now_ns)
+        if rival is not None and self._throttle.passes("rival", now_ns) is not None:
+            _log.warning("not alone", why=rival)
+        connected = self._link.is_connected()
+        where = " or ".join(map(shown, self._link.joins))
+        apart = None if connected else f"no router joined at {where}; trying on"
+        full = self._full()
+        if full is not None and self._throttle.passes("full", now_ns) is not None:
+            _log.warning("no room for another session", why=full)
+        self.note = "; ".join(filter(None, (rival, apart, full))) or None
+        if connected and not self._connected:
+            _log.info("router is back" if self._joined else "router joined")
+        if not connected and (
+            self._throttle.passes("router", now_ns) is not None or self._connected
+        ):
+            threading.Thread(target=self._say_why, name="why", daemon=True).start()
+        self._connected = connected
+        self._joined |= connected
+
+    def _full(self) -> str | None:
+        most = self._link.max_sessions
+        if self._link.sessions() < most:
+            return None
+        return (
+            f"{most} sessions are connected, as many as may be: others are refused; close some, or "
+            "give serve a larger --max-sessions"
+        )
+
+    def _say_why(self) -> None:
+        what = "router lost, reconnecting" if self._joined else "router not joined yet, trying on"
+        _log.warning(what, why=self._link.diagnose().line)

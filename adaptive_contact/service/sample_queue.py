@@ -1,0 +1,174 @@
+"""Between Zenoh's callbacks and the worker: one bounded queue per leg.
+
+The callback side parses nothing but the key and never waits.  The worker takes rounds of at
+most one sample per leg, so a leg that floods delays the others by one sample, whatever its
+rate; what it sends beyond its own queue is dropped, oldest first, and counted.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final, Generic, TypeVar
+
+from adaptive_contact.service.interfaces import Received
+from adaptive_contact.wire import (
+    MAX_SAMPLE_BYTES,
+    Reject,
+    Rejected,
+    ServoSample,
+    decode,
+    leg_of_key,
+)
+
+# At 50 Hz this is 1.3 s of one leg: a worker that is further behind has failed anyway, and old
+# samples are worth less than new ones.
+QUEUE_SAMPLES: Final = 64
+
+# Ids that get a queue.  A robot has six or eight legs; a publisher of more ids is not a robot.
+MAX_LEGS: Final = 64
+
+# Queries waiting for the worker; an asker beyond them is refused at once.
+_MAX_REQUESTS: Final = 64
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Raw:
+    """A payload that waits for the worker; ``arrival_ns`` is monotonic.
+
+    ``size`` is that of the payload as it came; ``payload`` is empty where it was too large.
+    """
+
+    payload: bytes
+    encoding: str
+    arrival_ns: int
+    size: int
+
+
+@dataclass(slots=True)
+class Batch(Generic[R]):
+    """What the worker takes in one go.
+
+    Attributes:
+        samples: at most one payload per leg, the oldest.
+        overflow: payloads dropped since the last round, per leg.
+        strangers: payloads on keys that name no usable leg, since the last round.
+        stranger: one such key, for the log.
+        requests: queries.
+    """
+
+    samples: dict[str, Raw] = field(default_factory=dict)
+    overflow: Counter[str] = field(default_factory=Counter)
+    strangers: int = 0
+    stranger: str | None = None
+    requests: list[R] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.samples or self.overflow or self.strangers or self.requests)
+
+
+class SampleQueue(Generic[R]):
+    """Bounded queues, filled on Zenoh's threads and emptied by one worker.
+
+    Args:
+        legs: ids that have a queue from the start, so that no made-up id can take their place.
+        queue_samples: payloads held per leg.
+        max_legs: ids that get a queue; samples of others are strangers.
+    """
+
+    def __init__(
+        self,
+        legs: Iterable[str] = (),
+        *,
+        queue_samples: int = QUEUE_SAMPLES,
+        max_legs: int = MAX_LEGS,
+    ) -> None:
+        self._queue_samples = queue_samples
+        self._max_legs = max_legs
+        self._queues: dict[str, deque[Raw]] = {leg: deque() for leg in legs}
+        self._overflow: Counter[str] = Counter()
+        self._strangers = 0
+        self._stranger: str | None = None
+        self._requests: deque[R] = deque()
+        self._awake = threading.Condition()
+
+    def offer(self, received: Received) -> None:
+        """Take a sample in; never waits for the worker, never raises on what it was given."""
+        leg = leg_of_key(received.key)
+        size = len(received.payload)
+        raw = Raw(
+            # Not kept where it will be refused: 64 of them would hold 256 MB.
+            received.payload if size <= MAX_SAMPLE_BYTES else b"",
+            received.encoding,
+            received.arrival_ns,
+            size,
+        )
+        with self._awake:
+            queue = self._queue(leg)
+            if queue is None or leg is None:
+                self._strangers += 1
+                self._stranger = received.key
+            else:
+                if len(queue) >= self._queue_samples:
+                    queue.popleft()
+                    self._overflow[leg] += 1
+                queue.append(raw)
+            self._awake.notify()
+
+    def ask(self, request: R) -> bool:
+        """Take a query in; False where too many wait already."""
+        with self._awake:
+            if len(self._requests) >= _MAX_REQUESTS:
+                return False
+            self._requests.append(request)
+            self._awake.notify()
+        return True
+
+    def take(self, timeout_s: float, *, query: bool = True) -> Batch[R]:
+        """Take what waits, or wait for it.
+
+        Args:
+            timeout_s: longest wait; 0 or less does not wait.
+            query: whether one may be among it.
+
+        Returns:
+            A round; empty after a timeout.
+        """
+        with self._awake:
+            if timeout_s > 0 and not self._waiting(query):
+                self._awake.wait(timeout_s)
+            round_: Batch[R] = Batch(
+                {leg: queue.popleft() for leg, queue in self._queues.items() if queue},
+                self._overflow,
+                self._strangers,
+                self._stranger,
+                # One: an answer takes a millisecond, and samples wait meanwhile.
+                [self._requests.popleft()] if query and self._requests else [],
+            )
+            self._overflow = Counter()
+            self._strangers = 0
+            self._stranger = None
+        return round_
+
+    def _queue(self, leg: str | None) -> deque[Raw] | None:
+        if leg is None:
+            return None
+        queue = self._queues.get(leg)
+        if queue is None and len(self._queues) < self._max_legs:
+            queue = self._queues[leg] = deque()
+        return queue
+
+    def _waiting(self, query: bool) -> bool:
+        asked = query and self._requests
+        return bool(asked or self._strangers or self._overflow or any(self._queues.values()))
+
+
+def read(raw: Raw) -> ServoSample | Rejected:
+    """Decode a payload that waited; the worker's side of :meth:`SampleQueue.offer`."""
+    if raw.size > len(raw.payload):
+        return Rejected(Reject.TOO_LARGE, f"{raw.size} bytes, at most {MAX_SAMPLE_BYTES}")
+    return decode(raw.payload, ServoSample, raw.encoding)

@@ -1,6 +1,0 @@
-"""The paper's experiments, and what they leave out: data, identification, detection, report.
-
-:func:`~adaptive_contact_sim.experiments.run.run_paper` runs them all, resumable;
-:func:`~adaptive_contact_sim.experiments.logs.run_logs` tries the same libraries on recordings of
-real servos.
-"""

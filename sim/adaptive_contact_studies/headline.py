@@ -1,0 +1,109 @@
+"""The headline figures: the default detector on runs it has not seen.
+
+``pose_contacts`` and ``pose_free`` are the paper's set-up, over its subspaces and the whole reach
+of every leg; ``walk_rough`` is half an hour of tripod walking over rough ground, where legs stop
+60 ms after the true touch.  Seeds lie apart from those of learning (1000 and up).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import as_completed
+from typing import Final, NamedTuple
+
+from adaptive_contact.model import Baseline
+from adaptive_contact.robot import Robot
+from adaptive_contact.score import LegOutcome, Summary, summarise
+from adaptive_contact_sim.arrays import record_arrays
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import PoseSettings, Workspace
+from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.evaluate import play, score_run
+from adaptive_contact_studies.workers import worker_pool
+
+__all__ = ["HEADLINE_RUNS", "HeadlineRun", "run_headline"]
+
+
+class HeadlineRun(NamedTuple):
+    """One recording behind a row."""
+
+    row: str
+    settings: SimulationSettings
+    seconds: float
+
+
+class _Outcome(NamedTuple):
+    row: str
+    outcomes: list[LegOutcome]
+
+
+def _pose(
+    row: str, seed: int, seconds: float, workspace: Workspace, probability: float
+) -> HeadlineRun:
+    motion = PoseSettings(
+        legs=LEGS,
+        workspace=workspace,
+        obstacles=ObstacleSettings(probability=probability),
+    )
+    return HeadlineRun(row, SimulationSettings(motion=motion, seed=seed), seconds)
+
+
+def _walk(row: str, seed: int, seconds: float) -> HeadlineRun:
+    settings = SimulationSettings(
+        motion=WalkSettings(gait="tripod", stop_on="truth", react_ms=60.0),
+        terrain=TerrainSettings(kind="rough"),
+        seed=seed,
+    )
+    return HeadlineRun(row, settings, seconds)
+
+
+HEADLINE_RUNS: Final = (
+    _walk("walk_rough", 2001, 600.0),
+    _walk("walk_rough", 2002, 600.0),
+    _walk("walk_rough", 2003, 600.0),
+    _pose("pose_free", 2011, 1500.0, "paper", 0.0),
+    _pose("pose_free", 2012, 1500.0, "whole", 0.0),
+    _pose("pose_contacts", 2021, 400.0, "paper", 0.5),
+    _pose("pose_contacts", 2022, 400.0, "whole", 0.5),
+)
+
+
+def run_headline(
+    robot: Robot,
+    baseline: Baseline,
+    *,
+    runs: tuple[HeadlineRun, ...] = HEADLINE_RUNS,
+    processes: int = 2,
+    progress: Callable[[HeadlineRun], None] = lambda _: None,
+) -> dict[str, Summary]:
+    """Simulate, detect and score.
+
+    Args:
+        robot: the simulated robot's description.
+        baseline: of the default detector.
+        runs: what to simulate.
+        processes: how many runs at a time; the result does not depend on it.
+        progress: called with every run that is done.
+
+    Returns:
+        The figures of every row.
+    """
+    done: dict[int, _Outcome] = {}
+    with worker_pool(processes) as pool:
+        futures = {pool.submit(_one, r, robot, baseline): i for i, r in enumerate(runs)}
+        for future in as_completed(futures):
+            done[futures[future]] = future.result()
+            progress(runs[futures[future]])
+    rows: dict[str, list[LegOutcome]] = {}
+    for index in range(len(runs)):
+        rows.setdefault(done[index].row, []).extend(done[index].outcomes)
+    return {row: summarise(outcomes) for row, outcomes in rows.items()}
+
+
+def _one(spec: HeadlineRun, robot: Robot, baseline: Baseline) -> _Outcome:
+    run = record_arrays(spec.settings, spec.seconds)
+    played = play(run, robot, baseline)
+    return _Outcome(spec.row, score_run(run, robot, played.events))

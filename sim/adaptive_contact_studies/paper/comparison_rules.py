@@ -1,0 +1,298 @@
+r"""Events of a whole stream of scores at once, for sweeping thresholds.
+
+One state machine for every detector that is compared, with the rules of
+the tick (:mod:`adaptive_contact.detect.detector`) on a single score.  A swing begins loaded: the
+foot may still be held by the stance before.  It is free once the score was calm (below half the
+threshold) for :data:`CALM_TICKS`, or once the command descends.  A free leg whose score passes the
+threshold is told to touch, and may be told so again after :data:`REARM_TICKS` calm ticks.  A NaN
+score changes nothing.
+
+Detectors to be compared with: every one a statistic per tick, calibrated the same way.
+
+With e = θ - θ̂ the residual of a model's one-step prediction, and J joints:
+
+``position difference``
+    :math:`\big|\,|\Delta\theta[k]| - |\Delta\theta[k-1]|\,\big|`, the paper's rule on the naive
+    prediction (no motion).
+``tracking error``
+    :math:`|\theta^{des}[k-1-d] - \theta[k]|`, the position error that force-threshold controllers
+    use (Mrva and Faigl 2015, the paper's [1]), at the lag d of the servo.
+``paper's rule``
+    :math:`\big|\,|e[k]| - |e[k-1]|\,\big|`, the paper's section 3.
+``likelihood ratio``
+    of :mod:`adaptive_contact.model.glr`, on the residuals of any model.
+
+A statistic has channels (joints, or windows).  :func:`calibrate` gives each channel the threshold
+that free ticks exceed with the same small probability, by a tail fitted to free ticks; a tick's
+score is the largest channel over its threshold, so that one number is swept for a ROC curve.
+No detector here knows a model: residuals come from outside.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from adaptive_contact.detect.contact_state import CALM_SCORE, CALM_TICKS, REARM_TICKS
+from adaptive_contact.model.glr import stream_statistic
+from adaptive_contact.model.noise import WINDOWS, NoiseModel, context, fit_noise, lagged
+from adaptive_contact.model.tail import Tail, fit_tail
+
+__all__ = [
+    "JUDGED_AFTER_TICKS",
+    "Calibration",
+    "Motion",
+    "Prediction",
+    "alarm_ticks",
+    "calibrate",
+    "learn_noise",
+    "likelihood_ratio",
+    "paper_rule",
+    "position_difference",
+    "tracking_error",
+]
+
+Ints = NDArray[np.int64]
+
+
+def alarm_ticks(
+    score: NDArray[np.float64],
+    swing: Ints,
+    threshold: float = 1.0,
+    descending: NDArray[np.bool_] | None = None,
+) -> Ints:
+    """Ticks at which a contact is told.
+
+    Args:
+        score: (n,), NaN on ticks that are not judged.
+        swing: (n,) number of the swing of every tick, -1 in stance.
+        threshold: on the score.
+        descending: (n,) the command is past the lift; without it every swing begins free.
+
+    Returns:
+        Indices, rising.
+    """
+    above = np.flatnonzero((score > threshold) & (swing >= 0))
+    calm_below = CALM_SCORE * threshold
+    found: list[int] = []
+    n, position = len(score), 0
+    freed_in, free_from = -1, 0
+    while position < len(above):
+        tick = int(above[position])
+        if descending is not None:
+            if swing[tick] != freed_in:
+                freed_in = int(swing[tick])
+                free_from = _freed(score, swing, descending, tick, calm_below)
+            if tick < free_from:
+                position = int(np.searchsorted(above, free_from, side="left"))
+                continue
+        found.append(tick)
+        rearmed = _rearmed(score, swing, tick, n, calm_below)
+        position = int(np.searchsorted(above, rearmed, side="left"))
+    return np.array(found, dtype=np.int64)
+
+
+def _freed(
+    score: NDArray[np.float64],
+    swing: Ints,
+    descending: NDArray[np.bool_],
+    tick: int,
+    calm_below: float,
+) -> int:
+    """First tick of this tick's swing on which the leg is known to be free."""
+    first = tick
+    while first > 0 and swing[first - 1] == swing[tick]:
+        first -= 1
+    calm, at = 0, first
+    while at < len(score) and swing[at] == swing[tick]:
+        value = score[at]
+        if value == value:
+            calm = calm + 1 if value < calm_below else 0
+            if calm >= CALM_TICKS or descending[at]:
+                return at + 1
+        at += 1
+    # Never within this swing: what comes next has a swing, and a load, of its own.
+    return at
+
+
+def _rearmed(score: NDArray[np.float64], swing: Ints, tick: int, n: int, calm_below: float) -> int:
+    """First tick after a contact told at ``tick`` on which another may be told."""
+    calm, at = 0, tick + 1
+    while at < n and swing[at] == swing[tick]:
+        value = score[at]
+        if value == value:
+            calm = calm + 1 if value < calm_below else 0
+            if calm >= REARM_TICKS:
+                return at + 1
+        at += 1
+    return at
+
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Ticks after the command lifts off in which the foot may still be loaded: the same for all.
+JUDGED_AFTER_TICKS: Final = 5
+
+
+class Motion(NamedTuple):
+    """What every detector sees of one leg, row k being control tick k.
+
+    Attributes:
+        measured: (n, J) rad, read at the start of tick k.
+        desired: (n, J) rad, written right after.
+        swing_tick: (n,) ticks of the swing so far, 1 at its first, 0 in stance.
+        direction: (n,) 0 where the command rises, 1 where it falls.
+    """
+
+    measured: Array
+    desired: Array
+    swing_tick: Ints
+    direction: Ints
+
+    @property
+    def judged(self) -> Mask:
+        """(n,) ticks on which a detector may decide."""
+        return np.asarray(self.swing_tick > JUDGED_AFTER_TICKS)
+
+
+class Prediction(NamedTuple):
+    """A model's one-step predictions for a stream, NaN where it made none.
+
+    Attributes:
+        residual: (n, J) rad, reading k minus what was predicted at k - 1.
+        increment: (n, J) rad, the movement predicted from k - 1 to k.
+    """
+
+    residual: Array
+    increment: Array
+
+
+def position_difference(motion: Motion) -> Array:
+    """The paper's rule on the naive prediction, (n, J) rad."""
+    step = np.diff(motion.measured, axis=0, prepend=np.nan)
+    return _difference(step)
+
+
+def paper_rule(prediction: Prediction) -> Array:
+    """The paper's rule: change of the absolute prediction error, (n, J) rad."""
+    return _difference(prediction.residual)
+
+
+def tracking_error(motion: Motion, lag: int) -> Array:
+    """Absolute position error against the command of ``lag`` ticks before, (n, J) rad.
+
+    At lag 0 the command in force when the reading was taken: that of the tick before.
+    """
+    out = np.full_like(motion.measured, np.nan)
+    past = lag + 1
+    out[past:] = np.abs(motion.desired[:-past] - motion.measured[past:])
+    return out
+
+
+def learn_noise(
+    motion: Motion, prediction: Prediction, free: Mask, quantum_rad: float
+) -> NoiseModel:
+    """Covariances of a model's residuals on free judged ticks.
+
+    Args:
+        motion: the stream.
+        prediction: of a model that was not fitted to it.
+        free: (n,) ticks without contact.
+        quantum_rad: position step.
+
+    Raises:
+        IdentificationError: too few ticks.
+    """
+    history, _, where, usable = _windows(motion, prediction, quantum_rad)
+    rows = free & (usable >= len(WINDOWS))
+    return fit_noise(history[rows], where[rows], quantum_rad)
+
+
+def likelihood_ratio(
+    motion: Motion, prediction: Prediction, noise: NoiseModel, quantum_rad: float
+) -> Array:
+    """The likelihood-ratio statistic of every window, (n, windows); NaN where not judged."""
+    history, rollout, where, usable = _windows(motion, prediction, quantum_rad)
+    out = np.full((len(usable), len(WINDOWS)), np.nan)
+    rows = usable > 0
+    out[rows] = stream_statistic(history[rows], rollout[rows], where[rows], usable[rows], noise)
+    return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Calibration:
+    """Thresholds of a statistic's channels.
+
+    Attributes:
+        tails: of every channel on free ticks.
+        channels: those that are used.
+    """
+
+    tails: tuple[Tail, ...]
+    channels: tuple[int, ...]
+
+    def thresholds(self, per_tick: float) -> Array:
+        """(used channels,) thresholds that together are exceeded at most so often.
+
+        Args:
+            per_tick: probability of a false alarm on a free tick; split evenly over channels.
+        """
+        share = per_tick / len(self.channels)
+        tails = [self.tails[c] for c in self.channels]
+        return np.array([t.quantile(min(share, t.rate)) for t in tails])
+
+    def score(self, statistic: Array, per_tick: float) -> Array:
+        """(n,) largest channel over its threshold, above 1 for a contact; NaN if none is known."""
+        used = statistic[:, list(self.channels)] / self.thresholds(per_tick)
+        known = np.isfinite(used)
+        best = np.where(known, used, -np.inf).max(axis=1)
+        return np.where(known.any(axis=1), best, np.nan)
+
+    def using(self, channels: Sequence[int]) -> Calibration:
+        """The same with other channels."""
+        return dataclasses.replace(self, channels=tuple(channels))
+
+
+def calibrate(statistics: Sequence[ArrayLike]) -> Calibration:
+    """Fit every channel's tail on free ticks.
+
+    Args:
+        statistics: (n, channels) each, of free judged ticks; legs are pooled.
+
+    Raises:
+        IdentificationError: too few ticks for a tail.
+    """
+    pooled = np.concatenate([np.asarray(s, dtype=np.float64) for s in statistics])
+    channels = pooled.shape[1]
+    tails = tuple(fit_tail(pooled[:, c]) for c in range(channels))
+    return Calibration(tails, tuple(range(channels)))
+
+
+def _difference(error: Array) -> Array:
+    size = np.abs(error)
+    return np.abs(np.diff(size, axis=0, prepend=np.nan))
+
+
+def _windows(
+    motion: Motion, prediction: Prediction, quantum_rad: float
+) -> tuple[Array, Array, Ints, Ints]:
+    """Residual and movement histories, contexts, and how many lags lie in this swing's judged part.
+
+    The command that moved the leg to reading k was written at k - 1.
+    """
+    depth = len(WINDOWS)
+    history = lagged(prediction.residual, depth)
+    rollout = lagged(prediction.increment, depth)
+    command = motion.desired[np.maximum(np.arange(len(motion.desired)) - 1, 0)]
+    before = motion.desired[np.maximum(np.arange(len(motion.desired)) - 2, 0)]
+    heading = motion.direction[np.maximum(np.arange(len(motion.direction)) - 1, 0)]
+    where = context(command, before, heading, quantum_rad)
+    sound = np.isfinite(history).all(axis=2)
+    run = np.cumprod(sound, axis=1).sum(axis=1)
+    usable = np.minimum(run, np.maximum(motion.swing_tick - JUDGED_AFTER_TICKS, 0))
+    return history, rollout, where, np.asarray(usable, dtype=np.int64)

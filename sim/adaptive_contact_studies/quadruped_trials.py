@@ -1,0 +1,353 @@
+"""Scenarios of the second robot: what shows whether anything here only fits the hexapod.
+
+Each leg makes trials of its own, as in ``sim pose``: an ascent and a descent of 14 ticks each
+between random foot points, then a hold of three ticks marked stance.  On a share of the descents
+a plate waits at a random height.  All through, the body is held on its stand.
+
+``python -m adaptive_contact_studies.quadruped_trials DIR`` learns the baseline and scores all
+scenarios into ``DIR/baseline.json`` and ``DIR/scores.md``.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.files import write_file
+from adaptive_contact.fit.recordings import LegGatherer
+from adaptive_contact.fit.train import Training, learn
+from adaptive_contact.model import Baseline
+from adaptive_contact.model.model_file import save_baseline
+from adaptive_contact.robot import Robot, shipped_robot
+from adaptive_contact.score import Row, Score, score_messages
+from adaptive_contact.wire import (
+    MSGPACK,
+    ContactEvent,
+    ContactTruth,
+    ServoSample,
+    encode,
+    servo_key,
+    truth_key,
+)
+from adaptive_contact_sim.truth import TruthTracker
+from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
+
+__all__ = ["SCENARIOS", "Recorded", "Scenario", "learn_quadruped", "play", "record"]
+
+Array = NDArray[np.float64]
+
+_L1, _L2 = 0.07, 0.09
+_BODY_M: Final = 0.3
+_TICKS, _HOLD = 14, 3
+_SUBSTEPS: Final = 20
+_PERIOD_NS: Final = 20_000_000
+_SOLE_M: Final = 0.006
+# Foot points in the leg's plane: reach and height of the lower and the upper layer, m.
+_LOWER: Final = ((0.04, 0.12), (-0.125, -0.075))
+_UPPER: Final = ((0.05, 0.13), (-0.055, -0.015))
+# Off the joints' stops, which would be contacts too.
+_HIP_RAD, _KNEE_RAD = (-2.0, 0.8), -2.3
+_NOISE_STEPS: Final = 0.5
+# Where on the commanded descent a plate is met; the foot comes there four ticks later.
+_PLATE_SHARE: Final = (0.1, 0.5)
+_ROBOT_SEED: Final = 0
+# Physics steps over which a foot's speed is kept for the truth, which is told 60 ms late at most.
+_KEPT_STEPS: Final = 200
+# A plate comes when the foot is this clear of it.
+_CLEAR_M: Final = 0.008
+_HEAD: Final = """# Scores of the quadruped
+
+Two-joint legs of XL330 on a stand; scenarios, rows and rules are those of
+`adaptive_contact_studies.quadruped_trials` and `docs/scoring.md`.  Four legs for 300 s each,
+from the shipped baseline, which was learned from 900 s of free swings.  Made with
+
+    python -m adaptive_contact_studies.quadruped_trials models/adaptive_contact_models/quadruped
+
+"""
+# Legs of the truth's tracker, made for six.
+_TRACKED: Final = 6
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A run of the quadruped; names and seeds are permanent.
+
+    Attributes:
+        plates: share of descents onto a plate.
+        soft_n_m: lowest and highest stiffness of the plates, None for hard ones.
+        friction: factor of the gears' friction.
+        supply_v: of 5 V.
+    """
+
+    name: str
+    about: str
+    seed: int
+    seconds: float
+    plates: float = 0.0
+    soft_n_m: tuple[float, float] | None = None
+    friction: float = 1.0
+    supply_v: float = 5.0
+
+
+SCENARIOS: Final = (
+    Scenario("quadruped-free", "No plates: every event is a false alarm", 31, 300.0),
+    Scenario("quadruped-collisions", "Half of the descents onto a hard plate", 32, 300.0, 0.5),
+    Scenario("quadruped-soft", "Plates of 300 to 3000 N/m", 33, 300.0, 0.5, (300.0, 3000.0)),
+    Scenario(
+        "quadruped-worn", "Hard plates, friction x 3, from the start", 34, 300.0, 0.5, None, 3.0
+    ),
+    Scenario(
+        "quadruped-battery", "Hard plates, 4.2 V, from the start", 35, 300.0, 0.5, None, 1.0, 4.2
+    ),
+)
+_TRAINING: Final = Scenario("training", "Free swings the baseline is learned from", 1031, 900.0)
+
+
+class Recorded(NamedTuple):
+    """Samples and truth, in order of time."""
+
+    samples: list[tuple[str, ServoSample]]
+    truth: list[tuple[str, ContactTruth]]
+
+
+@dataclass
+class _Trial:
+    """One leg's way through a trial."""
+
+    goals: Array  # (n, 2) rad
+    points: Array  # (n, 2) m
+    plate: float | None = None  # share of the descent at which to touch
+    tick: int = 0
+
+
+@dataclass
+class _Walker:
+    """One leg's trials."""
+
+    rng: np.random.Generator
+    plates: float
+    point: Array = field(default_factory=lambda: np.array([0.08, -0.1]))
+    trial: _Trial | None = None
+
+    def begin(self) -> _Trial:
+        top, end = self._draw(_UPPER), self._draw(_LOWER)
+        share = (np.arange(1, _TICKS + 1) / _TICKS)[:, None]
+        points = np.concatenate(
+            [
+                self.point + share * (top - self.point),
+                top + share * (end - top),
+                np.repeat(end[None], _HOLD, axis=0),
+            ]
+        )
+        self.point = end
+        plate = float(self.rng.uniform(*_PLATE_SHARE)) if self.rng.random() < self.plates else None
+        return _Trial(_joints(points), points, plate)
+
+    def _draw(self, layer: tuple[tuple[float, float], tuple[float, float]]) -> Array:
+        while True:
+            point = np.array([self.rng.uniform(*layer[0]), self.rng.uniform(*layer[1])])
+            if not 0.03 < math.hypot(*point) < _L1 + _L2 - 0.004:
+                continue
+            hip, knee = _joints(point[None])[0]
+            if _HIP_RAD[0] < hip < _HIP_RAD[1] and knee > _KNEE_RAD:
+                return point
+
+
+def record(scenario: Scenario) -> Recorded:
+    """Simulate a scenario, as fast as possible.
+
+    Raises:
+        SimulationDivergedError: the physics blew up.
+    """
+    seeds = np.random.SeedSequence(scenario.seed).spawn(len(LEGS) + 1)
+    rng = np.random.default_rng(seeds[-1])
+    walkers = [_Walker(np.random.default_rng(s), scenario.plates) for s in seeds[:-1]]
+    start = np.tile(_joints(walkers[0].point[None])[0], len(LEGS))
+    plant = QuadrupedPlant(_ROBOT_SEED, start)
+    plant.friction_factor, plant.supply_v = scenario.friction, scenario.supply_v
+    plant.refresh()
+    plant.write_goal(start)
+    for _ in range(500):
+        plant.step()
+    plant.steps = 0
+    tracker = TruthTracker(0.001, _SUBSTEPS)
+    forces = np.zeros((_SUBSTEPS, _TRACKED))
+    touches = (*plant.touches, *(plant.touches[0] for _ in range(_TRACKED - len(LEGS))))
+    changes = tracker.start(forces[0], 0)[: len(LEGS)]
+    recorded = Recorded([], [])
+    speeds = np.zeros((_KEPT_STEPS, len(LEGS)))
+    goal = start.copy()
+    for k in range(round(scenario.seconds / 0.02)):
+        noise = _NOISE_STEPS * rng.standard_normal(goal.size)
+        measured = np.rint(plant.angles / STEP_RAD + noise) * STEP_RAD
+        phases = []
+        for i, walker in enumerate(walkers):
+            trial = walker.trial
+            if trial is None or trial.tick >= len(trial.goals):
+                trial = walker.trial = walker.begin()
+            _serve_plate(plant, i, trial, scenario, rng)
+            goal[2 * i : 2 * i + 2] = trial.goals[trial.tick]
+            phases.append("swing" if trial.tick < 2 * _TICKS else "stance")
+            trial.tick += 1
+        desired = plant.write_goal(goal)
+        for i, leg in enumerate(LEGS):
+            recorded.samples.append(
+                (
+                    leg,
+                    ServoSample(
+                        t_ns=k * _PERIOD_NS,
+                        seq=k,
+                        measured=measured[2 * i : 2 * i + 2].tolist(),
+                        desired=desired[2 * i : 2 * i + 2].tolist(),
+                        phase="swing" if phases[i] == "swing" else "stance",
+                    ),
+                )
+            )
+        for j in range(_SUBSTEPS):
+            before = plant.feet_m
+            plant.step()
+            forces[j, : len(LEGS)] = plant.forces
+            moved = np.linalg.norm(plant.feet_m - before, axis=1)
+            speeds[plant.steps % _KEPT_STEPS] = moved / 0.001
+        changes += tracker.update(forces, touches, plant.steps)
+        for change in changes:
+            if change.leg < len(LEGS):
+                # Just before the step in which the force came up.
+                speed = float(speeds[(change.step - 2) % _KEPT_STEPS, change.leg])
+                recorded.truth.append(
+                    (
+                        LEGS[change.leg],
+                        ContactTruth(
+                            t_ns=change.step * 1_000_000,
+                            contact=change.contact,
+                            force=change.force_n,
+                            speed_m_s=speed if change.contact else None,
+                            surface=_surface(scenario) if change.contact else None,
+                            part="foot" if change.contact else None,
+                        ),
+                    )
+                )
+        changes = []
+    return recorded
+
+
+def learn_quadruped(robot: Robot) -> Training:
+    """Learn the baseline from free swings."""
+    gatherers = {leg: LegGatherer(robot.leg(leg), robot.period_s) for leg in LEGS}
+    for leg, sample in record(_TRAINING).samples:
+        gatherers[leg].take_sample(sample)
+    return learn(
+        robot,
+        {leg: gatherer.stretches(free=True) for leg, gatherer in gatherers.items()},
+        origin="adaptive_contact_studies.quadruped_trials, seed 1031, 900 s of free swings",
+    )
+
+
+def play(recorded: Recorded, robot: Robot, baseline: Baseline) -> Score:
+    """Let learners follow a recording, and score their events."""
+    bank = LearnerBank(robot, baseline)
+    events: list[ContactEvent] = []
+    for leg, sample in recorded.samples:
+        events += bank.update({leg: sample})
+    return score_messages(_messages(recorded), robot, events)
+
+
+# -- private -----------------------------------------------------------------------------------
+
+
+class _Message(NamedTuple):
+    key: str
+    payload: bytes
+    encoding: str = MSGPACK
+
+
+def _messages(recorded: Recorded) -> Iterator[_Message]:
+    for leg, sample in recorded.samples:
+        yield _Message(servo_key(leg), encode(sample))
+    for leg, truth in recorded.truth:
+        yield _Message(truth_key(leg), encode(truth))
+
+
+def _surface(scenario: Scenario) -> str:
+    return "hard" if scenario.soft_n_m is None else "soft"
+
+
+def _serve_plate(
+    plant: QuadrupedPlant, leg: int, trial: _Trial, scenario: Scenario, rng: np.random.Generator
+) -> None:
+    """Put a plate in the way of a descent once the foot is clear of it; take it away after."""
+    if trial.tick < _TICKS:
+        if trial.tick >= 1 and plant.forces[leg] == 0.0:
+            plant.clear_plate(leg)
+        return
+    if trial.plate is None or trial.tick >= 2 * _TICKS:
+        return
+    descent = trial.points[_TICKS : 2 * _TICKS, 1]
+    height = _BODY_M + float(np.interp(trial.plate * (_TICKS - 1), np.arange(_TICKS), descent))
+    height -= _SOLE_M
+    if plant.feet_m[leg, 2] - _SOLE_M > height + _CLEAR_M:
+        stiffness = None
+        if scenario.soft_n_m is not None:
+            stiffness = float(np.exp(rng.uniform(*np.log(scenario.soft_n_m))))
+        plant.place_plate(leg, height, stiffness_n_m=stiffness)
+        trial.plate = None
+    elif trial.tick >= _TICKS + 5:
+        trial.plate = None
+
+
+def _joints(points_m: Array) -> Array:
+    """Hip and knee angles of foot points in the leg's plane, (n, 2) m to (n, 2) rad, knee up."""
+    x, z = points_m[:, 0], points_m[:, 1]
+    cos_knee = (x**2 + z**2 - _L1**2 - _L2**2) / (2 * _L1 * _L2)
+    knee = -np.arccos(np.clip(cos_knee, -1.0, 1.0))
+    hip = np.arctan2(z, x) - np.arctan2(_L2 * np.sin(knee), _L1 + _L2 * np.cos(knee))
+    return np.stack([hip, knee], axis=1)
+
+
+def _table(scores: dict[str, Score]) -> str:
+    lines = [
+        "| scenario | row | touches | recall | 95 % | median, p95 ms | false alarms | judged h |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, score in scores.items():
+        total = score.total
+        for row, figures in total.rows.items():
+            if not figures.touches and row is not Row.HEADLINE:
+                continue
+            recall = "" if figures.recall is None else f"{100 * figures.recall:.1f} %"
+            low, high = figures.interval.low, figures.interval.high
+            times = figures.latency
+            latency = "" if times is None else f"{times.median_ms:.0f}, {times.p95_ms:.0f}"
+            lines.append(
+                f"| {name} | {row.value} | {figures.touches} | {recall} | "
+                f"{100 * low:.1f} to {100 * high:.1f} | {latency} | {total.false_alarms} | "
+                f"{total.robot_hours:.2f} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main(directory: Path) -> None:
+    """Learn and score into a folder."""
+    robot = shipped_robot("quadruped")
+    training = learn_quadruped(robot)
+    save_baseline(training.baseline, directory / "baseline.json")
+    for leg, figures in training.figures.items():
+        rms = ", ".join(f"{math.degrees(x):.3f}" for x in figures.held_out_rms)
+        print(f"{leg}: {figures.rows} ticks, held-out {rms} deg", flush=True)
+    scores = {}
+    for scenario in SCENARIOS:
+        scores[scenario.name] = play(record(scenario), robot, training.baseline)
+        print(_table({scenario.name: scores[scenario.name]}), flush=True)
+    write_file(directory / "scores.md", _HEAD + _table(scores))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

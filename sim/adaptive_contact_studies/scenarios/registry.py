@@ -1,0 +1,521 @@
+"""Scenarios in which the leg changes: steps of every kind, ramps, a pulse, several at once.
+
+Scenarios in which the leg stays as it is: contacts only, standing, trouble, starts, hours.
+
+Scenarios of robots other than the hexapod: nothing changes, and joints that rub.
+
+A quadruped that trots and walks over rough ground at 100 Hz, and a leg of five joints on a stand
+that meets plates.  Each learner starts from the baseline that ships for its robot.
+
+The scenarios: permanent names, in the order of the table.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Final
+
+from adaptive_contact.errors import ConfigurationError
+from adaptive_contact_sim.encoder import EncoderSettings
+from adaptive_contact_sim.gait import GAITS, GaitName
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.robots import simulated_robot
+from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_sim.terrain import TerrainKind
+from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.scenarios.runs import (
+    FULL_SIZES,
+    POSE_SWING_S,
+    WALK_SWING_S,
+    Sizes,
+    What,
+    all_touch,
+    around,
+    drifting,
+    lone_runs,
+    minutes,
+    of_robot_0,
+    pose_runs,
+    turn_runs,
+    walk_run,
+    walk_runs,
+    walks_without_change,
+    without_drift,
+    without_faults,
+    without_staging,
+)
+from adaptive_contact_studies.scenarios.spec import (
+    GOALS_VARIANTS,
+    BaselineChoice,
+    Expect,
+    Mark,
+    Phase,
+    RecordingSpec,
+    Scenario,
+    Staging,
+    Variant,
+)
+
+__all__ = ["contacts", "named", "scenarios", "starts", "steady", "steps", "trouble"]
+
+# Steps of every kind that the simulator knows.  The first four walk, too;
+# values are at the far end of what is seen in the field, docs/simulator.md.
+STEPS: Final = {
+    "friction4": ("all joints rub four times as much", What("friction", 4.0)),
+    "supply94": ("the battery falls from 12 V to 9.4 V", What("supply", 9.4)),
+    "compliance2": ("the servos' slope doubles: half as stiff", What("compliance", 2.0)),
+    "joint6": ("one joint rubs six times as much", What("friction", 6.0, turning=True)),
+    "mass50": ("50 g of mud at the foot", What("mass", 0.05)),
+    "mass100": ("100 g of mud at the foot", What("mass", 0.1)),
+    "viscous4": ("four times the viscous friction", What("viscous", 4.0)),
+    "winding16": ("motors 40 K warmer: 16 % more resistance", What("winding", 1.16)),
+    "backlash1": ("one degree of backlash in every gear", What("backlash", math.radians(1.0))),
+    "offset3": ("a horn slips by three steps", What("offset", 0.0153, turning=True)),
+    "dropout3": ("3 % of readings stop coming", What("dropout", 0.03)),
+}
+# Those that walk, too.
+WALKING_STEPS: Final = ("friction4", "supply94", "compliance2", "joint6")
+
+
+def steps(sizes: Sizes) -> list[Scenario]:
+    """Every kind of step in pose, the four of the design while walking."""
+    return [
+        *(_pose_step(f"step-{name}", *entry, sizes) for name, entry in STEPS.items()),
+        *(_walk_step(f"walk-{name}", *STEPS[name], sizes) for name in WALKING_STEPS),
+    ]
+
+
+def _pose_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
+    at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
+    return Scenario(
+        name=name,
+        about=about,
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=tuple(
+            drifting(spec, run, at_s, what) for run, spec in enumerate(pose_runs(sizes, end_s))
+        ),
+        phases=around(at_s, end_s, POSE_SWING_S),
+        judged=("after",),
+        marks=(Mark("step", at_s),),
+        twin=without_drift,
+    )
+
+
+def _walk_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
+    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
+    return Scenario(
+        name=name,
+        about=f"walking, all legs: {about}",
+        motion="walk",
+        expect=Expect.RECOVER,
+        recordings=tuple(
+            drifting(spec, run, at_s, what) for run, spec in enumerate(walk_runs(sizes, end_s))
+        ),
+        phases=around(at_s, end_s, WALK_SWING_S),
+        judged=("after",),
+        marks=(Mark("step", at_s),),
+        twin=without_drift,
+        mixed=False,
+    )
+
+
+def slow_changes(sizes: Sizes) -> list[Scenario]:
+    """Ramps, a random walk, and a pulse."""
+    at_s = sizes.before_s
+    until_s = at_s + sizes.slow_s
+    end_s = until_s + sizes.slow_after_s
+    phases = (
+        Phase("before", 0.0, at_s),
+        Phase("changing", at_s, until_s),
+        Phase("after", until_s, end_s),
+    )
+    took = minutes(sizes.slow_s)
+    entries = {
+        "ramp-mud": (f"100 g of mud gather in {took}", What("mass", 0.1, shape="ramp")),
+        "ramp-battery": (
+            f"the battery sags from 12 V to 9.4 V in {took}",
+            What("supply", 9.4, shape="ramp"),
+        ),
+        "walk-of-friction": (
+            f"friction wanders between nominal and four times that for {took}",
+            What("friction", 4.0, shape="walk"),
+        ),
+    }
+    slow = [
+        Scenario(
+            name=name,
+            about=about,
+            motion="pose",
+            expect=Expect.FOLLOW,
+            recordings=tuple(
+                drifting(spec, run, at_s, what, duration_s=sizes.slow_s)
+                for run, spec in enumerate(pose_runs(sizes, end_s))
+            ),
+            phases=phases,
+            judged=("changing", "after"),
+            marks=(Mark("begin", at_s),),
+            twin=without_drift,
+        )
+        for name, (about, what) in entries.items()
+    ]
+    off_s = at_s + sizes.pulse_s
+    washed_s = off_s + sizes.slow_after_s
+    mud = What("mass", 0.1, shape="pulse")
+    pulse = Scenario(
+        name="pulse-mud",
+        about=f"100 g of mud for {minutes(sizes.pulse_s)}, then it is washed off",
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=tuple(
+            drifting(spec, run, at_s, mud, duration_s=sizes.pulse_s)
+            for run, spec in enumerate(pose_runs(sizes, washed_s))
+        ),
+        phases=(
+            Phase("before", 0.0, at_s - POSE_SWING_S),
+            Phase("muddy", at_s, off_s - POSE_SWING_S),
+            Phase("washed", off_s, washed_s),
+        ),
+        judged=("muddy", "washed"),
+        marks=(Mark("mud", at_s), Mark("washed", off_s)),
+        twin=without_drift,
+    )
+    return [*slow, pulse]
+
+
+def compound(sizes: Sizes) -> list[Scenario]:
+    """Two changes at once, and a change behind nothing but contacts."""
+    at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
+    stiff_mud = (What("friction", 4.0), What("mass", 0.1))
+    both = Scenario(
+        name="two-at-once",
+        about="100 g of mud and four times the friction at the same moment",
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=tuple(
+            drifting(spec, run, at_s, *stiff_mud)
+            for run, spec in enumerate(pose_runs(sizes, end_s))
+        ),
+        phases=around(at_s, end_s, POSE_SWING_S),
+        judged=("after",),
+        marks=(Mark("step", at_s),),
+        twin=without_drift,
+    )
+    # All swings end in contact from a few before the step until most of the time after it.
+    staging = Staging(contacts=((at_s - 10 * POSE_SWING_S, 1.0), (end_s - 30.0, 0.55)))
+    in_contacts = Scenario(
+        name="step-in-contacts",
+        about="friction rises fourfold while every swing ends in contact",
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=tuple(
+            drifting(spec, run, at_s, What("friction", 4.0))
+            for run, spec in enumerate(all_touch(sizes, end_s, staging))
+        ),
+        phases=around(at_s, end_s, POSE_SWING_S),
+        judged=("after",),
+        marks=(Mark("step", at_s),),
+        twin=without_drift,
+        mixed=False,
+        poisonous=True,
+    )
+    return [both, in_contacts]
+
+
+def contacts(sizes: Sizes) -> list[Scenario]:
+    """In pose: every swing of a long stretch ends in contact."""
+    at_s, count = sizes.before_s, sizes.contact_swings
+    until_s = at_s + sizes.contact_swings * POSE_SWING_S
+    end_s = until_s + sizes.before_s
+    schedule = ((at_s, 1.0), (until_s, 0.55))
+    entries = {
+        "contacts-hard": (f"{count} swings in a row end on hard obstacles", None, 0.0),
+        "contacts-soft": (f"{count} swings in a row end on soft obstacles", None, 1.0),
+        # The middle between the paper's subspaces, which every descent crosses.
+        "contacts-level": (f"{count} swings in a row end at the same height", -0.045, 0.0),
+    }
+    return [
+        Scenario(
+            name=name,
+            about=about,
+            motion="pose",
+            expect=Expect.UNPOISONED,
+            recordings=all_touch(sizes, end_s, Staging(schedule, level_m), soft),
+            phases=(
+                Phase("before", 0.0, at_s),
+                Phase("contacts", at_s, until_s),
+                Phase("after", until_s, end_s),
+            ),
+            judged=("contacts", "after"),
+            marks=(Mark("contacts", at_s),),
+            mixed=False,
+            poisonous=True,
+        )
+        for name, (about, level_m, soft) in entries.items()
+    ]
+
+
+def walking_contacts(sizes: Sizes) -> list[Scenario]:
+    """Walking, where every swing ends in contact anyway."""
+    count = sizes.contact_swings
+    seconds = 20.0 + count * WALK_SWING_S
+    entries: dict[str, tuple[str, TerrainKind]] = {
+        "walk-contacts-hard": (f"{count} steps of each leg over hard, rough ground", "rough"),
+        "walk-contacts-soft": (f"{count} steps of each leg over soft ground", "soft"),
+        "walk-contacts-level": (f"{count} steps of each leg over flat, hard ground", "flat"),
+    }
+    return [
+        Scenario(
+            name=name,
+            about=about,
+            motion="walk",
+            expect=Expect.UNPOISONED,
+            recordings=walk_runs(sizes, seconds, ground),
+            # No swing ends without a contact here: there is nothing before, only early and late.
+            phases=(Phase("early", 0.0, seconds / 2), Phase("late", seconds / 2, seconds)),
+            judged=("early", "late"),
+            mixed=False,
+            poisonous=True,
+        )
+        for name, (about, ground) in entries.items()
+    ]
+
+
+def trouble(sizes: Sizes) -> list[Scenario]:
+    """A leg that stands, a foot that is caught, readings that fail."""
+    turns, round_s = turn_runs(sizes)
+    stand = Scenario(
+        name="stand-10min",
+        about=f"a leg swings, stands for {round_s * 5 / 6 / 60:.0f} min, and swings again",
+        motion="pose",
+        expect=Expect.UNHARMED,
+        recordings=turns,
+        phases=(Phase("before", 0.0, round_s), Phase("after", round_s, 2 * round_s)),
+        judged=("after",),
+        marks=(Mark("swings again", round_s),),
+    )
+    at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
+    free_s = at_s + sizes.caught_s
+    caught = Scenario(
+        name="caught-30s",
+        about=f"a foot hangs in a root for {sizes.caught_s:g} s, through all its swings",
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s))),
+        phases=(
+            Phase("before", 0.0, at_s),
+            Phase("caught", at_s, free_s),
+            *around(free_s, end_s, POSE_SWING_S)[1:],
+        ),
+        judged=("after",),
+        # It is caught when it next rests, so that it comes free up to a swing late.
+        marks=(Mark("free again", free_s + POSE_SWING_S),),
+        twin=without_staging,
+        poisonous=True,
+    )
+    trailing = Scenario(
+        name="trailing-2N",
+        about=f"a foot trails a branch for {sizes.caught_s:g} s, 2 N against its motion",
+        motion="pose",
+        expect=Expect.RECOVER,
+        recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s), trails_n=2.0)),
+        phases=(
+            Phase("before", 0.0, at_s),
+            Phase("trailing", at_s, free_s),
+            *around(free_s, end_s, POSE_SWING_S)[1:],
+        ),
+        judged=("after",),
+        marks=(Mark("tangled", at_s), Mark("free again", free_s + POSE_SWING_S)),
+        twin=without_staging,
+    )
+    faults = EncoderSettings(dropped=0.03, repeated=0.03)
+    readings = Scenario(
+        name="readings-3pct",
+        about="of every joint's readings 3 % do not come, and 3 % are old ones",
+        motion="pose",
+        expect=Expect.UNHARMED,
+        recordings=tuple(
+            replace(spec, settings=replace(spec.settings, encoder=faults))
+            for spec in pose_runs(sizes, end_s)
+        ),
+        phases=(Phase("all", 0.0, end_s),),
+        judged=("all",),
+        twin=without_faults,
+    )
+    return [stand, caught, trailing, readings]
+
+
+def starts(sizes: Sizes) -> list[Scenario]:
+    """With no baseline, and with wrong ones."""
+    end_s = sizes.start_s
+    settled = 60 * POSE_SWING_S  # the goal: valid after 60 swings
+    phases = (Phase("start", 0.0, settled), Phase("after", settled, end_s))
+    poses = pose_runs(sizes, end_s)
+    others = tuple(
+        replace(spec, settings=replace(spec.settings, robot_seed=1 + run))
+        for run, spec in enumerate(poses)
+    )
+
+    def start(
+        name: str, about: str, choice: BaselineChoice, recordings: tuple[RecordingSpec, ...]
+    ) -> Scenario:
+        return Scenario(
+            name=name,
+            about=about,
+            motion="pose",
+            expect=Expect.START,
+            recordings=recordings,
+            phases=phases,
+            judged=("after",),
+            marks=(Mark("start", 0.0),),
+            twin=of_robot_0,
+            baseline=choice,
+        )
+
+    return [
+        start("start-cold", "no baseline at all", "none", poses),
+        start("start-other-leg", "the baseline of the opposite leg", "other_leg", poses),
+        start("start-other-robot", "a baseline, but of another robot", "shipped", others),
+    ]
+
+
+def steady(sizes: Sizes) -> list[Scenario]:
+    """Nothing changes."""
+    pose_s = sizes.before_s + sizes.slow_s + sizes.slow_after_s
+    walk_s = 20.0 + sizes.contact_swings * WALK_SWING_S
+    walks = walks_without_change(sizes)
+
+    def still(
+        name: str, about: str, recordings: tuple[RecordingSpec, ...], seconds: float
+    ) -> Scenario:
+        walking = isinstance(recordings[0].settings.motion, WalkSettings)
+        return Scenario(
+            name=name,
+            about=about,
+            motion="walk" if walking else "pose",
+            expect=Expect.QUIET,
+            recordings=recordings,
+            phases=(Phase("all", 0.0, seconds),),
+            judged=("all",),
+            # Hours of walking; the variants in between have the contact runs.
+            variants=GOALS_VARIANTS if walking else tuple(Variant),
+            mixed=not walking,
+        )
+
+    return [
+        still("steady-pose", "nothing changes", pose_runs(sizes, pose_s), pose_s),
+        still(
+            "steady-walk",
+            "nothing changes, hours over rough ground",
+            tuple(walk_run(sizes, run, walk_s) for run in range(walks)),
+            walk_s,
+        ),
+    ]
+
+
+QUADRUPED: Final = "quadruped12"
+LEG: Final = "leg5"
+# Share of descents under which a plate is to come; it does under about half of them.
+_PLATES: Final = 0.65
+_OFFSETS: Final = {QUADRUPED: 600, LEG: 700}  # of seeds
+_RUBS: Final = What("friction", 4.0)
+
+
+def other_robots(sizes: Sizes) -> list[Scenario]:
+    """The rows of both robots."""
+    return [
+        _still("quadruped12-trot", "a quadruped trots over rough ground", "trot", sizes),
+        _still("quadruped12-walk", "a quadruped walks over rough ground", "walk", sizes),
+        _step("quadruped12-friction4", "a trotting quadruped: its joints rub 4 times as much",
+              "trot", sizes),
+        _still("leg5-plates", "a leg of five joints meets plates", None, sizes),
+        _step("leg5-friction4", "a leg of five joints: they rub 4 times as much", None, sizes),
+    ]  # fmt: skip
+
+
+def _runs(
+    gait: GaitName | None, sizes: Sizes, seconds: float
+) -> tuple[tuple[RecordingSpec, ...], float]:
+    """As many runs as give the leg-runs, and how long a swing's cycle takes, s."""
+    name = LEG if gait is None else QUADRUPED
+    settings = SimulationSettings.of(name, "pose" if gait is None else "walk", gait)
+    motion = settings.motion
+    if isinstance(motion, WalkSettings):
+        cycle_s = motion.swing_s / GAITS[motion.gait].share
+    else:
+        assert isinstance(motion, PoseSettings)
+        cycle_s = (2 * motion.segment_ticks + motion.hold_ticks) * settings.period_s
+        plates = replace(motion.obstacles, probability=_PLATES)
+        settings = replace(settings, motion=replace(motion, obstacles=plates))
+    legs = simulated_robot(name).layout.legs
+    first = sizes.first_seed + _OFFSETS[name] + (50 if gait == "walk" else 0)
+    count = math.ceil(sizes.leg_runs / len(legs))
+    return tuple(
+        RecordingSpec(replace(settings, seed=first + run), seconds, legs) for run in range(count)
+    ), cycle_s
+
+
+def _still(name: str, about: str, gait: GaitName | None, sizes: Sizes) -> Scenario:
+    seconds = sizes.walk_before_s + sizes.walk_after_s
+    recordings, _ = _runs(gait, sizes, seconds)
+    return Scenario(
+        name=name,
+        about=f"nothing changes: {about}",
+        motion="pose" if gait is None else "walk",
+        expect=Expect.QUIET,
+        recordings=recordings,
+        phases=(Phase("all", 0.0, seconds),),
+        judged=("all",),
+        mixed=gait is None,
+    )
+
+
+def _step(name: str, about: str, gait: GaitName | None, sizes: Sizes) -> Scenario:
+    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
+    recordings, cycle_s = _runs(gait, sizes, end_s)
+    return Scenario(
+        name=name,
+        about=about,
+        motion="pose" if gait is None else "walk",
+        expect=Expect.RECOVER,
+        recordings=tuple(drifting(spec, run, at_s, _RUBS) for run, spec in enumerate(recordings)),
+        phases=around(at_s, end_s, cycle_s),
+        judged=("after",),
+        marks=(Mark("step", at_s),),
+        twin=without_drift,
+        mixed=gait is None,
+    )
+
+
+def scenarios(sizes: Sizes = FULL_SIZES) -> dict[str, Scenario]:
+    """All scenarios, by name, in the order of the table."""
+    made = [
+        *steps(sizes),
+        *slow_changes(sizes),
+        *compound(sizes),
+        *contacts(sizes),
+        *walking_contacts(sizes),
+        *trouble(sizes),
+        *starts(sizes),
+        *steady(sizes),
+        *other_robots(sizes),
+    ]
+    return {scenario.name: scenario for scenario in made}
+
+
+def named(names: Iterable[str], sizes: Sizes = FULL_SIZES) -> list[Scenario]:
+    """Scenarios by their names, each once.
+
+    Raises:
+        ConfigurationError: there is no such scenario.
+    """
+    known = scenarios(sizes)
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "`scenarios list` shows them"
+            raise ConfigurationError(f"no scenario '{name}'; {hint}")
+    return [known[name] for name in dict.fromkeys(names)]

@@ -1,0 +1,308 @@
+"""The runs behind the scenarios: which leg, which seed, how long, what changes.
+
+Every run in pose moves the legs of one tripod, each with its own trials and obstacles, while the
+robot stands on the other: three leg-runs.  Runs take turns between the tripods and between the
+workspaces, with the same seeds in every scenario, so that figures compare like with like.  Every
+run of a walk gives six leg-runs.  What drifts, drifts in all legs that are kept.  Seeds from 7000
+on are for reporting only: baselines are learned from 1000 on, tests use others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+from adaptive_contact.wire import Drift, DriftKind, DriftShape
+from adaptive_contact_sim.drift import Injection
+from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.encoder import EncoderSettings
+from adaptive_contact_sim.obstacles import ObstacleSettings
+from adaptive_contact_sim.pose import PoseSettings
+from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
+from adaptive_contact_sim.robots import simulated_robot
+from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.scenarios.spec import Phase, RecordingSpec, Staging
+
+__all__ = [
+    "BRIEF_SIZES",
+    "FULL_SIZES",
+    "POSE_SWING_S",
+    "QUICK_SIZES",
+    "WALK_SWING_S",
+    "Sizes",
+    "What",
+    "all_touch",
+    "around",
+    "drifting",
+    "lone_runs",
+    "minutes",
+    "of_robot_0",
+    "pose_run",
+    "pose_runs",
+    "turn_runs",
+    "walk_run",
+    "walk_runs",
+    "walks_without_change",
+    "without_drift",
+    "without_faults",
+    "without_staging",
+]
+
+# A trial in pose: 10 ticks up, 10 down, 3 of hold.  A cycle of the tripod at its mean speed.
+POSE_SWING_S: Final = 0.46
+WALK_SWING_S: Final = 0.64 / 0.46
+# Swings after a change that are on the way, not after it: the goal for the 95th percentile.
+SETTLE_SWINGS: Final = 20
+_STEP_UP_AND_DOWN_S: Final = 2.0
+# Places on a descent, as shares of it: earlier, the lagging foot is still rising; later, it often
+# touches in the last ticks of a swing, which cannot be judged.  With the probabilities below about
+# half of the swings have a touch that counts; the rest is obstacles that could not be put in time.
+_WHERE: Final = (0.15, 0.4)
+# Offsets of the seeds of a kind of run from the first.
+_WALK: Final = 200
+_TURNS: Final = 400
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much of everything; times in s of simulated time.
+
+    Attributes:
+        leg_runs: behind every figure, at least.
+        before_s, after_s: around a step.
+        walk_before_s, walk_after_s: around a step while walking.
+        slow_s: length of a ramp or a random walk, with ``before_s`` before it.
+        slow_after_s: after a ramp or a random walk.
+        pulse_s: length of a pulse.
+        contact_swings: in a row that end in contact.
+        turn_trials: of a leg between two long rests, each of which lasts five turns.
+        caught_s: how long a foot is caught.
+        start_s: of a start without a baseline, or with a wrong one.
+        steady_walks: walks without drift, per leg-run asked for.
+        first_seed: of all runs.
+    """
+
+    leg_runs: int = 20
+    before_s: float = 30.0
+    after_s: float = 80.0
+    walk_before_s: float = 60.0
+    walk_after_s: float = 180.0
+    slow_s: float = 600.0
+    slow_after_s: float = 60.0
+    pulse_s: float = 60.0
+    contact_swings: int = 500
+    turn_trials: int = 262
+    caught_s: float = 30.0
+    start_s: float = 140.0
+    steady_walks: float = 3.0
+    first_seed: int = 7000
+
+
+FULL_SIZES: Final = Sizes()
+# Every scenario, small enough for half an hour on a busy machine.
+BRIEF_SIZES: Final = Sizes(
+    leg_runs=6,
+    before_s=8.0,
+    after_s=22.0,
+    walk_before_s=14.0,
+    walk_after_s=46.0,
+    slow_s=60.0,
+    slow_after_s=10.0,
+    pulse_s=15.0,
+    contact_swings=60,
+    turn_trials=25,
+    caught_s=8.0,
+    start_s=50.0,
+    steady_walks=0.3,
+)
+QUICK_SIZES: Final = Sizes(
+    leg_runs=2,
+    before_s=15.0,
+    after_s=45.0,
+    walk_before_s=20.0,
+    walk_after_s=60.0,
+    slow_s=60.0,
+    slow_after_s=20.0,
+    pulse_s=20.0,
+    contact_swings=60,
+    turn_trials=40,
+    caught_s=10.0,
+    start_s=60.0,
+    steady_walks=0.5,
+)
+
+
+@dataclass(frozen=True)
+class What:
+    """A change: of what, by how much; ``turning`` takes another joint in every run."""
+
+    kind: DriftKind
+    value: float
+    turning: bool = False
+    shape: DriftShape = "step"
+
+
+def pose_run(
+    sizes: Sizes, run: int, seconds: float, staging: Staging | None = None
+) -> RecordingSpec:
+    """A tripod in pose; half of its swings, about, end in a touch that can be judged."""
+    legs = TRIPODS[run % len(TRIPODS)]
+    turn = run // len(TRIPODS)
+    motion = PoseGroupSettings(tuple(_pose(leg, turn + i) for i, leg in enumerate(legs)))
+    settings = SimulationSettings(motion=motion, seed=sizes.first_seed + run)
+    return RecordingSpec(settings, seconds, legs, staging or Staging())
+
+
+def pose_runs(
+    sizes: Sizes, seconds: float, staging: Staging | None = None
+) -> tuple[RecordingSpec, ...]:
+    """As many of them as give the leg-runs."""
+    count = math.ceil(sizes.leg_runs / len(TRIPODS[0]))
+    return tuple(pose_run(sizes, run, seconds, staging) for run in range(count))
+
+
+def lone_runs(sizes: Sizes, seconds: float, staging: Staging) -> tuple[RecordingSpec, ...]:
+    """One leg in pose per run, for what is done to one leg at a time."""
+    runs = []
+    for run in range(sizes.leg_runs):
+        leg = LEGS[run % len(LEGS)]
+        settings = SimulationSettings(
+            motion=_pose(leg, run + run // len(LEGS)), seed=sizes.first_seed + run
+        )
+        runs.append(RecordingSpec(settings, seconds, (leg,), staging))
+    return tuple(runs)
+
+
+def _pose(leg: str, turn: int) -> PoseSettings:
+    """In the paper's workspace and the whole one by turns."""
+    whole = turn % 2 == 1
+    obstacles = ObstacleSettings(probability=0.9 if whole else 0.65, where=_WHERE)
+    return PoseSettings(legs=(leg,), workspace="whole" if whole else "paper", obstacles=obstacles)
+
+
+def walk_run(
+    sizes: Sizes, run: int, seconds: float, ground: TerrainKind = "rough"
+) -> RecordingSpec:
+    """A tripod over some ground, legs stopping 60 ms after the true touch."""
+    settings = SimulationSettings(
+        motion=WalkSettings(),
+        terrain=TerrainSettings(kind=ground),
+        seed=sizes.first_seed + _WALK + run,
+    )
+    return RecordingSpec(settings, seconds, LEGS)
+
+
+def walk_runs(
+    sizes: Sizes, seconds: float, ground: TerrainKind = "rough"
+) -> tuple[RecordingSpec, ...]:
+    """As many walks as give the leg-runs."""
+    count = math.ceil(sizes.leg_runs / len(LEGS))
+    return tuple(walk_run(sizes, run, seconds, ground) for run in range(count))
+
+
+def walks_without_change(sizes: Sizes) -> int:
+    """How many walks are without drift."""
+    return max(1, round(sizes.steady_walks * sizes.leg_runs))
+
+
+def turn_runs(sizes: Sizes) -> tuple[tuple[RecordingSpec, ...], float]:
+    """All legs in pose, each in its turn, twice; and how long it takes until all had one, s."""
+    round_s = len(LEGS) * (sizes.turn_trials * POSE_SWING_S + _STEP_UP_AND_DOWN_S)
+    motion = PoseSettings(
+        legs=LEGS,
+        trials_per_turn=sizes.turn_trials,
+        obstacles=ObstacleSettings(probability=0.65, where=_WHERE),
+    )
+    count = math.ceil(sizes.leg_runs / len(LEGS))
+    seeds = [sizes.first_seed + _TURNS + run for run in range(count)]
+    runs = [
+        RecordingSpec(SimulationSettings(motion=motion, seed=seed), 2 * round_s, LEGS)
+        for seed in seeds
+    ]
+    return tuple(runs), round_s
+
+
+def drifting(
+    spec: RecordingSpec, run: int, at_s: float, *whats: What, duration_s: float = 0.0
+) -> RecordingSpec:
+    """The recording with changes in every leg that it keeps, from a moment on."""
+    injections = []
+    layout = simulated_robot(spec.settings.robot).layout
+    legs, joints = layout.legs, layout.joints
+    for what in whats:
+        for leg in spec.legs:
+            place = legs.index(leg)
+            joint = joints[(run + run // len(legs) + place) % len(joints)]
+            shared = what.kind == "supply"
+            drift = Drift(
+                kind=what.kind,
+                value=what.value,
+                leg=None if shared else leg,
+                joint=joint if what.turning else None,
+                shape=what.shape,
+                duration_s=duration_s,
+                seed=len(legs) * run + place,
+            )
+            injections.append(Injection(drift, at_s))
+            if shared:
+                break
+    return replace(spec, settings=replace(spec.settings, drift=tuple(injections)))
+
+
+def all_touch(
+    sizes: Sizes, seconds: float, staging: Staging, soft: float = 0.0
+) -> tuple[RecordingSpec, ...]:
+    """Tripods in the paper's workspace, where an obstacle can always be put in time."""
+    # Lower than 0.2 of the descent the foot is still rising; below 0.4 some touch too late.
+    obstacles = ObstacleSettings(
+        probability=0.55, soft=soft, where=(0.2, 0.4), shapes=("plate", "sphere")
+    )
+
+    def within_reach(spec: RecordingSpec) -> RecordingSpec:
+        motion = spec.settings.motion
+        assert isinstance(motion, PoseGroupSettings)
+        poses = tuple(replace(p, workspace="paper", obstacles=obstacles) for p in motion.poses)
+        return replace(spec, settings=replace(spec.settings, motion=PoseGroupSettings(poses)))
+
+    return tuple(within_reach(spec) for spec in pose_runs(sizes, seconds, staging))
+
+
+def without_drift(spec: RecordingSpec) -> RecordingSpec:
+    """The recording as it would have been without drift."""
+    return replace(spec, settings=replace(spec.settings, drift=()))
+
+
+def without_staging(spec: RecordingSpec) -> RecordingSpec:
+    """The recording with nothing done besides."""
+    return replace(spec, staging=Staging())
+
+
+def without_faults(spec: RecordingSpec) -> RecordingSpec:
+    """The recording with all readings coming; the noise is the same."""
+    return replace(spec, settings=replace(spec.settings, encoder=EncoderSettings()))
+
+
+def of_robot_0(spec: RecordingSpec) -> RecordingSpec:
+    """The recording of the robot that the shipped baseline was learned on."""
+    return replace(spec, settings=replace(spec.settings, robot_seed=0))
+
+
+def minutes(seconds: float) -> str:
+    """Such as ``10 min`` or ``30 s``."""
+    return f"{seconds / 60:g} min" if seconds % 60 == 0 else f"{seconds:g} s"
+
+
+def around(at_s: float, end_s: float, swing_s: float) -> tuple[Phase, ...]:
+    """Phases around a change: before, the swings on the way, and after.
+
+    The swing during which it happens belongs to none.
+    """
+    settled = min(at_s + SETTLE_SWINGS * swing_s, end_s)
+    return (
+        Phase("before", 0.0, at_s - swing_s),
+        Phase("on the way", at_s, settled),
+        Phase("after", settled, end_s),
+    )

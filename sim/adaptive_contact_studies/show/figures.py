@@ -1,0 +1,95 @@
+"""Figures of matplotlib without a display: colours, style, files."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from adaptive_contact.errors import MissingExtraError
+from adaptive_contact.files import write_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, told apart by everybody; the paper's own where it names one.
+BLUE: Final = "#0072B2"
+ORANGE: Final = "#E69F00"
+GREEN: Final = "#009E73"
+RED: Final = "#D55E00"
+SKY: Final = "#56B4E9"
+PURPLE: Final = "#CC79A7"
+GREY: Final = "#666666"
+YELLOW: Final = "#E6C800"
+INK: Final = "#222222"
+JOINTS: Final = ("coxa", "femur", "tibia")
+JOINT_COLOURS: Final = (BLUE, ORANGE, GREEN)
+
+
+def needs_matplotlib(what: str, extra: str) -> None:
+    """Refuse to begin work whose picture could not be drawn.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise MissingExtraError(what, extra)
+
+
+@contextlib.contextmanager
+def styled(style: Mapping[str, Any], what: str, extra: str = "studies") -> Iterator[None]:
+    """Draw in a style, whatever that of matplotlib is; decorates a function, too.
+
+    Args:
+        style: matplotlib's parameters.
+        what: is drawn, for the error.
+        extra: that installs matplotlib.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    needs_matplotlib(what, extra)
+    import matplotlib as mpl
+
+    # Any: the type of its keys differs between versions of matplotlib.
+    parameters: Any = dict(style)
+    with mpl.rc_context(parameters):
+        yield
+
+
+def new_figure(width: float, height: float, **options: Any) -> Figure:
+    """An empty figure, inches; constrained layout and 100 dots an inch unless options differ."""
+    from matplotlib.figure import Figure
+
+    chosen: dict[str, Any] = {"dpi": 100, "layout": "constrained"} | options
+    return Figure((width, height), **chosen)
+
+
+def png(figure: Figure, colours: int | None = None) -> bytes:
+    """A figure as a PNG; plots have few colours, and a palette makes them half as large."""
+    picture = io.BytesIO()
+    if colours is None:
+        figure.savefig(picture, format="png", metadata={"Software": None})
+        return picture.getvalue()
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    drawn = drawn.quantize(colours, dither=Image.Dither.NONE)
+    drawn.save(picture, "PNG", optimize=True)
+    return picture.getvalue()
+
+
+def save(figure: Figure, path: Path, colours: int | None = None) -> None:
+    """Write a figure as a PNG, whole or not at all.
+
+    Raises:
+        ConfigurationError: it cannot be written there.
+    """
+    write_file(path, png(figure, colours), advice="give another folder with --out")

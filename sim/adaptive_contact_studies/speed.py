@@ -1,0 +1,314 @@
+"""How fast the learners are, in one process.
+
+How fast the simulator is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from adaptive_contact.detect.leg_batch import LegBatch
+from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.fit.refit_job import Job
+from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.leg_group import LegGroup, compile_ahead
+from adaptive_contact.leg_learner import ContactLearner
+from adaptive_contact.model import Baseline
+from adaptive_contact.robot import Robot
+from adaptive_contact.service.refits import ProcessRefitter
+from adaptive_contact.service.state import Identity, Record, Refused, StateStore
+from adaptive_contact.wire import ServoSample
+from adaptive_contact_sim.arrays import Run
+from adaptive_contact_sim.simulation import Simulation, SimulationSettings
+from adaptive_contact_sim.terrain import TerrainSettings
+from adaptive_contact_sim.walk import WalkSettings
+from adaptive_contact_studies.evaluate import samples_of
+
+__all__ = ["Speed", "real_time_factor", "restore_speed", "tick_speed"]
+
+
+@dataclass(frozen=True)
+class TickSpeed:
+    """Time of one control tick in the learners, their refits in a worker as in `serve`.
+
+    Attributes:
+        median_ms, p99_ms: of a tick of all legs.
+        event_ms: the 99th percentile of the part that an event waits for.
+        refitting_ms: the 99th percentile of the ticks during which a refit was under way.
+        refitting: how many of the ticks those were.
+        leg_ticks_per_s: of this process's time, messages not counted.
+        arithmetic_ms: mean of what is compiled, of a tick of all legs.
+        over_arithmetic: the mean tick over that.
+        alone_ms: median tick of one leg by itself.
+        many_legs: of as many robots as it takes.
+        many_leg_ticks_per_s: of theirs, refits apart.
+    """
+
+    legs: int
+    ticks: int
+    median_ms: float
+    p99_ms: float
+    event_ms: float
+    refitting_ms: float
+    refitting: int
+    leg_ticks_per_s: float
+    arithmetic_ms: float
+    over_arithmetic: float
+    alone_ms: float
+    many_legs: int
+    many_leg_ticks_per_s: float
+
+
+@dataclass(frozen=True)
+class RestoreSpeed:
+    """Time from opening a folder of states to all legs going on from theirs, imports apart.
+
+    Attributes:
+        seconds: the slowest of a few times.
+        kilobytes: of the states, together.
+    """
+
+    legs: int
+    seconds: float
+    kilobytes: float
+
+
+class _Watched(ProcessRefitter):
+    """Counts the jobs that are under way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: set[str] = set()
+
+    def submit(self, job: Job) -> None:
+        self.open.add(job.leg)
+        super().submit(job)
+
+    def collect(self, leg: str, number: int) -> object | None:
+        result = super().collect(leg, number)
+        if result is not None:
+            self.open.discard(leg)
+        return result
+
+
+class _NoRefits:
+    """Makes none."""
+
+    def submit(self, job: Job) -> None:
+        """Nothing is done with it."""
+
+    def collect(self, leg: str, number: int) -> object | None:
+        """Nothing ever comes."""
+        return None
+
+
+def tick_speed(run: Run, robot: Robot, baseline: Baseline, robots: int = 100) -> TickSpeed:
+    """Measure :class:`~adaptive_contact.leg_group.LegGroup` over a run of all legs.
+
+    Args:
+        run: of the robot.
+        robot: its description.
+        baseline: its models.
+        robots: that many at once, for the last figure.
+    """
+    legs = list(run.legs)
+    rounds = list(zip(*(samples_of(run, leg) for leg in legs), strict=True))
+    compile_ahead()
+    refitter = _Watched()
+    with threadpool_limits(1), contextlib.closing(refitter), _compiled_time() as compiled:
+        group = LegGroup([ContactLearner(robot, leg, baseline, refitter=refitter) for leg in legs])
+        spent, events, during = [], [], []
+        begun = time.process_time()
+        for samples in rounds:
+            start = time.perf_counter()
+            group.judge(samples)
+            events.append(time.perf_counter() - start)
+            group.finish()
+            spent.append(time.perf_counter() - start)
+            during.append(bool(refitter.open))
+        total = time.process_time() - begun
+    with threadpool_limits(1):
+        alone = [_median_ms(robot, leg, baseline, [r[k] for r in rounds]) for k, leg in
+                 enumerate(legs[:1])]  # fmt: skip
+        many = _many(robot, legs, baseline, rounds, robots)
+    took, refitting = np.array(spent) * 1e3, np.array(during)
+    median, p99 = np.percentile(took, (50, 99))
+    return TickSpeed(
+        legs=len(legs),
+        ticks=len(spent),
+        median_ms=float(median),
+        p99_ms=float(p99),
+        event_ms=1e3 * float(np.percentile(events, 99)),
+        refitting_ms=float(np.percentile(took[refitting], 99)) if refitting.any() else float("nan"),
+        refitting=int(refitting.sum()),
+        leg_ticks_per_s=len(spent) * len(legs) / total,
+        arithmetic_ms=1e3 * sum(compiled) / len(spent),
+        over_arithmetic=sum(spent) / sum(compiled),
+        alone_ms=alone[0],
+        many_legs=robots * len(legs),
+        many_leg_ticks_per_s=many,
+    )
+
+
+@contextlib.contextmanager
+def _compiled_time() -> Iterator[list[float]]:
+    """Seconds of every call of what is compiled, while it lasts."""
+    spent: list[float] = []
+    calls = (
+        (LegBatch, "judge"), (LegBatch, "finish"), (RecursiveLeastSquares, "update"),
+    )  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        for owner, name in calls:
+            stack.enter_context(_timed(owner, name, spent))
+        yield spent
+
+
+@contextlib.contextmanager
+def _timed(owner: type, name: str, spent: list[float]) -> Iterator[None]:
+    call = getattr(owner, name)
+
+    @functools.wraps(call)
+    def timed(*args: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return call(*args)
+        finally:
+            spent.append(time.perf_counter() - start)
+
+    setattr(owner, name, timed)
+    try:
+        yield
+    finally:
+        setattr(owner, name, call)
+
+
+def _median_ms(robot: Robot, leg: str, baseline: Baseline, samples: list[ServoSample]) -> float:
+    learner = ContactLearner(robot, leg, baseline, refitter=_NoRefits())
+    spent = []
+    for sample in samples:
+        start = time.perf_counter()
+        learner.update(sample)
+        spent.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(spent))
+
+
+def _many(
+    robot: Robot, legs: list[str], baseline: Baseline, rounds: list[Any], robots: int
+) -> float:
+    """Leg-ticks per second of this process's time, of many robots that walk alike."""
+    group = LegGroup(
+        [ContactLearner(robot, leg, baseline, refitter=_NoRefits()) for _ in range(robots)
+         for leg in legs]
+    )  # fmt: skip
+    rounds = rounds[: max(100, 50_000 // robots)]
+    begun = time.process_time()
+    for samples in rounds:
+        group.advance(samples * robots)
+    return len(rounds) * robots * len(legs) / (time.process_time() - begun)
+
+
+def restore_speed(run: Run, robot: Robot, baseline: Baseline, repeat: int = 5) -> RestoreSpeed:
+    """Measure how fast the learners of a run go on from what they have saved of it.
+
+    Raises:
+        AdaptiveContactError: a leg could not be saved or restored.
+    """
+
+    def bank() -> dict[str, ContactLearner]:
+        return {leg: ContactLearner(robot, leg, baseline) for leg in run.legs}
+
+    learners = bank()
+    team = LegGroup(list(learners.values()))
+    for samples in zip(*(samples_of(run, leg) for leg in run.legs), strict=True):
+        team.advance(samples)
+    who = {leg: Identity(robot.name, leg, "", "") for leg in run.legs}
+    with tempfile.TemporaryDirectory() as folder:
+        store = StateStore.open(Path(folder), robot.name)
+        for leg, learner in learners.items():
+            if learner.model is None:
+                raise AdaptiveContactError(f"leg {leg} has no model to save")
+            store.save(
+                Record(
+                    identity=who[leg],
+                    saved_ns=0,
+                    package="",
+                    model_version=learner.status.model_version,
+                    run=None,
+                    seq=None,
+                    body=learner.snapshot(),
+                )
+            )
+        store.close()
+        kilobytes = sum(path.stat().st_size for path in Path(folder).rglob("*.state")) / 1e3
+        took = []
+        for _ in range(repeat):
+            fresh = bank()
+            start = time.perf_counter()
+            store = StateStore.open(Path(folder), robot.name)
+            for leg, learner in fresh.items():
+                _, record = next(store.candidates(who[leg]))
+                why = record.why if isinstance(record, Refused) else learner.restore(record.body)
+                if why is not None:
+                    raise AdaptiveContactError(f"leg {leg} was not restored: {why}")
+            took.append(time.perf_counter() - start)
+            store.close()
+    return RestoreSpeed(legs=len(run.legs), seconds=max(took), kilobytes=kilobytes)
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Simulated seconds per second of one core.
+
+    Attributes:
+        factor: of the whole simulator: physics, servo law, gait, readings, messages.
+        engine: of the engine's step alone in the same run's last state, with nothing of ours.
+    """
+
+    factor: float
+    engine: float
+
+
+def real_time_factor(
+    settings: SimulationSettings | None = None,
+    *,
+    seconds: float = 10.0,
+    engine_seconds: float = 2.0,
+) -> Speed:
+    """Measure the simulator on this machine, this process's CPU time being what counts.
+
+    Args:
+        settings: what to run; the tripod gait on the rough field by default.
+        seconds: simulated time measured.
+        engine_seconds: simulated time the bare engine is measured for.
+
+    Returns:
+        The speeds.
+    """
+    import mujoco
+
+    sim = Simulation(
+        settings
+        or SimulationSettings(motion=WalkSettings(), terrain=TerrainSettings(kind="rough"), seed=1)
+    )
+    for _ in sim.run(2.0):  # into the walk
+        pass
+    start = time.process_time()
+    for _ in sim.run(seconds):
+        pass
+    whole = time.process_time() - start
+    plant = sim.plant
+    start = time.process_time()
+    for _ in range(round(engine_seconds / plant.step_s)):
+        mujoco.mj_step(plant.model, plant.data)
+    bare = time.process_time() - start
+    return Speed(factor=seconds / whole, engine=engine_seconds / bare)

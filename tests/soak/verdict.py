@@ -1,0 +1,381 @@
+"""A soak judged: wrong events outside the windows, uncounted losses, memory, recovery.
+
+Every sample is accounted for: between any two statuses of a leg, samples accepted and samples
+missed must together be the ticks that the source has gone through, whoever was killed meanwhile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections import Counter
+from typing import Any, Final
+
+import numpy as np
+
+from adaptive_contact.robot import Robot
+from adaptive_contact.score import Events, Gatherer, match
+from adaptive_contact.service.recording import read_recording
+from adaptive_contact.wire import ServoSample, decode, leg_of_key
+
+from .accounts import (
+    cut_off,
+    forgotten_s,
+    inconsistent,
+    last_words,
+    state_of,
+    uncounted,
+)
+from .arrival import Arrivals, SourceClock, judge_arrivals
+from .conduct import Take
+from .memory import Grown, Point, curves_of, grown
+from .plan import SoakPlan
+from .recovery import first_right_ns, recovery_of, right_events
+from .releases import judge_releases
+from .sections import (
+    Section,
+    judge_sections,
+    spans_between,
+    windows_of,
+)
+from .unbroken import missed_anyway, unbroken
+
+__all__ = ["Verdict", "judge"]
+
+MEMORY_MB: Final = 5.0
+# The same over half an hour, as a slope: what goes on like that is a leak.
+SLOPE_MB_MIN: Final = MEMORY_MB / 30.0
+# So long a walk with its drifts teaches something: at least one refit is promoted.
+TEACHES_MINUTES: Final = 10.0
+# A machine with other work lets a process wait for longer than an event may take, now and then.
+LATE_SHARE: Final = 0.001
+# A service saves each leg every 10 s, a little later where samples or the disk are in the way; what
+# it learned since then a crash may cost.
+FORGETS_S: Final = 12.0
+# The design's recall, over the whole walk and after each thing that happened to it.
+MISSED_SHARE: Final = 0.01
+# One touch in a hundred says nothing about a section of fifty: so many are forgiven in any.
+FORGIVEN: Final = 2
+# While a drift is under way its cause has not ended; so many errors per touch are honest there.
+RAMP_SHARE: Final = 0.05
+_NS: Final = 1_000_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What a soak came to.
+
+    Attributes:
+        judged_ticks: swing leg-ticks outside the windows and ramps.
+        inconsistent: events that no sample bears out, or that came twice.
+        false_alarms: ``contact: true`` outside of both while the leg touched nothing.
+        alarms: leg and time of each false alarm outside the windows, s of the walk.
+        touches, missed_touches: outside of both, of rows that count (docs/scoring.md).
+        misses: leg and time of each of them missed outside the windows, s of the walk.
+        others, others_missed: of the rows that do not: grazing, in the lift, too slow, too late.
+        releases, wrong_releases: outside of both; a wrong one is ``contact: false`` of a leg that
+            touched all along, and for more than 0.25 s after it.
+        wrong_released: leg and time of each wrong one outside the windows, s of the walk.
+        arrivals: how long events took to get here, those near a fault left out.
+        source_behind_s: how far the simulator fell behind the wall clock.
+        sections: the same from each window to the next, those of ramps told apart.
+        samples: that the source sent, all legs.
+        missed_samples: counted as lost.
+        uncounted: lost and not counted, or counted and not lost; the worst leg.
+        rejects: refused samples by reason, all legs.
+        outage_s: from the begin of each fault to the end of its cause.
+        recovery_s: from there until every leg's first right event was heard here; infinite where
+            one never was.
+        late_legs: those for whom that was later than 2 s and than their first whole swing.
+        late_anyway: those of them whose touches until then the same learner misses without the
+            fault, too.
+        memory_mb: of each life of the service.
+        worker_mb: the same of its child processes.
+        memory_curve: of each life: s after its start, MB of the service and of its children.
+        left_behind: child processes that a killed service left for good.
+        forgotten_s: per kill of the service, what it had learned and not saved, of the worst leg.
+        refits: promoted, refused, rolled back.
+        events, events_lost: heard here; lost by the service because a subscriber hung.
+        cut_off: links of subscribers that the service dropped, not counting those near a fault.
+        state: saves and failures of all lives, legs restored and states refused at the restart.
+        p99_ms: arrival of the deciding sample to its event being sent, at the end.
+        failures: lines on what is not as it should be.
+    """
+
+    minutes: float
+    judged_ticks: int
+    inconsistent: int
+    false_alarms: int
+    alarms: list[tuple[str, float]]
+    touches: int
+    missed_touches: int
+    misses: list[tuple[str, float]]
+    others: int
+    others_missed: int
+    releases: int
+    wrong_releases: int
+    wrong_released: list[tuple[str, float]]
+    arrivals: Arrivals
+    source_behind_s: float
+    sections: list[Section]
+    samples: int
+    missed_samples: int
+    uncounted: int
+    rejects: dict[str, int]
+    outage_s: list[float]
+    recovery_s: list[float]
+    late_legs: list[list[str]]
+    late_anyway: list[list[str]]
+    memory_mb: list[Grown]
+    worker_mb: list[Grown]
+    memory_curve: list[list[Point]]
+    left_behind: int
+    forgotten_s: list[float]
+    refits: dict[str, int]
+    events: int
+    events_lost: int
+    cut_off: int
+    state: dict[str, Any]
+    p99_ms: float | None
+    failures: list[str]
+
+
+def heard_of(events: Events, first_ns: int) -> Events:
+    """A leg's events without the release that a service owes it with its first sample.
+
+    That one takes back what another service may have said; the leg stands, as likely as not.
+    """
+    own = events.t_ns > first_ns
+    return Events._make(column[own] for column in events)
+
+
+def judge(take: Take, plan: SoakPlan, robot: Robot) -> Verdict:
+    """Judge a run."""
+    gathered = Gatherer(robot)
+    seq_of: dict[str, dict[int, int]] = {leg: {} for leg in robot.leg_ids}
+    for record in read_recording(take.recording):
+        gathered.take(record)
+        if record.key.endswith("/servo"):
+            leg = leg_of_key(record.key)
+            sample = decode(record.payload, ServoSample, record.encoding)
+            if leg is not None and isinstance(sample, ServoSample):
+                seq_of[leg][sample.t_ns] = sample.seq
+    gathered.replace_events(event for _, event in take.heard.events)
+    epoch_ns = min(min(times) for times in seq_of.values())
+    end_ns = max(max(times) for times in seq_of.values()) + 1
+    clock = SourceClock(take.heard.lags_ns)
+    faults = [
+        (one.kind, clock.of_wall(one.from_ns), clock.of_wall(one.to_ns)) for one in take.broken
+    ]
+    windows = windows_of(faults, plan.drifts, epoch_ns)
+    streams = {leg: gathered.stream(leg) for leg in gathered.legs}
+    outcomes = [match(stream, gathered.events(leg)) for leg, stream in streams.items()]
+    releases = [
+        judge_releases(stream, heard_of(gathered.events(leg), min(seq_of[leg])))
+        for leg, stream in streams.items()
+    ]
+    sections = judge_sections(outcomes, releases, spans_between(windows, epoch_ns, end_ns))
+    settled = [one for one in sections if not one.ramp]
+    edges = [(window.begin_ns, window.end_ns) for window in windows]
+    right = right_events(take, outcomes, {leg: one.truth for leg, one in streams.items()})
+    back = [recovery_of(fault, robot.leg_ids, right, outcomes, clock) for fault in take.broken]
+    anyway = [
+        [
+            leg
+            for leg in late
+            if leg in streams
+            and missed_anyway(
+                next(one for one in outcomes if one.leg == leg),
+                functools.partial(unbroken, take.recording, streams[leg], robot),
+                fault,
+                first_right_ns(fault, right[leg], clock),
+                clock,
+            )
+        ]
+        for fault, (_, late) in zip(take.broken, back, strict=True)
+    ]
+    shaken = [(one.begin_ns, one.end_ns) for one in windows_of(faults, (), epoch_ns)]
+
+    newest = {status.leg: status for _, status in take.heard.statuses}
+    services = last_words([status for _, status in take.heard.services])
+    rejects: Counter[str] = Counter()
+    refits: Counter[str] = Counter()
+    for status in newest.values():
+        rejects.update(status.rejects)
+        counts = status.refits
+        refits.update(
+            promoted=counts.promoted, refused=counts.refused, rolled_back=counts.rolled_back
+        )
+    latency = services[-1].event_latency if services else None
+    judged = Verdict(
+        minutes=plan.minutes,
+        judged_ticks=sum(one.ticks for one in settled),
+        inconsistent=inconsistent(take, seq_of) + take.heard.unreadable,
+        false_alarms=sum(one.false_alarms for one in settled),
+        alarms=[
+            (one.leg, _walked_s(at_ns, epoch_ns))
+            for one in outcomes
+            for at_ns in one.alarms_ns[_outside(one.alarms_ns, edges)]
+        ],
+        touches=sum(one.touches for one in settled),
+        missed_touches=sum(one.missed for one in settled),
+        misses=[
+            (one.leg, _walked_s(at_ns, epoch_ns))
+            for one in outcomes
+            for at_ns in one.touches.onset_ns[
+                _outside(one.touches.onset_ns, edges) & one.touches.counted & ~one.touches.found
+            ]
+        ],
+        others=sum(one.others for one in settled),
+        others_missed=sum(one.others_missed for one in settled),
+        releases=sum(one.releases for one in settled),
+        wrong_releases=sum(one.wrong_releases for one in settled),
+        wrong_released=[
+            (one.leg, _walked_s(at_ns, epoch_ns))
+            for one in releases
+            for at_ns in one.t_ns[_outside(one.t_ns, edges) & one.wrong]
+        ],
+        arrivals=judge_arrivals(
+            ((at_ns, event.t_ns) for at_ns, event in take.heard.events), clock, shaken
+        ),
+        source_behind_s=clock.behind_s,
+        sections=sections,
+        samples=sum(map(len, seq_of.values())),
+        missed_samples=sum(status.missed for status in newest.values()),
+        uncounted=max(uncounted(leg, seq_of[leg], take) for leg in robot.leg_ids),
+        rejects=dict(rejects),
+        outage_s=[(fault.to_ns - fault.from_ns) / _NS for fault in take.broken],
+        recovery_s=[recovery_s for recovery_s, _ in back],
+        late_legs=[late for _, late in back],
+        late_anyway=anyway,
+        memory_mb=grown(take.resident, plan.warm_up_s, lambda one: one.mb),
+        worker_mb=grown(take.resident, plan.warm_up_s, lambda one: one.workers_mb),
+        memory_curve=curves_of(take.resident),
+        left_behind=take.left_behind,
+        forgotten_s=[
+            max(forgotten_s(leg, seq_of[leg], take, fault, robot) for leg in robot.leg_ids)
+            for fault in take.broken
+            if fault.kind == "service"
+        ],
+        refits=dict(refits),
+        events=len(take.heard.events),
+        events_lost=sum(one.events_lost for one in services),
+        cut_off=cut_off(take),
+        state=state_of(services),
+        p99_ms=None if latency is None else latency.p99,
+        failures=[],
+    )
+    return dataclasses.replace(judged, failures=_failures(judged, robot, plan))
+
+
+def _failures(found: Verdict, robot: Robot, plan: SoakPlan) -> list[str]:
+    lines = [
+        *_detection_failures(found),
+        *_memory_failures(found, plan),
+        *_state_failures(found, robot),
+    ]
+    if found.inconsistent:
+        lines.append(f"{found.inconsistent} events that no sample bears out, or twice")
+    if found.uncounted:
+        lines.append(f"{found.uncounted} samples lost without being counted")
+    if found.events_lost:
+        lines.append(f"{found.events_lost} events lost")
+    if found.cut_off:
+        lines.append(f"{found.cut_off} times a subscriber was cut off without a fault")
+    if not found.arrivals.events:
+        lines.append("not one event was timed")
+    if found.arrivals.late > max(FORGIVEN, LATE_SHARE * found.arrivals.events):
+        lines.append(
+            f"{found.arrivals.late} of {found.arrivals.events} events came more than 0.25 s late"
+        )
+    if len(found.recovery_s) != len(plan.faults):
+        lines.append(f"{len(found.recovery_s)} faults came about, of {len(plan.faults)} planned")
+    for recovery_s, late, anyway in zip(
+        found.recovery_s, found.late_legs, found.late_anyway, strict=True
+    ):
+        by_fault = [leg for leg in late if leg not in anyway]
+        if by_fault:
+            lines.append(f"a fault took {recovery_s:.2f} s to recover from: {' '.join(by_fault)}")
+    promoted = found.refits.get("promoted", 0)
+    if not promoted + found.refits.get("refused", 0):
+        lines.append("no refit came to an end, be it promoted or refused")
+    elif not promoted and plan.minutes >= TEACHES_MINUTES:
+        lines.append(f"no refit was promoted in {plan.minutes:g} minutes")
+    return lines
+
+
+def _detection_failures(found: Verdict) -> list[str]:
+    lines = []
+    if not found.touches:
+        lines.append("not one touch was judged")
+    if found.false_alarms:
+        lines.append(f"{found.false_alarms} false alarms outside the windows")
+    if found.wrong_releases:
+        lines.append(f"{found.wrong_releases} releases of loaded legs outside the windows")
+    if found.missed_touches > max(FORGIVEN, MISSED_SHARE * found.touches):
+        lines.append(f"{found.missed_touches} of {found.touches} touches missed")
+    for one in found.sections:
+        share = RAMP_SHARE if one.ramp else MISSED_SHARE
+        allowed = max(FORGIVEN, share * one.touches)
+        where = "during" if one.ramp else "after"
+        if one.missed > allowed:
+            lines.append(f"{one.missed} of {one.touches} touches missed {where} {one.after}")
+        if one.ramp and one.false_alarms > allowed:
+            lines.append(
+                f"{one.false_alarms} false alarms to {one.touches} touches during {one.after}"
+            )
+        if one.ramp and one.wrong_releases > allowed:
+            lines.append(
+                f"{one.wrong_releases} releases of loaded legs to {one.touches} touches during "
+                f"{one.after}"
+            )
+    return lines
+
+
+def _memory_failures(found: Verdict, plan: SoakPlan) -> list[str]:
+    lines = []
+    lives = 1 + sum(fault.kind == "service" for fault in plan.faults)
+    if len(found.memory_mb) != lives:
+        lines.append(f"memory is known of {len(found.memory_mb)} lives of the service, of {lives}")
+    if not found.worker_mb:
+        lines.append("memory of the service's child processes is not known")
+    for whose, rows in (("the service", found.memory_mb), ("its children", found.worker_mb)):
+        for life, one in enumerate(rows):
+            if not one.growth_mb <= MEMORY_MB:
+                lines.append(f"life {life + 1}: {whose} grew by {one.growth_mb:.1f} MB")
+            if one.slope_mb_min is not None and not one.slope_mb_min <= SLOPE_MB_MIN:
+                lines.append(
+                    f"life {life + 1}: {whose} still grew by {one.slope_mb_min:.2f} MB/min at the "
+                    "end"
+                )
+    if found.left_behind:
+        lines.append(f"{found.left_behind} child processes outlived the service that was killed")
+    return lines
+
+
+def _state_failures(found: Verdict, robot: Robot) -> list[str]:
+    lines = []
+    if not found.state.get("saved"):
+        lines.append("no state was saved")
+    if found.state.get("failed"):
+        lines.append(f"{found.state['failed']} states could not be saved")
+    if len(found.state.get("restored", [])) != len(robot.leg_ids):
+        lines.append("not every leg was restored after the restart")
+    lines += [f"a state was refused: {line}" for line in found.state.get("refused", [])]
+    lines += [
+        f"a kill of the service cost {lost_s:.1f} s of what it had learned"
+        for lost_s in found.forgotten_s
+        if lost_s > FORGETS_S
+    ]
+    return lines
+
+
+def _walked_s(at_ns: Any, epoch_ns: int) -> float:
+    return round((int(at_ns) - epoch_ns) / _NS, 2)
+
+
+def _outside(times_ns: Any, windows: list[tuple[int, int]]) -> Any:
+    keep = np.ones(len(times_ns), dtype=bool)
+    for begin, end in windows:
+        keep &= (times_ns < begin) | (times_ns > end)
+    return keep

@@ -1,0 +1,241 @@
+"""The compressed fit is PySINDy's own: DiscreteSINDy on the raw rows, for both libraries."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pysindy as ps
+import pytest
+from pysindy.feature_library.base import BaseFeatureLibrary
+from sklearn.linear_model import LinearRegression
+
+from adaptive_contact.fit import FitSettings, FitStatus, fit_sparse
+from adaptive_contact.fit.sparse_regression import RANK_CUTOFF
+from adaptive_contact.model import Factor, Library, Window, leg_library
+from adaptive_contact.robot import Robot
+from adaptive_contact_studies.paper.compression import compare, paper_fit
+from adaptive_contact_studies.paper.data import Stream
+from adaptive_contact_studies.paper.rows import PAPER_WINDOW, factor_of, free_rows
+
+# N, N', M of the study, and a smaller one.  The larger has singular values below 1e-6 of the
+# largest, which PySINDy's unbiased refit cuts off; the smaller keeps full rank in its eyes.
+PAPER = PAPER_WINDOW
+SMALL = Window(past_measured=1, past_desired=1, preview=1)
+# Of a coefficient that is zero but for rounding.
+ROUNDING = 1e-11
+
+
+class OurLibrary(BaseFeatureLibrary):
+    """One of our libraries as PySINDy's feature library, over a state and controls."""
+
+    def __init__(self, library: Library, scale: np.ndarray | None = None) -> None:
+        super().__init__()
+        self.library = library
+        self.scale = scale
+
+    def fit(self, x_full: list[np.ndarray], y: object = None) -> OurLibrary:
+        del y
+        self.n_features_in_ = x_full[0].shape[-1]
+        self.n_output_features_ = self.library.size
+        return self
+
+    def transform(self, x_full: list[np.ndarray]) -> list[np.ndarray]:
+        from pysindy.utils import AxesArray
+
+        out = []
+        for x in x_full:
+            rows = np.asarray(x)
+            w, joints = self.library.window, len(self.library.joints)
+            cuts = np.cumsum([(w.past_measured + 1) * joints, (w.past_desired + 1) * joints])
+            parts = [p.reshape(len(rows), -1, joints) for p in np.split(rows, cuts, axis=1)]
+            theta = self.library.evaluate(*parts)
+            if self.scale is not None:
+                theta = theta / self.scale
+            out.append(AxesArray(theta, {"ax_sample": 0, "ax_coord": 1}))
+        return out
+
+    def get_feature_names(self, input_features: object = None) -> list[str]:
+        del input_features
+        return list(self.library.names)
+
+
+def discrete_sindy(
+    library: BaseFeatureLibrary,
+    state: np.ndarray,
+    control: np.ndarray,
+    following: np.ndarray,
+    **stlsq: object,
+) -> np.ndarray:
+    """(terms, states) coefficients of PySINDy's discrete-time model."""
+    model = ps.DiscreteSINDy(feature_library=library, optimizer=ps.STLSQ(**stlsq))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model.fit(state, t=1, x_next=following, u=control)
+    return np.asarray(model.coefficients()).T
+
+
+def system(robot: Robot, stream: Stream, name: str, window: Window):
+    library = leg_library(robot, robot.leg("rf"), name, window)
+    windows = free_rows(stream, library).windows
+    n = len(windows.tick)
+    state = windows.measured.reshape(n, -1)
+    control = np.concatenate([windows.desired.reshape(n, -1), windows.preview.reshape(n, -1)], 1)
+    return library, windows, state, control
+
+
+@pytest.mark.parametrize(
+    ("name", "window", "threshold", "sparse"),
+    [
+        ("servo", Window(), 0.0, False),
+        ("servo", Window(), 0.3, True),
+        ("servo", Window(), 0.5, True),
+        ("paper", SMALL, 0.1, False),
+        ("paper", SMALL, 10.0, True),
+        ("paper", PAPER, 0.0, False),
+        ("paper", PAPER, 10.0, True),
+    ],
+)
+def test_our_fit_equals_discrete_sindy(
+    robot: Robot,
+    free_stream: Stream,
+    name: str,
+    window: Window,
+    threshold: float,
+    sparse: bool,
+) -> None:
+    """Increments over their residual as next state, columns over their root mean square."""
+    library, windows, state, control = system(robot, free_stream, name, window)
+    factor = factor_of(library, windows, windows.increment)
+    unit = fit_sparse(factor, FitSettings()).rms
+    settings = FitSettings(threshold=threshold, unit=tuple(unit.tolist()))
+    fit = fit_sparse(factor, settings)
+    following = np.zeros_like(state)  # DiscreteSINDy wants as many next states as states
+    following[:, :3] = windows.increment / unit
+    scale = factor.scale()
+    coefficients = discrete_sindy(
+        OurLibrary(library, scale),
+        state,
+        control,
+        following,
+        threshold=threshold,
+        alpha=settings.ridge * len(state),
+    )[:, :3]
+    expected = coefficients / scale[:, None] * unit
+    assert fit.status is FitStatus.OK
+    np.testing.assert_array_equal(fit.support, expected != 0)
+    np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
+    # No agreement of two empty models, of models that keep everything, or of tiny numbers.
+    kept = fit.support.sum(axis=0)
+    assert (kept > 3).all()
+    assert not sparse or (kept < 0.8 * library.size).all()
+    assert np.abs(expected).max(axis=0).min() > 0.01
+    assert (fit.rms < 0.2 * np.sqrt(np.square(windows.increment).mean(axis=0))).all()
+
+
+def test_the_refit_cuts_singular_values_where_pysindy_cuts_them(
+    robot: Robot, free_stream: Stream
+) -> None:
+    """Of the paper's library some lie beyond the cut: without it the coefficients are others."""
+    library, windows, *_ = system(robot, free_stream, "paper", PAPER)
+    factor = factor_of(library, windows, windows.increment)
+    theta = library.evaluate(windows.measured, windows.desired, windows.preview)
+    scaled = theta / factor.scale()
+    raw = np.linalg.svd(scaled, compute_uv=False)
+    held = np.linalg.svd(factor.system[0] / factor.scale(), compute_uv=False)
+    np.testing.assert_allclose(held, raw, rtol=0, atol=1e-12 * raw[0])
+    assert 0 < np.count_nonzero(raw < RANK_CUTOFF * raw[0]) < 20
+    # None lies so near the cut that rounding decides.
+    assert np.abs(raw / raw[0] / RANK_CUTOFF - 1.0).min() > 1e-5
+    fit = fit_sparse(factor, FitSettings())
+    cut = LinearRegression(fit_intercept=False).fit(scaled, windows.increment)
+    whole = np.linalg.lstsq(scaled, windows.increment, rcond=1e-12)[0]
+    scale = factor.scale()[:, None]
+    np.testing.assert_allclose(fit.coefficients, cut.coef_.T / scale, rtol=0, atol=1e-8)
+    assert np.abs(fit.coefficients - whole / scale).max() > 1e-3
+
+
+@pytest.mark.parametrize("window", [SMALL, PAPER])
+@pytest.mark.parametrize(
+    ("threshold", "normalised"),
+    [(0.0, False), (0.01, False), (0.1, False), (0.0, True), (0.2, True), (1.0, True)],
+)
+def test_the_papers_fit_equals_discrete_sindy_with_its_own_library(
+    robot: Robot, free_stream: Stream, window: Window, threshold: float, normalised: bool
+) -> None:
+    """Eq. 8 in PySINDy's own words, all delayed states predicted; raw and normalised columns."""
+    library, windows, state, control = system(robot, free_stream, "paper", window)
+    new = (windows.measured[:, 0] + windows.increment)[:, None]
+    following = np.concatenate([new, windows.measured[:, :-1]], axis=1).reshape(len(state), -1)
+    fit = paper_fit(factor_of(library, windows, following), threshold, normalised=normalised)
+    theirs = ps.PolynomialLibrary(degree=2) + ps.FourierLibrary(n_frequencies=1)
+    coefficients = discrete_sindy(
+        theirs, state, control, following,
+        threshold=threshold, alpha=0.05, normalize_columns=normalised,
+    )  # fmt: skip
+    expected = in_our_order(coefficients, state.shape[1] + control.shape[1])
+    assert (expected != 0).any()
+    differ = (fit.coefficients != 0) != (expected != 0)
+    # A delayed state is a copy of another: of its other terms the refit leaves rounding, or zero.
+    assert np.abs(fit.coefficients - expected)[differ].max(initial=0.0) < ROUNDING
+    np.testing.assert_allclose(fit.coefficients, expected, rtol=0, atol=1e-8)
+
+
+def in_our_order(theirs: np.ndarray, variables: int) -> np.ndarray:
+    """From 1, x, pairs, sin x0, cos x0, sin x1 … to 1, x, sin, cos, pairs."""
+    pairs = variables * (variables + 1) // 2
+    waves = 1 + variables + pairs
+    order = [
+        *range(1 + variables),
+        *(waves + 2 * i for i in range(variables)),
+        *(waves + 2 * i + 1 for i in range(variables)),
+        *range(1 + variables, 1 + variables + pairs),
+    ]
+    assert sorted(order) == list(range(len(theirs)))
+    return theirs[order]
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_bad_problems_end_with_a_status(normalised: bool) -> None:
+    rng = np.random.default_rng(0)
+    theta, target = rng.normal(size=(60, 5)), rng.normal(size=(60, 2))
+    theta[:, 3] = 0.0  # without information
+    theta[:, 4] = 1.0  # constant
+    theta[7, 1], target[9, 0] = np.nan, np.inf
+
+    def factor(columns: np.ndarray, rows: np.ndarray) -> Factor:
+        made = Factor(columns.shape[1], rows.shape[1])
+        made.add(columns, rows)
+        return made
+
+    good = paper_fit(factor(theta, target), 0.0, normalised=normalised)
+    assert good.status is FitStatus.OK
+    assert np.isfinite(good.coefficients).all()
+    assert not good.coefficients[3].any()
+    emptied = paper_fit(factor(theta, target), 1e9, normalised=normalised)
+    assert emptied.status is FitStatus.EMPTIED
+    assert emptied.terms == [0, 0]
+    few = paper_fit(factor(theta[:3], target[:3]), 0.0, normalised=normalised)
+    assert few.status is FitStatus.TOO_FEW_ROWS
+    nothing = paper_fit(factor(np.zeros((9, 5)), np.ones((9, 2))), 0.0, normalised=normalised)
+    assert nothing.status is FitStatus.EMPTIED
+    same = paper_fit(
+        factor(np.repeat(theta[:, :1], 4, axis=1), target), 0.0, normalised=normalised, ridge=0.0
+    )
+    assert same.status is FitStatus.OK
+    assert np.abs(same.coefficients).max() < 10.0
+
+
+@pytest.mark.parametrize(
+    ("name", "window", "threshold"), [("servo", Window(), 0.1), ("paper", PAPER, 10.0)]
+)
+def test_the_comparison_tells_both_times(
+    robot: Robot, free_stream: Stream, name: str, window: Window, threshold: float
+) -> None:
+    library = leg_library(robot, robot.leg("rf"), name, window)
+    result = compare(free_stream, library, threshold, repeats=1)
+    assert result.same_support
+    assert all(3 < n < library.size for n in result.kept)
+    assert result.difference < 1e-8
+    assert result.speed_up > 1.0
+    assert result.rows > 4000

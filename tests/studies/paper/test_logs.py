@@ -1,0 +1,258 @@
+"""Recordings of real servos: both formats, and files that are none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptive_contact.errors import RecordingError
+from adaptive_contact_studies.paper.log_files import load_logs
+from adaptive_contact_studies.paper.logs import run_logs
+from adaptive_contact_studies.paper.tables import sections
+
+REAL = Path(__file__).resolve().parents[4] / "shared" / "data"
+
+
+def servo(rng: np.random.Generator, n: int, joints: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """A servo with a saturating law: speed limited to 0.08 rad a tick."""
+    t = np.arange(n) * 0.02
+    frequency = rng.uniform(0.2, 1.2, joints)
+    goal = rng.uniform(0.3, 1.0, joints) * np.sin(2 * np.pi * frequency * t[:, None])
+    position = np.zeros((n, joints))
+    for k in range(n - 1):
+        error = np.clip((goal[k] - position[k]) / 0.16, -1.0, 1.0)
+        position[k + 1] = position[k] + 0.08 * error
+    quantum = 0.0015
+    noise = rng.normal(scale=quantum / 2, size=position.shape)
+    return goal, np.round((position + noise) / quantum) * quantum
+
+
+def write_arm(path: Path, motions: int = 6, n: int = 900) -> None:
+    rng = np.random.default_rng(1)
+    arrays = {}
+    for i in range(motions):
+        goal, position = servo(rng, n)
+        arrays |= {
+            f"m{i}/t": np.arange(n) * 0.02006,
+            f"m{i}/goal": goal,
+            f"m{i}/pos": position,
+        }
+    np.savez(path, **arrays)
+
+
+def write_pendulum(path: Path, gain: int, seed: int, torque: bool = True) -> None:
+    rng = np.random.default_rng(seed)
+    goal, position = servo(rng, 350, joints=1)
+    fine = np.cumsum(rng.uniform(0.0051, 0.0055, size=1280))
+    grid = np.arange(350) * 0.02
+    entries = [
+        {
+            "timestamp": float(t),
+            "goal_position": float(goal[min(int(t / 0.02), 349), 0]),
+            "position": float(np.interp(t, grid, position[:, 0])) + 2 * np.pi * (t > 3.0),
+            "torque_enable": torque or bool(t < 5.0),
+        }
+        for t in fine
+    ]
+    path.write_text(json.dumps({"kp": gain, "trajectory": f"t{seed}", "entries": entries}))
+
+
+def test_both_formats_are_fitted_and_tabled(tmp_path: Path) -> None:
+    write_arm(tmp_path / "arm.npz", n=5600)
+    for gain in (100, 200):
+        for run in range(3):
+            write_pendulum(tmp_path / f"p{gain}{run}.json", gain, run, torque=run > 0)
+    tree = run_logs(tmp_path)
+    arm = tree["arms"][0]
+    assert arm["joints"] == 2
+    for protocol in ("unseen motions", "unseen moments"):
+        rms = {name: np.mean(v) for name, v in arm[protocol]["rms_deg"].items()}
+        assert rms["servo"] < 0.75 * rms["linear"]
+        assert rms["servo"] < 0.2 * np.mean(arm["naive_deg"])
+        assert arm[protocol]["false_alarms"]["ticks"] > 4000
+    pendulum = tree["pendulum"]
+    assert pendulum["gains"] == [100.0, 200.0]
+    servo_law = pendulum["libraries"]["servo"]
+    assert set(servo_law["rms_deg"]["100"]) == set(servo_law["rms_deg"]) == {"100", "200"}
+    assert set(servo_law["status"]["100"].values()) == {"ok"}
+    # Turns are unwrapped: no reading leaps by a turn.
+    assert max(pendulum["naive_deg"].values()) < 6.0
+    assert any("without torque" in row["reason"] for row in tree["skipped"])
+    text = sections({"logs": tree})[0]
+    assert len(text.tables) == 3
+    assert all(len(row) == len(t.header) for t in text.tables for row in t.rows)
+
+
+def test_a_library_with_too_few_rows_has_a_status_and_no_error(tmp_path: Path) -> None:
+    """373 terms of the paper's library and 216 rows: zeros would predict as well as nothing."""
+    rng = np.random.default_rng(3)
+    arrays = {}
+    for i in range(6):
+        goal, position = servo(rng, 60, joints=6)
+        arrays |= {f"m{i}/t": np.arange(60) * 0.02, f"m{i}/goal": goal, f"m{i}/pos": position}
+    np.savez(tmp_path / "arm.npz", **arrays)
+    steps: list[float] = []
+    tree = run_logs(tmp_path / "arm.npz", steps.append)
+    assert sum(steps) == pytest.approx(1.0)
+    part = tree["arms"][0]["unseen motions"]
+    assert part["status"]["paper"] == "too_few_rows"
+    assert part["rms_deg"]["paper"] is None
+    assert part["status"]["linear"] == "ok"
+    assert len(part["rms_deg"]["linear"]) == 6
+    section = sections({"logs": tree})[0]
+    rows = {tuple(r[:2]): r for r in section.tables[0].rows}
+    assert rows["unseen motions", "paper"][3:] == ["too_few_rows", "-"]
+    assert "paper library is better" not in section.text
+
+
+def test_one_fold_without_a_model_is_enough_to_tell_no_error(tmp_path: Path) -> None:
+    """The long motion is missing from two of five folds; the last has it."""
+    rng = np.random.default_rng(4)
+    arrays = {}
+    for i, n in enumerate((55, 55, 400, 55, 55)):
+        goal, position = servo(rng, n, joints=4)
+        arrays |= {f"m{i}/t": np.arange(n) * 0.02, f"m{i}/goal": goal, f"m{i}/pos": position}
+    np.savez(tmp_path / "arm.npz", **arrays)
+    part = run_logs(tmp_path / "arm.npz")["arms"][0]["unseen motions"]
+    assert 3 * 54 < part["terms"]["paper"]["size"] < 399
+    assert part["status"]["paper"] == "too_few_rows"
+    assert part["rms_deg"]["paper"] is None
+
+
+def test_fixed_and_refitted_models_have_not_seen_the_trajectory_that_is_tried(
+    tmp_path: Path,
+) -> None:
+    """The same runs under two gains: then a model of the other gain is the refitted one."""
+    for gain in (100, 200):
+        for run in range(3):
+            write_pendulum(tmp_path / f"p{gain}{run}.json", gain, run)
+    for library in run_logs(tmp_path)["pendulum"]["libraries"].values():
+        rms = library["rms_deg"]
+        assert rms["100"]["200"] == rms["200"]["200"] == rms["200"]["100"] > 0.0
+
+
+def test_a_single_trajectory_leaves_nothing_to_fit_and_says_so(tmp_path: Path) -> None:
+    for gain in (100, 200):
+        write_pendulum(tmp_path / f"p{gain}.json", gain, seed=7)
+    tree = run_logs(tmp_path)
+    library = tree["pendulum"]["libraries"]["servo"]
+    assert library["rms_deg"]["100"] == {"100": None, "200": None}
+    assert library["status"]["100"]["200"] == "too_few_rows"
+    cells = [cell for row in sections({"logs": tree})[0].tables[0].rows[1:] for cell in row[2:]]
+    assert all(cell.startswith("too_few_rows") for cell in cells)
+
+
+def test_bad_files_are_told_and_the_rest_is_used(tmp_path: Path) -> None:
+    write_arm(tmp_path / "arm.npz", motions=2, n=200)
+    (tmp_path / "text.json").write_text("{")
+    (tmp_path / "list.json").write_text("[1, 2]")
+    (tmp_path / "empty.json").write_text('{"entries": []}')
+    (tmp_path / "lacks.json").write_text('{"entries": [{"position": 1}]}')
+    (tmp_path / "rows.json").write_text('{"kp": 1, "entries": [1, 2]}')
+    (tmp_path / "huge.json").write_text(
+        '{"kp": 1, "entries": [{"timestamp": 1%s, "position": 0, "goal_position": 0}]}'
+        % ("0" * 400)
+    )
+    (tmp_path / "gain.json").write_text('{"entries": [{"timestamp": 0}]}')
+    (tmp_path / "millis.json").write_text(
+        json.dumps(
+            {
+                "kp": 1,
+                "entries": [
+                    {"timestamp": 20.0 * i, "position": 0.0, "goal_position": 0.0}
+                    for i in range(300)
+                ],
+            }
+        )
+    )
+    (tmp_path / "noise.npz").write_bytes(b"\x00" * 100)
+    write_arm(tmp_path / "cut.npz", motions=1, n=200)
+    damaged = bytearray((tmp_path / "cut.npz").read_bytes())
+    damaged[len(damaged) // 2] ^= 0xFF
+    (tmp_path / "cut.npz").write_bytes(bytes(damaged))
+    np.savez(
+        tmp_path / "column.npz",
+        **{"m/t": np.zeros((9, 1)), "m/goal": np.zeros((9, 2)), "m/pos": np.zeros((9, 2))},
+    )
+    np.savez(
+        tmp_path / "unread.npz",
+        **{"m/t": np.arange(99.0), "m/goal": np.zeros((99, 2)), "m/pos": np.full((99, 2), np.nan)},
+    )
+    np.savez(tmp_path / "keys.npz", a=np.zeros(3))
+    np.savez(
+        tmp_path / "shapes.npz",
+        **{"m/t": np.arange(9.0), "m/goal": np.zeros((9, 2)), "m/pos": np.zeros((9, 3))},
+    )
+    bad = np.zeros((200, 2))
+    bad[3] = np.nan
+    t = np.arange(200) * 0.02
+    t[50] = t[49]
+    np.savez(tmp_path / "nan.npz", **{"m/t": t, "m/goal": np.zeros((200, 2)), "m/pos": bad})
+    logs = load_logs(tmp_path)
+    assert len(logs.recordings) == 3
+    told = {name for name, _ in logs.skipped}
+    assert told == {
+        "text.json", "list.json", "empty.json", "lacks.json", "noise.npz", "keys.npz",
+        "shapes.npz", "nan.npz", "rows.json", "huge.json", "gain.json", "millis.json", "cut.npz",
+        "column.npz", "unread.npz",
+    }  # fmt: skip
+    # One line each, however many stretches.
+    assert all("\n" not in reason and len(reason) < 300 for _, reason in logs.skipped)
+    assert sum(name == "millis.json" for name, _ in logs.skipped) == 1
+    tree = run_logs(tmp_path)
+    assert tree["recordings"] == 3
+    assert "expected at least" in tree["arms"][0]["unseen motions"]["status"]
+
+
+def test_single_wild_readings_are_repaired(tmp_path: Path) -> None:
+    goal, position = servo(np.random.default_rng(2), 300)
+    position[100, 0] = -np.pi
+    n = len(goal)
+    np.savez(
+        tmp_path / "arm.npz", **{"m/t": np.arange(n) * 0.02, "m/goal": goal, "m/pos": position}
+    )
+    recording = load_logs(tmp_path / "arm.npz").recordings[0]
+    assert recording.repaired == 1
+    assert np.abs(np.diff(recording.measured, axis=0)).max() < 0.2
+
+
+def test_a_file_of_no_use_ends_the_command_in_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "a.json"
+    file.write_text('{"kp": 1, "entries": [1]}')
+    with pytest.raises(RecordingError, match=r"a\.json: no recording that can be used") as told:
+        run_logs(file)
+    assert "\n" not in str(told.value)
+
+
+def test_a_servo_that_never_moves_has_figures(tmp_path: Path) -> None:
+    n = 3000
+    still = {"t": np.arange(n) * 0.02, "goal": np.zeros((n, 2)), "pos": np.full((n, 2), 0.1)}
+    np.savez(tmp_path / "arm.npz", **{f"m{i}/{k}": v for i in range(5) for k, v in still.items()})
+    arm = run_logs(tmp_path)["arms"][0]
+    assert arm["unseen motions"]["rms_deg"]["servo"] == [0.0, 0.0]
+    assert all(len(s.tables) == 2 for s in sections({"logs": run_logs(tmp_path)}))
+
+
+def test_paths_that_hold_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no such file"):
+        load_logs(tmp_path / "nowhere")
+    with pytest.raises(RecordingError, match="holds no"):
+        load_logs(tmp_path)
+
+
+@pytest.mark.skipif(
+    not (REAL / "xl330").is_dir(),
+    reason="no ../shared/data/xl330: recordings of github.com/Rhoban/bam, not part of the project",
+)
+def test_the_real_pendulum_prefers_a_refit_of_its_own_gain() -> None:
+    tree = run_logs(REAL / "xl330")
+    pendulum = tree["pendulum"]
+    assert pendulum["runs"] == 16
+    servo_law = pendulum["libraries"]["servo"]
+    rms = servo_law["rms_deg"]
+    for gain in ("100", "200"):
+        assert rms[gain][gain] < 0.2 * pendulum["naive_deg"][gain]
+    assert rms["100"]["800"] > 2.0 * rms["800"]["800"]
