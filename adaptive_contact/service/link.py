@@ -139,6 +139,11 @@ class Publisher:
         self.key = key
         self.encoding = encoding
 
+    @property
+    def matched(self) -> bool:
+        """Whether anybody subscribes; always True with history, where Zenoh does not tell."""
+        return self._keep or bool(self._declared.matching_status.matching)
+
     def put(self, message: Message) -> None:
         """Publish; blocks only on a reliable publisher with a subscriber that hangs.
 
