@@ -8,6 +8,7 @@ code runs as plain Python.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -34,6 +35,7 @@ _config: Any = _numba_config  # its settings are made at import, and have no typ
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
 _SOURCES: Final = ("detect", "learn", "model", "robot")
+_WHOLE: Final = "whole"  # empty; there once all of a tick has been compiled
 
 
 def compiles() -> bool:
@@ -69,9 +71,20 @@ def cache_folder() -> Path | None:
 
 
 def is_cached() -> bool:
-    """Tell whether this installation has been compiled before."""
+    """Tell whether all of a tick has been compiled before, by this installation on this processor.
+
+    Files of machine code alone do not show it: who stops early leaves some of them.
+    """
     folder = cache_folder()
-    return folder is not None and any(folder.rglob("*.nbi"))
+    return folder is not None and (folder / _WHOLE).exists()
+
+
+def note_cached() -> None:
+    """Leave word in the cache that all of a tick is in it."""
+    folder = cache_folder()
+    if folder is not None and compiles():
+        with contextlib.suppress(OSError):  # the next start compiles ahead again, from the cache
+            (folder / _WHOLE).touch()
 
 
 def records(scalars: Any) -> Any:
@@ -154,8 +167,13 @@ def _owned(folder: Path) -> Path | None:
 
 
 def _digest() -> str:
-    """Of what the machine code is made from: sources, numba, Python."""
-    found = hashlib.sha256(f"{getattr(numba, '__version__', None)} {sys.version}".encode())
+    """Of what the machine code is made from and for: sources, numba, Python, processor."""
+    made = [getattr(numba, "__version__", None), sys.version]
+    if numba is not None:
+        from llvmlite import binding  # type: ignore[import-untyped]
+
+        made += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
+    found = hashlib.sha256(" ".join(map(str, made)).encode())
     here = Path(__file__).parent
     sources = [path for package in _SOURCES for path in sorted((here / package).glob("*.py"))]
     for source in [Path(__file__), *sources]:

@@ -13,6 +13,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from adaptive_contact.compiled import note_cached
 from adaptive_contact.detect.flags import DECIDED, RELEASE_PENDING
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.learn.rls import RecursiveLeastSquares
@@ -209,3 +210,4 @@ def compile_ahead() -> None:
     coefficients, scale = np.zeros(every.shape), np.ones(library.size)
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
+    note_cached()

@@ -81,6 +81,24 @@ def test_no_folder_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert not compiled.is_cached()
 
 
+def test_a_part_of_it_is_not_all(folder: Path) -> None:
+    """A start that finds a part would compile the rest itself, and keep the memory for it."""
+    code = """
+from adaptive_contact import compiled
+from adaptive_contact.leg_group import compile_ahead
+found = compiled.cache_folder()
+(found / "part.nbi").touch()
+print(compiled.is_cached())
+compile_ahead()
+print(compiled.is_cached())
+print(len(list(found.rglob("*.nbc"))) > 3)
+"""
+    if not compiled.compiles():
+        pytest.skip("nothing is compiled here")
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["False", "True", "True"]
+
+
 _RUN = """
 import json, sys
 sys.path.insert(0, {tests!r})
