@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -268,11 +267,11 @@ def few() -> Training:
 
 
 @pytest.fixture(scope="module")
-def plain() -> Iterator[Training]:
+def plain() -> Training:
     """The same recording, by least squares alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("adaptive_contact.fit.train.strength_of", lambda *_: None)
-        yield trained(with_a_leap())
+        return trained(with_a_leap())
 
 
 def test_few_motions_hold_on_and_a_new_motion_is_predicted(few: Training, plain: Training) -> None:
@@ -298,15 +297,46 @@ def test_a_baseline_keeps_its_doubt(few: Training, tmp_path: Path) -> None:
     np.testing.assert_allclose(after.leverage(theta), before.leverage(theta), rtol=0.02)
 
 
-def test_motions_that_determine_all_terms_hold_on_to_nothing(tmp_path: Path) -> None:
+def waves(rng: np.random.Generator) -> Array:
+    """Commands that determine all terms, within a quarter of a radian."""
+    ticks = np.arange(6000)[:, None]
+    slow = 0.25 * np.sin(2.0 * np.pi * 0.02 * ticks * rng.uniform(0.5, 0.9, 3))
+    return np.asarray(slow + rng.normal(scale=0.01, size=slow.shape))
+
+
+@pytest.fixture(scope="module")
+def determined() -> Training:
     rng = np.random.default_rng(13)
-    n = 6000
-    steps = np.repeat(rng.uniform(-0.8, 0.8, (n // 10, 3)), 10, axis=0)
-    training = trained([follow(rng, steps + rng.normal(scale=0.02, size=(n, 3)))])
-    assert training.figures["arm"].strength is None
+    return trained([follow(rng, waves(rng))])
+
+
+def test_motions_that_determine_all_terms_hold_on_to_nothing(
+    determined: Training, tmp_path: Path
+) -> None:
+    assert determined.figures["arm"].strength is None
     file = tmp_path / "baseline.json"
-    file.write_text(dump_baseline(training.baseline))
-    assert b'"doubt"' not in file.read_bytes()
+    file.write_text(dump_baseline(determined.baseline))
+    assert '"doubt"' not in file.read_text()
+
+
+def test_a_leap_of_two_ticks_is_told_and_raises_no_threshold(determined: Training) -> None:
+    """Of a recording that determines all terms but what a command so far away does."""
+    rng = np.random.default_rng(13)
+    desired = waves(rng)
+    desired[3000:3002] += 2.0
+    leapt = trained([follow(rng, desired)])
+    assert 0 < leapt.figures["arm"].lone < 20
+    assert threshold_of(leapt) < 2.0 * threshold_of(determined)
+
+
+def test_a_shove_of_two_ticks_is_left_out(determined: Training) -> None:
+    """The recording was given as free, and a joint is held away."""
+    rng = np.random.default_rng(13)
+    motion = follow(rng, waves(rng))
+    motion.measured[4000:4002, 1] += 0.5
+    shoved = trained([motion])
+    assert 0 < shoved.figures["arm"].outliers < 20
+    assert threshold_of(shoved) < 1.5 * threshold_of(determined)
 
 
 def test_without_groups_nothing_is_known() -> None:
