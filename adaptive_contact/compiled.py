@@ -28,16 +28,6 @@ except ImportError:  # there is none for this computer: pyproject.toml names tho
     numba = None
     _numba_config = None  # type: ignore[assignment]  # a module above
 
-__all__ = [
-    "CACHE_VARIABLE",
-    "borrow",
-    "cache_folder",
-    "compiled",
-    "compiles",
-    "is_cached",
-    "records",
-]
-
 _config: Any = _numba_config  # its settings are made at import, and have no types
 
 # Names a folder for what is compiled; empty for none.

@@ -6,8 +6,6 @@ import math
 import re
 from typing import Final
 
-__all__ = ["DURATIONS", "seconds_of"]
-
 # What an error says was expected.
 DURATIONS: Final = "seconds, or a duration such as 90s, 10m or 1h30m"
 

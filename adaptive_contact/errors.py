@@ -22,19 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = [
-    "AdaptiveContactError",
-    "BaselineError",
-    "BusError",
-    "ConfigurationError",
-    "IdentificationError",
-    "LinkError",
-    "MissingExtraError",
-    "RecordingError",
-    "SimulationDivergedError",
-    "TooLittleDataError",
-]
-
 
 class AdaptiveContactError(Exception):
     """Base of everything this package raises on purpose."""
@@ -109,3 +96,8 @@ class BusError(AdaptiveContactError):
 
 class SimulationDivergedError(AdaptiveContactError):
     """The simulated robot left the range of the physically possible."""
+
+
+def reason_of(error: OSError) -> str:
+    """The system's words for a failure, in lower case."""
+    return (error.strerror or str(error)).lower()

@@ -20,15 +20,6 @@ from typing import IO, Final
 
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 
-__all__ = [
-    "cannot_write",
-    "holds_content",
-    "open_stream",
-    "whole_file",
-    "why_not_writable",
-    "write_file",
-]
-
 # Of the name of a file in the name of the one beside it: a file system allows 255 bytes.
 _NAME_CHARACTERS: Final = 40
 _STANDARD_STREAMS: Final = (1, 2)

@@ -10,8 +10,6 @@ from __future__ import annotations
 import re
 from typing import Final
 
-__all__ = ["printable", "printable_json", "printable_lines"]
-
 # C0, DEL and C1; the soft hyphen and characters of no width, which hide text; marks of direction
 # (Unicode TR36); line and paragraph separators; halves of surrogate pairs.
 _OTHER: Final = (

@@ -7,8 +7,6 @@ import os
 import sys
 from typing import Final
 
-__all__ = ["cores", "take_priority", "yield_priority"]
-
 # Among real-time threads, below those of the kernel's interrupts (50).
 _PRIORITY: Final = 20
 

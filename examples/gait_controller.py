@@ -33,8 +33,7 @@ import numpy as np
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.robot import Leg, axis_text, inverse, load_robot, shipped_robot
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.probe import Finding
-from adaptive_contact.service.settings import SERVICE_TOKEN
+from adaptive_contact.service.settings import SERVICE_TOKEN, Finding
 from adaptive_contact.wire import (
     Command,
     ContactEvent,

@@ -18,14 +18,14 @@ import sys
 import threading
 from pathlib import Path
 
-from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.printable import printable
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.probe import Finding
+from adaptive_contact.service.settings import Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    BridgeStatus,
     ContactEvent,
     LearnerStatus,
     Rejected,

@@ -2,5 +2,5 @@
 
 Only this package imports dynamixel_sdk and serial, and of it only :mod:`.port` and :mod:`.bus`:
 packets and tables are plain data, which the virtual bus of the simulator uses too.  Nothing here
-knows Zenoh; who runs a bridge hands it an :class:`~adaptive_contact.bridge.outlet.Outlet`.
+knows Zenoh; who runs a bridge hands it an :class:`~adaptive_contact.bridge.transport.Outlet`.
 """

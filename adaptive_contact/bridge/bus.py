@@ -22,15 +22,18 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
 
-from adaptive_contact.bridge.packets import BROADCAST_ID, MAX_ID, Instruction
+from adaptive_contact.bridge.packets import (
+    BROADCAST_ID,
+    ERROR_BITS,
+    ERROR_NUMBERS,
+    MAX_ID,
+    Instruction,
+    split_fast_sync,
+)
 from adaptive_contact.bridge.port import SdkPort
-from adaptive_contact.bridge.protocol1 import ERROR_BITS
-from adaptive_contact.bridge.protocol2 import ERROR_NUMBERS, split_fast_sync
 from adaptive_contact.bridge.tables import Block, Register
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
-
-__all__ = ["MODEL_NUMBER", "Bus", "Fault", "Pong", "Reading"]
 
 T = TypeVar("T")
 
@@ -174,11 +177,7 @@ class Bus:
         return result == int(COMM_SUCCESS)
 
     def read(
-        self,
-        servos: Sequence[int],
-        block: Block,
-        until: float = math.inf,
-        end: float = math.inf,
+        self, servos: Sequence[int], block: Block, until: float = math.inf, end: float = math.inf
     ) -> dict[int, Reading]:
         """Read the same registers of several servos.
 

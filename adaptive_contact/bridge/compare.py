@@ -19,8 +19,6 @@ from adaptive_contact.bridge.modes import DriveMode
 from adaptive_contact.bridge.plan import PortPlan
 from adaptive_contact.bridge.tables import ServoModel
 
-__all__ = ["COMPARED", "Servo", "compare", "read_servos"]
-
 COMPARED: Final = (
     "moving_speed",
     "goal_acceleration",

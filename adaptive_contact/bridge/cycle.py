@@ -13,16 +13,21 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Literal
 
 from adaptive_contact.bridge.bus import Bus, Reading
-from adaptive_contact.bridge.drive import Driver, Mode, complaint
+from adaptive_contact.bridge.drive import (
+    Driver,
+    GoalRegister,
+    Mode,
+    Place,
+    Standing,
+    Waker,
+    complaint,
+    standing,
+)
 from adaptive_contact.bridge.health import SILENT_AFTER, Punctuality, ServoHealth, due, is_stale
-from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
-from adaptive_contact.bridge.status import ServoCounts
 from adaptive_contact.bridge.tables import Block, Register, ServoModel
-from adaptive_contact.bridge.wake import GoalRegister, Place, Standing, Waker, standing
-from adaptive_contact.wire import ServoSample
-
-__all__ = ["Cycle"]
+from adaptive_contact.bridge.transport import Mailbox
+from adaptive_contact.wire import ServoCounts, ServoSample
 
 # A second try after a wrong checksum has to begin within this share of the control period.
 _RETRY_SHARE: Final = 0.4

@@ -18,6 +18,7 @@ from typing import Final, Literal
 import msgspec
 
 from adaptive_contact.bridge.bus import MODEL_NUMBER, Bus, Pong
+from adaptive_contact.bridge.drive import remedy, standing
 from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.plan import JointPlan, PortPlan
@@ -30,25 +31,8 @@ from adaptive_contact.bridge.tables import (
     model_of_number,
     number_name,
 )
-from adaptive_contact.bridge.wake import remedy, standing
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
-
-__all__ = [
-    "ALL_IDS",
-    "ANSWERS_NOW",
-    "BUSY",
-    "USUAL_BAUDS",
-    "Findings",
-    "Place",
-    "check_ports",
-    "crowd",
-    "let_answer",
-    "look_elsewhere",
-    "named",
-    "scan",
-    "scan_again",
-]
 
 ALL_IDS: Final = range(MAX_ID + 1)
 # A baud rate, and a protocol.

@@ -1,4 +1,4 @@
-"""How a servo follows goals: operating mode, drive mode, limits, offsets, off its registers.
+r"""How a servo follows goals, off its registers: modes, limits, offsets, and position gain.
 
 A goal and a position of one servo are numbers of one frame, whatever the frame is: homing offset,
 reverse mode and multi-turn offset are in both, and ``directions`` and ``offsets_rad`` of
@@ -39,16 +39,28 @@ Sources: ROBOTIS e-manual, XL-320 "Control Mode(11)"; MX-106 "Drive Mode(10)"; M
 Control Mode Enable (70)"; XM430-W350 "Drive Mode(10)", "Operating Mode(11)", "Homing Offset(20)",
 "Min/Max Position Limit(48, 52)", "Torque Enable(64)", "Present Position(132)"; ROBOTIS forum 7814
 (the turn that is lost as torque comes on).
+
+The position gain is read as the error at which a servo drives with all it has, rad,
+``servo.slope_rad`` in ``robot.toml``:
+
+- AX: the compliance slope :math:`s` is that error in steps, beside the margin and the punch.
+- MX, protocol 1.0: a P gain has taken its place; the manual gives pairs of the two (slope 8 and
+  gain 128, 32 and 32, 128 and 8), so :math:`s = 1024 / P` in an AX servo's steps.
+- X-series: the PWM is :math:`P/128` per step of error and ends at the PWM limit :math:`w` (885), so
+  :math:`s = 128\,w / P` of its steps.
+
+Sources: ROBOTIS e-manual, AX-12A "Compliance Slope (28, 29)", MX-28 "P Gain", XM430-W210 "Position
+PID Gain(80, 82, 84)" and "PWM Limit(36)".
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.tables import ServoModel
-
-__all__ = ["DriveMode", "Setting", "setting"]
 
 _MODES: Final = {
     0: "current",
@@ -194,3 +206,47 @@ def _slave(drive: int) -> str:
         f"has drive mode {drive} (slave: it follows another servo's cable), expected that bit (2) "
         f"clear; clear it {_WIZARD}"
     )
+
+
+_AX_STEP_RAD: Final = math.radians(300.0) / 1023
+_SLOPE_TIMES_GAIN: Final = 1024.0
+_PWM_PER_GAIN: Final = 128.0
+# What a description may hold.
+_RANGE_RAD: Final = (1e-3, math.pi)
+
+# Registers of each kind of controller; a model has those of one.
+LAW_REGISTERS: Final = (
+    ("lower_slope", "upper_slope"),
+    ("position_p", "pwm_limit"),
+    ("position_p",),
+)
+
+
+def read_slope(bus: Bus, servo: int, model: ServoModel) -> float | None:
+    """Slope of a servo on a bus, rad; None where it does not tell.
+
+    Raises:
+        PortLostError: the port is gone.
+    """
+    names = next(names for names in LAW_REGISTERS if set(names) <= set(model.registers))
+    values = {name: bus.get(servo, model.registers[name]) for name in names}
+    known = {name: value for name, value in values.items() if value is not None}
+    return slope_rad(model, known) if len(known) == len(values) else None
+
+
+def slope_rad(model: ServoModel, values: dict[str, int]) -> float | None:
+    """Slope, rad, of a model's registers; None where its gain is 0.
+
+    Args:
+        model: the kind of servo.
+        values: of the registers in :data:`LAW_REGISTERS` that it has.
+    """
+    if "lower_slope" in values:
+        slope = (values["lower_slope"] + values["upper_slope"]) / 2 * model.step_rad
+    elif not values["position_p"]:
+        return None
+    elif "pwm_limit" in values:
+        slope = _PWM_PER_GAIN * values["pwm_limit"] / values["position_p"] * model.step_rad
+    else:
+        slope = _SLOPE_TIMES_GAIN / values["position_p"] * _AX_STEP_RAD
+    return min(max(slope, _RANGE_RAD[0]), _RANGE_RAD[1])

@@ -12,9 +12,7 @@ import msgspec
 from adaptive_contact.bridge.tables import BAUDS, MODELS, ServoModel, models_named
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import AngleFrame, Leg, Port, Robot, ServoBus
-from adaptive_contact.robot.angles import angles_text
-
-__all__ = ["DEFAULT_PORT", "JointPlan", "LegPlan", "PortPlan", "plan_ports"]
+from adaptive_contact.robot.description import angles_text
 
 # Name of the port of a description without any.
 DEFAULT_PORT: Final = "main"

@@ -9,17 +9,20 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from adaptive_contact.bridge.loop import PortLoop
-from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan
-from adaptive_contact.bridge.status import BridgeStatus
+from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.cli._output import protect_output, say
 from adaptive_contact.errors import AdaptiveContactError, LinkError
 from adaptive_contact.priority import take_priority
 from adaptive_contact.service.link import Link, LinkSettings
-from adaptive_contact.service.probe import Finding
-from adaptive_contact.wire import ServoSample, bridge_status_key, command_key, servo_key
-
-__all__ = ["ZenohOutlet", "listen", "work"]
+from adaptive_contact.service.settings import Finding
+from adaptive_contact.wire import (
+    BridgeStatus,
+    ServoSample,
+    bridge_status_key,
+    command_key,
+    servo_key,
+)
 
 
 class ZenohOutlet:

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 
@@ -16,24 +15,13 @@ if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.robot import Robot
 
-__all__ = [
-    "DeviceOption",
-    "described_in",
-    "devices_of",
-    "needs_sdk",
-    "plans_of",
-    "robot_of",
-    "shake_hands",
-]
-
 DeviceOption = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--device",
-        metavar="[PORT=]PATH",
-        help="Serial port instead of robot.toml's, such as /dev/ttyUSB0 or left=/dev/ttyUSB1; "
+        "Serial port instead of robot.toml's, such as /dev/ttyUSB0 or left=/dev/ttyUSB1; "
         "repeatable.",
-        show_default=False,
+        "[PORT=]PATH",
     ),
 ]
 

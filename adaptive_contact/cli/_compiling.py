@@ -9,8 +9,6 @@ import sys
 
 from adaptive_contact.cli._output import say_note
 
-__all__ = ["compile_tick"]
-
 
 def compile_tick() -> None:
     """Load the compiled tick; the first start after an installation compiles it, and says so."""

@@ -11,8 +11,6 @@ from rich.segment import Segment
 
 from adaptive_contact.printable import printable_lines
 
-__all__ = ["table_console"]
-
 _PIPE_WIDTH: Final = 120
 
 

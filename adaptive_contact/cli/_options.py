@@ -27,33 +27,6 @@ if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.recording import Recording
 
-__all__ = [
-    "AmbiguousOption",
-    "BaselineOption",
-    "Commands",
-    "ConfigOption",
-    "InsecureOption",
-    "JsonOption",
-    "JsonPayloadOption",
-    "ListenOption",
-    "LogJsonOption",
-    "LogLevel",
-    "LogLevelOption",
-    "MaxSessionsOption",
-    "Network",
-    "NoStateOption",
-    "RealtimeOption",
-    "StateOption",
-    "WhenAmbiguous",
-    "check_output",
-    "flatten",
-    "recorded_robot",
-    "say_damage",
-    "seconds_option",
-    "speed_of",
-    "stoppable",
-]
-
 
 def _without_types_of_flags(params: list[Any]) -> list[Any]:
     """Options whose help shows no ``<bool>`` behind a flag, which takes no value."""
@@ -121,22 +94,36 @@ def flatten(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def seconds_option(
-    *names: str,
-    least: float = 0.0,
-    most: float = math.inf,
-    **settings: Any,
+def option(
+    name: str, text: str = "", metavar: str | None = None, *, short: str = "", **settings: Any
 ) -> Any:
-    """An option that is a duration, in seconds.
+    """Declare an option of a command.
 
     Args:
-        names: as of :func:`typer.Option`.
+        name: with its dashes.
+        text: its help, which says what a default of None stands for.
+        metavar: of its value.
+        short: its other name, such as ``-o``.
+        settings: further ones of :func:`typer.Option`; ``panel`` is that of the help.
+    """
+    names = (name, short) if short else (name,)
+    panel = settings.pop("panel", None)
+    # Square brackets are no markup here: a default, such as [hexapod], stands in them.
+    shown = text.replace("[", "\\[") or None
+    return typer.Option(*names, help=shown, metavar=metavar, rich_help_panel=panel, **settings)
+
+
+def seconds_option(
+    name: str, text: str, *, least: float = 0.0, most: float = math.inf, **settings: Any
+) -> Any:
+    """Declare an option that is a duration; its value is a float.
+
+    Args:
+        name: with its dashes.
+        text: its help.
         least: s.
         most: s; what lies outside is refused in one line.
-        settings: further ones of :func:`typer.Option`, ``help`` among them.
-
-    Returns:
-        The option; its value is a float.
+        settings: further ones of :func:`option`.
     """
 
     def parse(given: str | float) -> float:
@@ -149,8 +136,8 @@ def seconds_option(
         return seconds
 
     if most < math.inf:
-        settings["help"] = f"{settings['help'].rstrip('.')}, {least:g} to {most:g} s."
-    return typer.Option(*names, metavar="DURATION", parser=parse, **settings)
+        text = f"{text.rstrip('.')}, {least:g} to {most:g} s."
+    return option(name, text, "DURATION", parser=parse, **settings)
 
 
 class WhenAmbiguous(StrEnum):
@@ -175,13 +162,12 @@ _MAX_SPEED: Final = 1000.0
 
 ListenOption = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
         "--listen",
-        metavar="ENDPOINT",
-        help=f"Where the embedded router listens (default {DEFAULT_ENDPOINT}); port 0 takes a free "
+        f"Where the embedded router listens (default {DEFAULT_ENDPOINT}); port 0 takes a free "
         "one; repeatable.",
-        show_default=False,
-        rich_help_panel=_NETWORK,
+        "ENDPOINT",
+        panel=_NETWORK,
     ),
 ]
 
@@ -192,33 +178,29 @@ class Network:
 
     connect: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--connect",
-            metavar="ENDPOINT",
-            help=f"Router to join, such as {DEFAULT_ENDPOINT} (the default is that one); "
-            "repeatable.",
-            show_default=False,
-            rich_help_panel=_NETWORK,
+            f"Router to join, such as {DEFAULT_ENDPOINT} (the default is that one); repeatable.",
+            "ENDPOINT",
+            panel=_NETWORK,
         ),
     ] = None
     namespace: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--namespace",
-            metavar="NAME",
-            help="Prefix of all keys, one per robot on a shared network, such as hexapod1.",
-            show_default=False,
-            rich_help_panel=_NETWORK,
+            "Prefix of all keys, one per robot on a shared network, such as hexapod1.",
+            "NAME",
+            panel=_NETWORK,
         ),
     ] = None
     zenoh_config: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--zenoh-config",
-            metavar="FILE",
-            help="Zenoh configuration file (JSON5) for TLS, users and access control.",
-            show_default=False,
-            rich_help_panel=_NETWORK,
+            "Zenoh configuration file (JSON5) for TLS, users and access control.",
+            "FILE",
+            panel=_NETWORK,
         ),
     ] = None
 
@@ -253,80 +235,68 @@ class Network:
 
 InsecureOption = Annotated[
     bool,
-    typer.Option(
-        "--insecure",
-        help="Listen beyond loopback without authentication of clients.",
-        rich_help_panel=_NETWORK,
+    option(
+        "--insecure", "Listen beyond loopback without authentication of clients.", panel=_NETWORK
     ),
 ]
 MaxSessionsOption = Annotated[
     int | None,
-    typer.Option(
+    option(
         "--max-sessions",
-        metavar="N",
+        "Sessions that the embedded router takes at once (default 256, or what "
+        "--zenoh-config says); others are refused.",
+        "N",
         min=2,
         max=10_000,
-        help="Sessions that the embedded router takes at once (default 256, or what "
-        "--zenoh-config says); others are refused.",
-        show_default=False,
-        rich_help_panel=_NETWORK,
+        panel=_NETWORK,
     ),
 ]
-JsonPayloadOption = Annotated[
-    bool,
-    typer.Option("--json", help="Publish JSON payloads instead of msgpack."),
+JsonPayloadOption = Annotated[bool, option("--json", "Publish JSON payloads instead of msgpack.")]
+JsonOption = Annotated[bool, option("--json", "Print JSON instead of a table.")]
+ForceOption = Annotated[bool, option("--force", "Replace what is there already.")]
+SeedOption = Annotated[int, option("--seed", "Of what is random.", min=0)]
+ProcessesOption = Annotated[int, option("--processes", "Runs worked on at a time.", min=1, max=64)]
+BaselineOutOption = Annotated[
+    Path, option("--out", "Where the baseline goes (JSON).", "FILE", short="-o")
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 ConfigOption = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--config",
-        metavar="ROBOT.TOML",
-        help="Description of the robot, or a shipped one's name; without it, the hexapod.",
-        show_default=False,
+        "Description of the robot, or a shipped one's name; without it, the hexapod.",
+        "ROBOT.TOML",
     ),
 ]
 BaselineOption = Annotated[
     Path | None,
-    typer.Option(
-        "--baseline",
-        metavar="FILE",
-        help="Model file to start from, made by `adaptive-contact fit`.",
-        show_default=False,
-    ),
+    option("--baseline", "Model file to start from, made by `adaptive-contact fit`.", "FILE"),
 ]
 StateOption = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--state",
-        metavar="DIR",
-        help="Where learned state is kept; by default $XDG_STATE_HOME/adaptive-contact, or "
+        "Where learned state is kept; by default $XDG_STATE_HOME/adaptive-contact, or "
         "~/.local/state/adaptive-contact.",
-        show_default=False,
+        "DIR",
     ),
 ]
-NoStateOption = Annotated[
-    bool, typer.Option("--no-state", help="Neither restore nor keep what is learned.")
-]
+NoStateOption = Annotated[bool, option("--no-state", "Neither restore nor keep what is learned.")]
 AmbiguousOption = Annotated[
     WhenAmbiguous,
-    typer.Option(
+    option(
         "--when-ambiguous",
-        help="Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of "
+        "Withhold contacts of an ambiguous leg where it cannot be judged; withhold all of "
         "them; or publish them.",
     ),
 ]
 LogLevelOption = Annotated[
-    LogLevel,
-    typer.Option("--log-level", help="Least level that is logged.", rich_help_panel="Logging"),
+    LogLevel, option("--log-level", "Least level that is logged.", panel="Logging")
 ]
 LogJsonOption = Annotated[
-    bool,
-    typer.Option("--log-json", help="Log one JSON object per line.", rich_help_panel="Logging"),
+    bool, option("--log-json", "Log one JSON object per line.", panel="Logging")
 ]
 RealtimeOption = Annotated[
-    bool,
-    typer.Option("--realtime", help="Run before all ordinary processes (needs the right to)."),
+    bool, option("--realtime", "Run before all ordinary processes (needs the right to).")
 ]
 
 

@@ -23,18 +23,7 @@ from adaptive_contact.printable import printable, printable_json
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-    from adaptive_contact.service.probe import Finding
-
-__all__ = [
-    "OutputLost",
-    "make_stdout_optional",
-    "overwrite",
-    "protect_output",
-    "say",
-    "say_json",
-    "say_note",
-    "say_waiting",
-]
+    from adaptive_contact.service.settings import Finding
 
 
 def say(line: object, *, err: bool = False) -> None:

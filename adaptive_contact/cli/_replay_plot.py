@@ -18,10 +18,8 @@ import numpy as np
 from adaptive_contact.cli._output import say
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.files import write_file
-from adaptive_contact.service.replay_trace import LegTrace, Spans
+from adaptive_contact.service.replay import LegTrace, Spans
 from adaptive_contact_studies.show.figures import needs_matplotlib, new_figure, png
-
-__all__ = ["check_plot", "write_plot"]
 
 # Of all legs together: 400 000 ticks are 2 MB of text, 20 minutes of six legs at 50 Hz.
 _MAX_POINTS: Final = 400_000

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import (
     DeviceOption,
     described_in,
@@ -17,27 +20,270 @@ from adaptive_contact.cli._bus import (
     robot_of,
     shake_hands,
 )
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    Network,
-    check_output,
-    flatten,
-    seconds_option,
-    stoppable,
-)
-from adaptive_contact.cli._output import say, say_note
+from adaptive_contact.cli._options import option, seconds_option
+from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.robot import Robot
+    from adaptive_contact.service.interfaces import Received
+    from adaptive_contact.service.livecheck import LegView, LiveReport
+    from adaptive_contact.service.settings import LinkSettings
     from adaptive_contact.wire import ServoSample
 
-__all__ = ["check"]
+_BACKLOG: Final = 50_000
+_POLL_S: Final = 0.05
+_REDRAW_S: Final = 0.2
+_PIPE_WIDTH: Final = 120
+_MOVES_SHOWN: Final = 6
+# What a leg at rest gives way by, mm; less is friction and rounding.
+_LEAST_SAG_MM: Final = 1.0
+_HINT: Final = (
+    "Move one joint after the other by hand.  Another joint is named: the order of joints, or of "
+    "ids, is wrong.  The foot goes the other way: that joint's sign is wrong."
+)
 
-_PIPE_WIDTH: Final = 110
+
+def check_live(
+    robot: Robot,
+    settings: LinkSettings,
+    seconds: float,
+    *,
+    stop: threading.Event,
+    picture: Path | None,
+    json: bool,
+) -> int:
+    """Look for a while, then judge.
+
+    Args:
+        robot: its description.
+        settings: where the router is.
+        seconds: how long to look.
+        stop: ends the look early.
+        picture: SVG to draw; None for none.
+        json: print the report as JSON, and nothing else.
+
+    Returns:
+        The exit code: 0 where nothing is worse than a note, else 1.
+
+    Raises:
+        NoRouterError: there is no router.
+    """
+    from rich.live import Live
+
+    from adaptive_contact.cli._console import table_console
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.service.livecheck import LiveCheck
+    from adaptive_contact.wire import ALL_SERVO
+
+    waiting: deque[Received] = deque(maxlen=_BACKLOG)
+    check = LiveCheck(robot)
+    console = table_console(pipe_width=_PIPE_WIDTH)
+    drawn = console.is_terminal and not json
+    with Link.open(settings) as link:
+        began = time.monotonic()
+        samples = link.subscribe(ALL_SERVO, waiting.append)
+        if not json:
+            say(_HINT, err=True)
+        redrawn = 0.0
+        with Live(console=console, auto_refresh=False, transient=True) as live:
+            while time.monotonic() - began < seconds and not stop.wait(_POLL_S):
+                said = len(check.moves)
+                for _ in range(len(waiting)):
+                    check.take(waiting.popleft())
+                if not drawn and not json:
+                    for line in check.moves[said:]:
+                        console.print(line, soft_wrap=True)
+                if drawn and time.monotonic() - redrawn >= _REDRAW_S:
+                    redrawn = time.monotonic()
+                    live.update(_table(check.legs(), check.moves[-_MOVES_SHOWN:]), refresh=True)
+        samples.close()
+        elapsed = time.monotonic() - began
+    for _ in range(len(waiting)):
+        check.take(waiting.popleft())
+    report = check.report(elapsed)
+    if json:
+        import msgspec
+
+        say_json(msgspec.json.encode(report))
+    else:
+        _print(report, console, moves=drawn)
+    if picture is not None:
+        from adaptive_contact.cli._robot_picture import write_picture
+
+        write_picture(robot, check.angles(), picture)
+    return report.exit_code
+
+
+def collect_live(
+    robot: Robot, settings: LinkSettings, seconds: float, *, stop: threading.Event
+) -> dict[str, list[ServoSample]]:
+    """Collect the samples of a robot's legs, as the wire has them, in the order of arrival.
+
+    Raises:
+        NoRouterError: there is no router.
+        ConfigurationError: no samples of these legs came.
+    """
+    from adaptive_contact.service.link import Link
+    from adaptive_contact.wire import ALL_SERVO, Rejected, ServoSample, decode, leg_of_key
+
+    waiting: deque[Received] = deque()
+    kept: dict[str, list[ServoSample]] = {leg: [] for leg in robot.leg_ids}
+    strangers: set[str] = set()
+    with Link.open(settings) as link:
+        samples = link.subscribe(ALL_SERVO, waiting.append)
+        say(
+            f"listening for {seconds:g} s: swing every leg in free air meanwhile; Ctrl-C ends it "
+            "earlier",
+            err=True,
+        )
+        stop.wait(seconds)
+        samples.close()
+    for received in waiting:
+        leg = leg_of_key(received.key)
+        sample = decode(received.payload, ServoSample, received.encoding)
+        if leg is None or isinstance(sample, Rejected):
+            continue
+        if leg in kept:
+            kept[leg].append(sample)
+        else:
+            strangers.add(leg)
+    if not any(kept.values()):
+        others = f", only of leg {', '.join(sorted(strangers))}" if strangers else ""
+        raise ConfigurationError(
+            f"no samples of leg {', '.join(robot.leg_ids)} came in {seconds:g} s{others}; "
+            "publish robot/leg/LEG/servo meanwhile (docs/messages.md), and see "
+            "`adaptive-contact doctor`"
+        )
+    return kept
+
+
+def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
+    from rich.text import Text
+
+    from adaptive_contact.cli.doctor import print_findings
+
+    if report.legs:
+        console.print(_table(report.legs, report.moves if moves else []))
+    for line in _told(report):
+        console.print(Text(line))
+    print_findings(report.findings, console)
+    if report.exit_code == 0:
+        console.print(Text("nothing looks wrong", style="green"))
+
+
+def _told(report: LiveReport) -> list[str]:
+    """What the motion has shown, and what it cannot."""
+    lines = []
+    if report.confirmed:
+        lines.append(
+            f"signs, order and zeros: as the motion says, leg {' '.join(report.confirmed)}"
+        )
+    waiting = [leg for leg in report.open if leg not in report.by_hand]
+    if waiting:
+        lines.append(
+            f"signs, order and zeros: not confirmed by the motion of leg {' '.join(waiting)} (it "
+            "takes some 20 s of walking, and lengths_m); move joints by hand, and compare"
+        )
+    by_hand = [leg for leg in report.open if leg in report.by_hand]
+    if by_hand:
+        lines.append(
+            f"signs, order and zeros of leg {' '.join(by_hand)}: no motion confirms them, as the "
+            "mirror image of such a chain may walk as well (docs/robot.md); move joints by hand, "
+            "and compare"
+        )
+    for sign, where in (
+        (-1, "below their commands: so it is where they hang"),
+        (1, "above their commands: so it is where they stand"),
+    ):
+        sags = {leg.leg: 1e3 * sign * (leg.above_m or 0.0) for leg in report.legs}
+        given = {leg: sag for leg, sag in sags.items() if sag >= _LEAST_SAG_MM}
+        if given:
+            lines.append(
+                f"at rest, by the description, feet of leg {' '.join(given)} are "
+                f"{min(given.values()):.0f} to {max(given.values()):.0f} mm {where}"
+            )
+    if report.flatness is not None:
+        off = 1e3 * abs(report.flatness.off_m)
+        whose = report.flatness.leg
+        lines.append(
+            f"on a level floor: the foot of {whose} would be {off:.0f} mm "
+            f"{'above' if report.flatness.off_m > 0 else 'below'} the plane of the others"
+            if whose is not None
+            else f"on a level floor: one of the feet would be {off:.0f} mm off the others' plane"
+        )
+    return lines
+
+
+def _table(legs: Sequence[LegView], moves: Sequence[str]) -> Table:
+    """Every joint as it is now, and where the foot is by the description."""
+    import numpy as np
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption_justify="left")
+    for column in (
+        "leg",
+        "Hz",
+        "joint",
+        "wire",
+        "angle",
+        "range",
+        "goal",
+        "sign",
+        "limits",
+        "foot",
+    ):
+        table.add_column(
+            column, justify="left" if column in ("leg", "joint", "foot") else "right", no_wrap=True
+        )
+    for leg in legs:
+        where = _foot(leg)
+        for j, joint in enumerate(leg.joints):
+            low, high = np.degrees([joint.low_rad, joint.high_rad])
+            limits = ""
+            if joint.limits_rad is not None:
+                least, most = np.degrees(joint.limits_rad)
+                limits = f"{least:.0f}..{most:.0f}°" + (" !" if joint.outside else "")
+            table.add_row(
+                leg.leg if j == 0 else "",
+                "" if j or leg.rate_hz is None else f"{leg.rate_hz:.1f}",
+                f"{joint.joint} ({joint.axis})",
+                f"{joint.wire_rad:+.2f}",
+                f"{np.degrees(joint.angle_rad):+.1f}°",
+                f"{low:+.0f}..{high:+.0f}°",
+                f"{np.degrees(joint.goal_rad):+.1f}°",
+                f"{joint.direction:+d}",
+                limits,
+                where[j] if j < len(where) else "",
+            )
+    if moves:
+        table.caption = Text("\n".join(moves), style="not dim not italic")
+    return table
+
+
+def _foot(leg: LegView) -> list[str]:
+    """Where the foot is, in three lines beside the joints."""
+    lines = []
+    if leg.height_m is not None and leg.reach_m is not None:
+        side = "below" if leg.height_m < 0 else "above"
+        lines.append(f"{abs(leg.height_m) * 1e3:.0f} mm {side} the axis")
+        lines.append(f"{leg.reach_m * 1e3:.0f} mm out")
+    if leg.forward_m is not None and leg.left_m is not None:
+        ahead = "ahead" if leg.forward_m >= 0 else "behind"
+        side = "left" if leg.left_m >= 0 else "right"
+        lines.append(
+            f"{abs(leg.forward_m) * 1e3:.0f} mm {ahead}, {abs(leg.left_m) * 1e3:.0f} mm {side}"
+        )
+    return lines
+
+
+_BUS_PIPE_WIDTH: Final = 110
 # How long to look at a bus, and at a source that walks.
 _BUS_S: Final = 1.0
 _LIVE_S: Final = 20.0
@@ -45,38 +291,25 @@ _LIVE_S: Final = 20.0
 _LIVE_TICKS: Final = 500
 
 
-@flatten
+@opt.flatten
 def check(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     device: DeviceOption = None,
     live: Annotated[
-        bool,
-        typer.Option(
-            "--live", help="Judge the samples of any source on the wire; no bus is opened."
-        ),
+        bool, option("--live", "Judge the samples of any source on the wire; no bus is opened.")
     ] = False,
     picture: Annotated[
-        Path | None,
-        typer.Option(
-            "--picture",
-            metavar="FILE.svg",
-            help="Draw the legs as they stand now.",
-            show_default=False,
-        ),
+        Path | None, option("--picture", "Draw the legs as they stand now.", "FILE.svg")
     ] = None,
     seconds: Annotated[
         float | None,
         seconds_option(
-            "--seconds",
-            least=0.2,
-            most=600.0,
-            help="How long to look: 1 unless given, 20 with --live.",
-            show_default=False,
+            "--seconds", "How long to look: 1 unless given, 20 with --live.", least=0.2, most=600.0
         ),
     ] = None,
-    network: Network,
-    json: Annotated[bool, typer.Option("--json", help="With --live: print JSON.")] = False,
+    network: opt.Network,
+    json: Annotated[bool, option("--json", "With --live: print JSON.")] = False,
 ) -> None:
     """Show every joint live: angle, sign, offset, limits.  Moves nothing.
 
@@ -85,14 +318,12 @@ def check(
     --live, each move is said with its joint and its way, and a robot that walks is judged by its
     motion; exit code 1 where something is wrong, 2 without a router.
     """
-    stop = stoppable()
+    stop = opt.stoppable()
     if picture is not None:
-        check_output(picture, "--picture")
+        opt.check_output(picture, "--picture")
     if live:
         if device:
             raise ConfigurationError("--live listens to the wire, --device opens a bus; give one")
-        from adaptive_contact.cli._robot_live import check_live
-
         raise typer.Exit(
             check_live(
                 robot_of(config),
@@ -141,8 +372,8 @@ def _check_bus(
     stop: threading.Event,
 ) -> None:
     with needs_sdk():
-        from adaptive_contact.bridge.collect import collect
         from adaptive_contact.bridge.compare import compare, read_servos
+        from adaptive_contact.bridge.training import collect
 
     from rich.live import Live
 
@@ -153,7 +384,7 @@ def _check_bus(
     shake_hands(plans)
     for line in compare(read_servos(plans)):
         say_note(line)
-    console = table_console(pipe_width=_PIPE_WIDTH)
+    console = table_console(pipe_width=_BUS_PIPE_WIDTH)
     with Live(console=console, refresh_per_second=10, transient=True) as table:
 
         def look(so_far: dict[str, list[ServoSample]]) -> None:

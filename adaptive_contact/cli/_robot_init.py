@@ -23,10 +23,8 @@ from adaptive_contact.robot.write import write_robot
 from adaptive_contact.wire import is_leg_id
 
 if TYPE_CHECKING:
-    from adaptive_contact.bridge.survey import Wanted
+    from adaptive_contact.bridge.discovery import Wanted
     from adaptive_contact.cli.robot import Wishes
-
-__all__ = ["write_description"]
 
 # Slopes within this of each other are as good as one.
 _ALIKE: Final = 1.2
@@ -197,7 +195,7 @@ def _of_bus(
 ) -> Robot:
     """The robot whose servos answer, with a URDF's geometry where there is one."""
     with needs_sdk():
-        from adaptive_contact.bridge.survey import (
+        from adaptive_contact.bridge.discovery import (
             describe,
             find_servos,
             group,
@@ -336,5 +334,4 @@ def _asked(given: float | None, what: str, option: str, least: float, most: floa
 
 
 def _is_asked() -> bool:
-    """Whether somebody is there to answer."""
     return sys.stdin.isatty()

@@ -10,16 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._bus import DeviceOption, needs_sdk, plans_of, robot_of, shake_hands
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    Network,
-    RealtimeOption,
-    check_output,
-    flatten,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say, say_note
 from adaptive_contact.errors import ConfigurationError, IdentificationError, TooLittleDataError
 from adaptive_contact.files import holds_content
@@ -27,14 +20,12 @@ from adaptive_contact.files import holds_content
 if TYPE_CHECKING:
     import numpy as np
 
-    from adaptive_contact.bridge.collect import Script
     from adaptive_contact.bridge.plan import PortPlan
+    from adaptive_contact.bridge.training import Script
     from adaptive_contact.fit.recordings import LegGatherer
     from adaptive_contact.fit.train import Stretch, Training
     from adaptive_contact.robot import Robot
     from adaptive_contact.wire import ServoSample
-
-__all__ = ["free_file", "learn", "losses", "pose_of"]
 
 # Free ticks per term of the library below which a fit is refused (adapt.training).
 _LEAST_ROWS: Final = 4
@@ -45,72 +36,59 @@ _LEAST_TICKS: Final = 12
 _ENOUGH_READ: Final = 0.97
 
 
-@flatten
+@opt.flatten
 def learn(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     device: DeviceOption = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes.")
-    ] = Path("baseline.json"),
+    out: opt.BaselineOutOption = Path("baseline.json"),
     drive: Annotated[
         bool,
-        typer.Option(
+        option(
             "--drive",
-            help="Let the bridge swing the legs.  Without it, your own controller has to swing "
+            "Let the bridge swing the legs.  Without it, your own controller has to swing "
             "them in free air meanwhile.",
         ),
     ] = False,
     live: Annotated[
         bool,
-        typer.Option(
-            "--live",
-            help="Learn from the samples of any source on the wire; no bus is opened.",
-        ),
+        option("--live", "Learn from the samples of any source on the wire; no bus is opened."),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="The robot hangs free; do not ask.")] = False,
+    yes: Annotated[bool, option("--yes", "The robot hangs free; do not ask.")] = False,
     seconds: Annotated[
-        float, seconds_option("--seconds", least=1.0, most=3600.0, help="How long to swing.")
+        float, seconds_option("--seconds", "How long to swing.", least=1.0, most=3600.0)
     ] = 60.0,
     amplitude: Annotated[
-        float,
-        typer.Option("--amplitude", min=0.05, max=1.5, help="Of driven swings, rad, each way."),
+        float, option("--amplitude", "Of driven swings, rad, each way.", min=0.05, max=1.5)
     ] = 0.4,
     pose: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--pose",
-            metavar="RAD,RAD,...",
-            help="Joint angles to swing around, as the legs stand when they walk; where they are "
+            "Joint angles to swing around, as the legs stand when they walk; where they are "
             "found without it.",
-            show_default=False,
+            "RAD,RAD,...",
         ),
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(
-            "--recording",
-            metavar="FILE.mcap",
-            help="Where what is recorded goes; beside --out without it.",
-            show_default=False,
-        ),
+        option("--recording", "Where what is recorded goes; beside --out without it.", "FILE.mcap"),
     ] = None,
     more: Annotated[
         list[Path] | None,
-        typer.Option(
+        option(
             "--more",
-            metavar="FILE.mcap",
-            help="Learn from this recording of an earlier run as well; repeatable.",
-            show_default=False,
+            "Learn from this recording of an earlier run as well; repeatable.",
+            "FILE.mcap",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
-    realtime: RealtimeOption = False,
-    network: Network,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    seed: opt.SeedOption = 0,
+    realtime: opt.RealtimeOption = False,
+    network: opt.Network,
+    json: opt.JsonOption = False,
 ) -> None:
     """Learn how the legs swing in free air, say how good that is, and write a baseline."""
-    stop = stoppable()
+    stop = opt.stoppable()
     _check_source(
         live=live,
         of_bus={"--device": device, "--drive": drive, "--pose": pose, "--realtime": realtime},
@@ -126,9 +104,9 @@ def learn(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    check_output(out, "--out")
+    opt.check_output(out, "--out")
     kept = free_file(out) if recording is None else recording
-    check_output(kept, "--recording")
+    opt.check_output(kept, "--recording")
     if holds_content(kept):
         raise ConfigurationError(f"{kept} is there already; give another --recording")
     robot = robot_of(config)
@@ -140,13 +118,13 @@ def learn(
             )
     gathered = gather(more or [], robot)
     if live:
-        from adaptive_contact.cli._robot_live import collect_live
+        from adaptive_contact.cli._robot_check import collect_live
 
         link = network.client(wait=False)
         samples = collect_live(robot, link, seconds, stop=stop)
     else:
         with needs_sdk():
-            from adaptive_contact.bridge.collect import collect
+            from adaptive_contact.bridge.training import collect
 
         plans = plans_of(robot, config, device)
         home = None if pose is None else pose_of(pose, robot, plans)
@@ -236,16 +214,12 @@ def pose_of(text: str, robot: Robot, plans: Sequence[PortPlan]) -> list[float]:
 
 
 def swings_of(
-    robot: Robot,
-    plans: Sequence[PortPlan],
-    amplitude: float,
-    seed: int,
-    home: list[float] | None,
+    robot: Robot, plans: Sequence[PortPlan], amplitude: float, seed: int, home: list[float] | None
 ) -> dict[str, Script]:
     """Free swings of every leg, each with a stream of randomness of its own."""
     import numpy as np
 
-    from adaptive_contact.bridge.freeswing import free_swings
+    from adaptive_contact.bridge.training import free_swings
 
     steps = {leg.id: leg.max_step_rad for plan in plans for leg in plan.legs}
     seeds = np.random.SeedSequence(seed).spawn(len(robot.legs))

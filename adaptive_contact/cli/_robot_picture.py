@@ -19,8 +19,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import write_file
 from adaptive_contact.robot import Leg, Mount, Robot
 
-__all__ = ["chain", "draw", "write_picture"]
-
 Array = NDArray[np.float64]
 
 # With mounts of so many legs told, the robot is drawn as a whole.
@@ -137,7 +135,6 @@ def draw(robot: Robot, angles: Mapping[str, Sequence[float]]) -> str:
 def _from_above(
     legs: Sequence[Leg], angles: Mapping[str, Sequence[float]], size: float
 ) -> list[str]:
-    """The whole robot, its front up."""
     chains = {leg.id: on_body(leg, chain(leg, angles[leg.id])) for leg in legs}
     far = max(float(np.abs(points[:, :2]).max()) for points in chains.values())
     scale = (size / 2 - 2 * _MARGIN) / far
@@ -187,7 +184,6 @@ def _around(legs: Sequence[Leg]) -> list[Leg]:
 
 
 def _views(leg: Leg, *, placed: bool) -> list[_View]:
-    """From where a leg is drawn, beside the robot as a whole."""
     if _straight(leg):
         # Without mounts nobody knows where the legs sit: each is drawn from above by itself.
         return [_SIDE] if placed else [_SIDE, _ABOVE]
@@ -201,7 +197,6 @@ def _straight(leg: Leg) -> bool:
 
 
 def _panel(leg: Leg, angles: Sequence[float], left: float, top: float, view: _View) -> list[str]:
-    """One leg by itself."""
     assert leg.chain is not None
     flat, turns = (_flat_straight if _straight(leg) else _flat_any)(leg, angles, view)
     # Room for arrows all around, the heading above, and the joints' lines below.
@@ -244,7 +239,6 @@ def _flat_straight(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Arra
 
 
 def _flat_any(leg: Leg, angles: Sequence[float], view: _View) -> tuple[Array, list[_Turn]]:
-    """Any other leg, along the axes of the body."""
     assert leg.chain is not None
     plane = np.array([view.right, view.up])
 
@@ -277,11 +271,7 @@ def _side(leg: Leg) -> str:
 
 
 def _turning(
-    joint: tuple[float, float],
-    tip: tuple[float, float],
-    zero_rad: float,
-    colour: str,
-    way: int = 1,
+    joint: tuple[float, float], tip: tuple[float, float], zero_rad: float, colour: str, way: int = 1
 ) -> list[str]:
     """Where a joint's link is at 0, and the way its angle grows; counter-clockwise from right."""
     x, y = joint
@@ -336,7 +326,6 @@ def _link(start: tuple[float, float], end: tuple[float, float], colour: str) -> 
 
 
 def _ends(points: Sequence[tuple[float, float]]) -> list[str]:
-    """Joints dark, the foot red."""
     joints = [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{_INK}"/>' for x, y in points[:-1]]
     x, y = points[-1]
     return [*joints, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#e74c3c"/>']

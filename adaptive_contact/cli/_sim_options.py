@@ -10,9 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
-import typer
-
-from adaptive_contact.cli._options import Network, seconds_option, speed_of
+from adaptive_contact.cli._options import Network, option, seconds_option, speed_of
 from adaptive_contact.cli._output import say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, MissingExtraError
 
@@ -25,16 +23,6 @@ if TYPE_CHECKING:
         WalkSettings,
     )
 
-__all__ = [
-    "ReactOption",
-    "RunOptions",
-    "SchedulerOption",
-    "execute",
-    "given",
-    "needs_simulator",
-    "needs_studies",
-]
-
 M = TypeVar("M", "PoseSettings", "WalkSettings")
 
 _RUN: Final = "Run"
@@ -43,23 +31,18 @@ _ROBOT: Final = "Robot"
 
 SchedulerOption = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--scheduler",
-        metavar="ADDRESS",
-        help="Let the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786 "
+        "Let the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786 "
         "(extra 'cluster'). What they write must be on a file system that they share.",
-        show_default=False,
+        "ADDRESS",
     ),
 ]
 
 # Of the motions, each with a default of its own.
 ReactOption = Annotated[
     float | None,
-    typer.Option(
-        "--react-ms",
-        help="From a touch to the leg's stop. [walk 60, pose never]",
-        rich_help_panel=_ROBOT,
-    ),
+    option("--react-ms", "From a touch to the leg's stop. [walk 60, pose never]", panel=_ROBOT),
 ]
 
 
@@ -69,97 +52,71 @@ class RunOptions:
 
     scenario: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--scenario",
-            metavar="NAME|FILE.toml",
-            help="Start from a shipped scenario (`sim list`) or a file; options change it.",
-            rich_help_panel=_RUN,
+            "Start from a shipped scenario (`sim list`) or a file; options change it.",
+            "NAME|FILE.toml",
+            panel=_RUN,
         ),
     ] = None
     seconds: Annotated[
         float | None,
-        seconds_option(
-            "--seconds", help="Simulated time; otherwise until Ctrl-C.", rich_help_panel=_RUN
-        ),
+        seconds_option("--seconds", "Simulated time; otherwise until Ctrl-C.", panel=_RUN),
     ] = None
     speed: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--speed",
-            metavar="X|max",
-            help="Times real time, or as fast as possible. [1, max with --offline]",
-            rich_help_panel=_RUN,
+            "Times real time, or as fast as possible. [1, max with --offline]",
+            "X|max",
+            panel=_RUN,
         ),
     ] = None
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, help="Of the run. [0]", rich_help_panel=_RUN)
-    ] = None
+    seed: Annotated[int | None, option("--seed", "Of the run. [0]", min=0, panel=_RUN)] = None
     robot: Annotated[
         str | None,
-        typer.Option(
-            "--robot",
-            metavar="NAME",
-            help="Which robot: hexapod, quadruped12, leg5. [hexapod]",
-            rich_help_panel=_ROBOT,
+        option(
+            "--robot", "Which robot: hexapod, quadruped12, leg5. [hexapod]", "NAME", panel=_ROBOT
         ),
     ] = None
     robot_seed: Annotated[
-        int | None,
-        typer.Option(
-            "--robot-seed", min=0, help="Which robot of its kind. [0]", rich_help_panel=_ROBOT
-        ),
+        int | None, option("--robot-seed", "Which robot of its kind. [0]", min=0, panel=_ROBOT)
     ] = None
     drift: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--drift",
-            metavar="SPEC",
-            help="Such as friction:leg=rf,joint=femur,value=4,shape=ramp,duration=60@20s; "
-            "repeatable.",
-            rich_help_panel=_ROBOT,
+            "Such as friction:leg=rf,joint=femur,value=4,shape=ramp,duration=60@20s; repeatable.",
+            "SPEC",
+            panel=_ROBOT,
         ),
     ] = None
     dropped: Annotated[
-        float | None,
-        typer.Option(
-            "--dropped", help="Probability of a reading not to come.", rich_help_panel=_ROBOT
-        ),
+        float | None, option("--dropped", "Probability of a reading not to come.", panel=_ROBOT)
     ] = None
     repeated: Annotated[
-        float | None,
-        typer.Option("--repeated", help="Probability of a stale reading.", rich_help_panel=_ROBOT),
+        float | None, option("--repeated", "Probability of a stale reading.", panel=_ROBOT)
     ] = None
     bogus: Annotated[
-        float | None,
-        typer.Option("--bogus", help="Probability of a reading of -pi.", rich_help_panel=_ROBOT),
+        float | None, option("--bogus", "Probability of a reading of -pi.", panel=_ROBOT)
     ] = None
     preview: Annotated[
-        int | None,
-        typer.Option(
-            "--preview", help="Future goals in each sample, ticks.", rich_help_panel=_ROBOT
-        ),
+        int | None, option("--preview", "Future goals in each sample, ticks.", panel=_ROBOT)
     ] = None
-    offline: Annotated[
-        bool, typer.Option("--offline", help="No network.", rich_help_panel=_OUT)
-    ] = False
+    offline: Annotated[bool, option("--offline", "No network.", panel=_OUT)] = False
     record: Annotated[
-        Path | None,
-        typer.Option(
-            "--record", metavar="FILE.mcap", help="Write a recording.", rich_help_panel=_OUT
-        ),
+        Path | None, option("--record", "Write a recording.", "FILE.mcap", panel=_OUT)
     ] = None
     render: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--render",
-            metavar="FILE",
-            help="Write a film (.gif, .mp4) or the last picture (.png); needs no display.",
-            rich_help_panel=_OUT,
+            "Write a film (.gif, .mp4) or the last picture (.png); needs no display.",
+            "FILE",
+            panel=_OUT,
         ),
     ] = None
-    view: Annotated[bool, typer.Option("--view", help="Open a window.", rich_help_panel=_OUT)] = (
-        False
-    )
+    view: Annotated[bool, option("--view", "Open a window.", panel=_OUT)] = False
 
     def base(self, kind: type[M], gait: str | None = None) -> tuple[Scenario, M]:
         """The scenario to start from, and its motion; without one, the defaults of that motion.

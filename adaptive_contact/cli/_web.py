@@ -10,57 +10,34 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from adaptive_contact.cli._options import stoppable
+from adaptive_contact.cli._options import option, stoppable
 from adaptive_contact.cli._output import say, say_waiting
 from adaptive_contact.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from adaptive_contact.service.probe import Finding
-    from adaptive_contact.service.settings import LinkSettings
+    from adaptive_contact.service.settings import Finding, LinkSettings
     from adaptive_contact.web import LivePage, WebSettings
-
-__all__ = [
-    "WEB_PANEL",
-    "HostOption",
-    "NoBrowserOption",
-    "PortOption",
-    "live_page",
-    "serve_page",
-    "web_settings",
-]
 
 WEB_PANEL = "Live page"
 
 PortOption = Annotated[
     int | None,
-    typer.Option(
-        "--port",
-        metavar="N",
-        min=0,
-        max=65_535,
-        help="Of the page; without it, a free one.",
-        show_default=False,
-        rich_help_panel=WEB_PANEL,
+    option(
+        "--port", "Of the page; without it, a free one.", "N", min=0, max=65_535, panel=WEB_PANEL
     ),
 ]
 HostOption = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--host",
-        metavar="ADDRESS",
-        help="Where the page listens (default 127.0.0.1). Beyond this computer, such as on "
+        "Where the page listens (default 127.0.0.1). Beyond this computer, such as on "
         "0.0.0.0, the link has a token, without which nothing is shown.",
-        show_default=False,
-        rich_help_panel=WEB_PANEL,
+        "ADDRESS",
+        panel=WEB_PANEL,
     ),
 ]
 NoBrowserOption = Annotated[
-    bool,
-    typer.Option(
-        "--no-browser", help="Print the page's link, and open nothing.", rich_help_panel=WEB_PANEL
-    ),
+    bool, option("--no-browser", "Print the page's link, and open nothing.", panel=WEB_PANEL)
 ]
 
 
@@ -102,7 +79,7 @@ def live_page(settings: WebSettings, *, browse: bool) -> Iterator[LivePage]:
 def serve_page(settings: WebSettings, link_settings: LinkSettings, *, browse: bool) -> None:
     """Serve the page until Ctrl-C."""
     from adaptive_contact.service.link import Link
-    from adaptive_contact.service.probe import NoRouterError
+    from adaptive_contact.service.settings import NoRouterError
 
     # No exception: one that strikes inside a library may be lost there.
     stop = stoppable()

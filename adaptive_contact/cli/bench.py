@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from adaptive_contact.cli._options import BaselineOption, JsonOption
+from adaptive_contact.cli._options import BaselineOption, JsonOption, ProcessesOption, option
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_studies
 from adaptive_contact.files import write_file
@@ -15,20 +13,14 @@ from adaptive_contact.files import write_file
 if TYPE_CHECKING:
     from adaptive_contact.score import Summary
 
-__all__ = ["bench"]
-
 
 def bench(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where bench.json goes.")
-    ] = Path("out/bench"),
+    out: Annotated[Path, option("--out", "Where bench.json goes.", "FOLDER")] = Path("out/bench"),
     baseline: BaselineOption = None,
     speeds_only: Annotated[
-        bool, typer.Option("--speeds", help="Leave the headline runs out (minutes of work).")
+        bool, option("--speeds", "Leave the headline runs out (minutes of work).")
     ] = False,
-    processes: Annotated[
-        int, typer.Option("--processes", min=1, max=64, help="Runs simulated at a time.")
-    ] = 2,
+    processes: ProcessesOption = 2,
     json: JsonOption = False,
 ) -> None:
     """Measure recall, latency and false alarms on unseen runs, and how fast everything is."""

@@ -1,4 +1,4 @@
-"""``adaptive-contact bridge``: real servos on Zenoh, and a virtual bus to try it without any."""
+"""``adaptive-contact bridge``: servos on Zenoh, real and virtual; the robot in other programs."""
 
 from __future__ import annotations
 
@@ -8,80 +8,183 @@ import signal
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import typer
-
-from adaptive_contact.cli import gateways
-from adaptive_contact.cli._bus import (
-    DeviceOption,
-    plans_of,
-    robot_of,
-    shake_hands,
-)
-from adaptive_contact.cli._options import (
-    Commands,
-    ConfigOption,
-    JsonPayloadOption,
-    Network,
-    RealtimeOption,
-    check_output,
-    flatten,
-    seconds_option,
-    stoppable,
-)
-from adaptive_contact.cli._output import make_stdout_optional, say
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._bus import DeviceOption, described_in, plans_of, robot_of, shake_hands
+from adaptive_contact.cli._options import option, seconds_option
+from adaptive_contact.cli._output import make_stdout_optional, say, say_waiting
 from adaptive_contact.cli._sim_options import needs_simulator
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, LinkError
 
 if TYPE_CHECKING:
     from adaptive_contact.bridge.plan import PortPlan
     from adaptive_contact.service.link import LinkSettings
+    from adaptive_contact.service.settings import Finding
+    from adaptive_contact_sim.virtual.session import VirtualPlan
 
-__all__ = ["app"]
 
-app = Commands(
+@opt.flatten
+def ros2(
+    *,
+    config: opt.ConfigOption = None,
+    ros_connect: Annotated[
+        list[str] | None,
+        option(
+            "--ros-connect",
+            "Router of ROS 2, rmw_zenohd (default tcp/127.0.0.1:7447); repeatable.",
+            "ENDPOINT",
+            panel="Network",
+        ),
+    ] = None,
+    ros_zenoh_config: Annotated[
+        Path | None,
+        option(
+            "--ros-zenoh-config",
+            "Zenoh configuration file (JSON5) for that router.",
+            "FILE",
+            panel="Network",
+        ),
+    ] = None,
+    realtime: opt.RealtimeOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
+) -> None:
+    """Relay joint states of ROS 2 (rmw_zenoh) to the service, and contacts back; no ROS needed."""
+    make_stdout_optional()
+    stop = opt.stoppable()
+    from adaptive_contact.priority import take_priority
+    from adaptive_contact.ros2 import needs_rosbags
+    from adaptive_contact.service.link import Link
+
+    robot = robot_of(config)
+    with needs_rosbags():
+        from adaptive_contact.ros2.intake import check_mapped
+        from adaptive_contact.service.ros2 import Gateway, shown_of_ros
+    check_mapped(robot, described_in(config))
+    settings = network.client(json=json)
+    ros_settings = opt.Network(ros_connect, None, ros_zenoh_config).client()
+
+    def waits_for_ros(finding: Finding) -> None:
+        _say_ros(f"ROS 2: {shown_of_ros(finding)}; trying on")
+
+    def waits(finding: Finding) -> None:
+        _say_ros(f"the service: {finding.line}; trying on")
+
+    refused = take_priority() if realtime else None
+    if refused is not None:
+        _say_ros(refused)
+    try:
+        with (
+            Link.open(ros_settings, on_wait=waits_for_ros, stop=stop) as ros,
+            Link.open(settings, on_wait=waits, stop=stop) as service,
+        ):
+            # Milliseconds since 1970: a later start has a larger run.
+            gateway = Gateway(robot, service, ros, time.time_ns() // 1_000_000, _say_ros)
+            reads = "reading nothing (no [leg.ros2])"
+            if gateway.legs:
+                reads = f"reading {', '.join(gateway.topics)} for legs {' '.join(gateway.legs)}"
+            say(
+                f"adaptive-contact bridge ros2: {reads}; publishing {gateway.publishes}; stop with "
+                "Ctrl-C"
+            )
+            if gateway.legs and gateway.intake.unmapped:
+                _say_ros(f"without [leg.ros2]: legs {' '.join(gateway.intake.unmapped)}")
+            gateway.run(stop)
+    except LinkError:
+        if not stop.is_set():
+            raise
+
+
+@opt.flatten
+def foxglove(
+    *,
+    host: Annotated[str, option("--host", "Where Foxglove connects to.", "ADDRESS")] = "127.0.0.1",
+    port: Annotated[int, option("--port", "0 takes a free one.", "N", min=0, max=65_535)] = 8765,
+    network: opt.Network,
+) -> None:
+    """Show the running robot in Foxglove, over its websocket protocol."""
+    make_stdout_optional()
+    stop = opt.stoppable()
+    from adaptive_contact.service.foxglove_live import FoxgloveServer, check_installed
+    from adaptive_contact.service.link import Link
+
+    check_installed()
+    settings = network.client()
+    try:
+        with (
+            Link.open(settings, on_wait=say_waiting, stop=stop) as link,
+            FoxgloveServer(link, host, port) as server,
+        ):
+            say(
+                f"adaptive-contact bridge foxglove: open ws://{host}:{server.port} in Foxglove "
+                f"(Open connection), or {server.app_url}; stop with Ctrl-C"
+            )
+            if host not in ("127.0.0.1", "localhost", "::1"):
+                say(
+                    "adaptive-contact bridge foxglove: everybody who can reach this address sees "
+                    "everything; where others listen, leave --host out and use ssh -L",
+                    err=True,
+                )
+            server.run(stop)
+    except LinkError:
+        if not stop.is_set():
+            raise
+        return
+    for (key, why), count in server.left_out.most_common(8):
+        say(
+            f"adaptive-contact bridge foxglove: {count} messages on {key} not shown: {why}",
+            err=True,
+        )
+
+
+def _say_ros(line: str) -> None:
+    say(f"adaptive-contact bridge ros2: {line}", err=True)
+
+
+app = opt.Commands(
     help="Dynamixel servos on Zenoh, real and virtual; ROS 2; Foxglove.", no_args_is_help=True
 )
 
 _RESTART_S: Final = 1.0
 _END_S: Final = 3.0
+# What has virtual servos; the simulator's other robots have none.
+_VIRTUAL: Final = ("hexapod", "quadruped")
 
 
 @app.command()
-@flatten
+@opt.flatten
 def dynamixel(
     *,
-    config: ConfigOption = None,
+    config: opt.ConfigOption = None,
     drive: Annotated[
         bool,
-        typer.Option(
+        option(
             "--drive",
-            help="Write the goals that arrive on robot/leg/*/command.  Without it the bridge only "
+            "Write the goals that arrive on robot/leg/*/command.  Without it the bridge only "
             "reads, and another controller moves the robot.",
         ),
     ] = False,
     configure: Annotated[
         bool,
-        typer.Option(
+        option(
             "--configure",
-            help="Set return delays to 0, and let servos answer that answer pings only (status "
+            "Set return delays to 0, and let servos answer that answer pings only (status "
             "return level 2), in the servos' EEPROM.",
         ),
     ] = False,
-    realtime: RealtimeOption = False,
+    realtime: opt.RealtimeOption = False,
     device: DeviceOption = None,
-    baud: Annotated[
-        int | None, typer.Option("--baud", help="Instead of robot.toml's.", show_default=False)
-    ] = None,
-    network: Network,
-    json: JsonPayloadOption = False,
+    baud: Annotated[int | None, option("--baud", "Instead of robot.toml's.")] = None,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Publish the servos' positions and goals at the control rate, a process per port."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     plans = plans_of(robot_of(config), config, device, baud)
     settings = network.client(json=json)
     shake_hands(plans, "adaptive-contact bridge", configure=configure, drive=drive)
@@ -100,7 +203,6 @@ class _Crew:
         self._workers: dict[str, SpawnProcess] = {}
 
     def run(self, stop: threading.Event) -> None:
-        """Keep all ports running until stopped."""
         for plan in self._plans:
             self._start(plan)
         servos = sum(len(plan.joints) for plan in self._plans)
@@ -157,122 +259,116 @@ class _Crew:
                 worker.join()
 
 
-@app.command()
-@flatten
-def virtual(
-    *,
-    directory: Annotated[
-        Path,
-        typer.Option("--dir", metavar="DIR", help="Where the ports appear, as links."),
-    ] = Path("bus"),
-    config: ConfigOption = None,
-    robot: Annotated[
-        str, typer.Option("--robot", metavar="NAME", help="Which shipped robot is simulated.")
-    ] = "hexapod",
+@dataclass(frozen=True)
+class VirtualOptions:
+    """The options of a virtual bus."""
+
+    directory: Annotated[Path, option("--dir", "Where the ports appear, as links.", "DIR")] = Path(
+        "bus"
+    )
+    config: opt.ConfigOption = None
+    robot: Annotated[str, option("--robot", "Which shipped robot is simulated.", "NAME")] = (
+        "hexapod"
+    )
     ports: Annotated[
         int | None,
-        typer.Option(
-            "--ports",
-            min=1,
-            help="For a robot without ports of its own; one if left out.",
-            show_default=False,
-        ),
-    ] = None,
+        option("--ports", "For a robot without ports of its own; one if left out.", min=1),
+    ] = None
     write_config: Annotated[
-        Path | None,
-        typer.Option(
-            "--write-config",
-            metavar="FILE",
-            help="Write the robot.toml of this bus.",
-            show_default=False,
-        ),
-    ] = None,
+        Path | None, option("--write-config", "Write the robot.toml of this bus.", "FILE")
+    ] = None
     scenario: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--scenario",
-            metavar="NAME",
-            help="The robot moves by itself, as in `sim`; without it, it hangs on a stand and "
+            "The robot moves by itself, as in `sim`; without it, it hangs on a stand and "
             "does what the bus says.",
-            show_default=False,
+            "NAME",
         ),
-    ] = None,
-    height: Annotated[
-        float, typer.Option("--height", help="Of the stand: body over the floor, m.")
-    ] = 1.0,
+    ] = None
+    height: Annotated[float, option("--height", "Of the stand: body over the floor, m.")] = 1.0
     fault: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--fault",
-            metavar="SPEC",
-            help="What goes wrong: silent, late, flip, stale, error, hangup, such as "
+            "What goes wrong: silent, late, flip, stale, error, hangup, such as "
             "silent:id=3@5+2 (servo 3, from 5 s, for 2 s); repeatable.",
-            show_default=False,
+            "SPEC",
         ),
-    ] = None,
+    ] = None
     return_delay: Annotated[
-        int, typer.Option("--return-delay", min=0, max=254, help="Register, 2 us each.")
-    ] = 0,
-    wire_time: Annotated[
-        bool, typer.Option("--wire-time/--no-wire-time", help="Packets take their time.")
-    ] = True,
-    realtime: RealtimeOption = False,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
-    robot_seed: Annotated[int, typer.Option("--robot-seed", min=0)] = 0,
-    seconds: Annotated[
-        float | None,
-        seconds_option("--seconds", help="Otherwise until Ctrl-C.", show_default=False),
-    ] = None,
+        int, option("--return-delay", "Register, 2 us each.", min=0, max=254)
+    ] = 0
+    wire_time: Annotated[bool, option("--wire-time/--no-wire-time", "Packets take their time.")] = (
+        True
+    )
+    realtime: opt.RealtimeOption = False
+    seed: opt.SeedOption = 0
+    robot_seed: Annotated[int, option("--robot-seed", min=0)] = 0
+    seconds: Annotated[float | None, seconds_option("--seconds", "Otherwise until Ctrl-C.")] = None
     record: Annotated[
         Path | None,
-        typer.Option(
-            "--record",
-            metavar="FILE.mcap",
-            help="Of a scenario: the simulator's own samples and truth.",
-            show_default=False,
-        ),
-    ] = None,
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Publish robot/leg/*/truth over Zenoh.")
-    ] = False,
-    network: Network,
-    json: JsonPayloadOption = False,
+        option("--record", "Of a scenario: the simulator's own samples and truth.", "FILE.mcap"),
+    ] = None
+    truth: Annotated[bool, option("--truth", "Publish robot/leg/*/truth over Zenoh.")] = False
+
+    def plan(self, network: opt.Network, *, json: bool) -> VirtualPlan:
+        """What to run.
+
+        Args:
+            network: where truth is published, if it is.
+            json: as JSON instead of msgpack.
+
+        Raises:
+            ConfigurationError: an option cannot be used.
+        """
+        from adaptive_contact.robot import load_robot, shipped_robot
+        from adaptive_contact_sim.virtual import parse_fault
+        from adaptive_contact_sim.virtual.assembly import VirtualSettings
+        from adaptive_contact_sim.virtual.session import VirtualPlan
+
+        if self.robot not in _VIRTUAL:
+            raise ConfigurationError(
+                f"no virtual robot '{self.robot}'; expected --robot {' or '.join(_VIRTUAL)}"
+            )
+        for path, name in ((self.write_config, "--write-config"), (self.record, "--record")):
+            if path is not None:
+                opt.check_output(path, name)
+        return VirtualPlan(
+            robot=shipped_robot(self.robot) if self.config is None else load_robot(self.config),
+            simulated=self.robot,
+            directory=self.directory,
+            ports=self.ports,
+            bus=VirtualSettings(
+                faults=tuple(parse_fault(text) for text in self.fault or ()),
+                seed=self.seed,
+                return_delay=self.return_delay,
+                wire_time=self.wire_time,
+            ),
+            scenario=self.scenario,
+            height_m=self.height,
+            seed=self.seed,
+            robot_seed=self.robot_seed,
+            seconds=self.seconds,
+            record=self.record,
+            write_config=self.write_config,
+            link=network.client(json=json) if self.truth else None,
+        )
+
+
+@app.command()
+@opt.flatten
+def virtual(
+    *, bus: VirtualOptions, network: opt.Network, json: opt.JsonPayloadOption = False
 ) -> None:
     """A bus on pseudo-terminals whose servos are the simulated robot."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     with needs_simulator():
-        from adaptive_contact_sim.virtual import parse_fault
-        from adaptive_contact_sim.virtual.assembly import VirtualSettings
-        from adaptive_contact_sim.virtual.session import VirtualPlan, run
+        from adaptive_contact_sim.virtual.session import run
 
-    from adaptive_contact.robot import load_robot, shipped_robot
-
-    _check_shipped(robot)
-    for path, option in ((write_config, "--write-config"), (record, "--record")):
-        if path is not None:
-            check_output(path, option)
-    plan = VirtualPlan(
-        robot=shipped_robot(robot) if config is None else load_robot(config),
-        simulated=robot,
-        directory=directory,
-        ports=ports,
-        bus=VirtualSettings(
-            faults=tuple(parse_fault(text) for text in fault or ()),
-            seed=seed,
-            return_delay=return_delay,
-            wire_time=wire_time,
-        ),
-        scenario=scenario,
-        height_m=height,
-        seed=seed,
-        robot_seed=robot_seed,
-        seconds=seconds,
-        record=record,
-        write_config=write_config,
-        link=network.client(json=json) if truth else None,
-    )
-    if realtime:
+        plan = bus.plan(network, json=json)
+    if bus.realtime:
         from adaptive_contact.priority import take_priority
 
         refused = take_priority()
@@ -281,21 +377,10 @@ def virtual(
     run(plan, stop, on_start=_say)
 
 
-# What has virtual servos; the simulator's other robots have none.
-_VIRTUAL: Final = ("hexapod", "quadruped")
-
-
-def _check_shipped(name: str) -> None:
-    if name not in _VIRTUAL:
-        raise ConfigurationError(
-            f"no virtual robot '{name}'; expected --robot {' or '.join(_VIRTUAL)}"
-        )
-
-
 def _say(line: str) -> None:
     say(f"adaptive-contact bridge virtual: {line}")
     sys.stdout.flush()
 
 
-app.command()(gateways.ros2)
-app.command()(gateways.foxglove)
+app.command()(ros2)
+app.command()(foxglove)

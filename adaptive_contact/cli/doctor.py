@@ -6,12 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import (
-    JsonOption,
-    Network,
-    flatten,
-    seconds_option,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import seconds_option
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.printable import printable
 
@@ -24,20 +20,18 @@ if TYPE_CHECKING:
     from adaptive_contact.service.doctor import Diagnosis
     from adaptive_contact.service.findings import Finding, Level
 
-__all__ = ["doctor", "print_findings"]
-
 _PIPE_WIDTH: Final = 140
 _COLOURS: Final[dict[Level, str]] = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
 
-@flatten
+@opt.flatten
 def doctor(
     *,
-    network: Network,
+    network: opt.Network,
     seconds: Annotated[
-        float, seconds_option("--seconds", least=0.5, most=600.0, help="How long to listen.")
+        float, seconds_option("--seconds", "How long to listen.", least=0.5, most=600.0)
     ] = 3.0,
-    json: JsonOption = False,
+    json: opt.JsonOption = False,
 ) -> None:
     """Find out who publishes what, which legs look wrong, and why.
 

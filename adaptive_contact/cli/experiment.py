@@ -12,8 +12,6 @@ from adaptive_contact.cli._options import Commands, JsonOption
 from adaptive_contact.cli._output import say_json
 from adaptive_contact.cli._sim_options import needs_studies
 
-__all__ = ["app"]
-
 app = Commands(help="Single experiments on data of one's own.", no_args_is_help=True)
 
 

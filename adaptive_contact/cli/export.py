@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from adaptive_contact.cli._options import check_output
+from adaptive_contact.cli._options import ForceOption, check_output, option
 from adaptive_contact.cli._output import overwrite, say
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.files import holds_content
@@ -19,8 +19,6 @@ from adaptive_contact.files import holds_content
 if TYPE_CHECKING:
     from adaptive_contact.service.recording import Record
     from adaptive_contact.service.recording.export import ExportFormat
-
-__all__ = ["export"]
 
 
 class Format(StrEnum):
@@ -42,18 +40,15 @@ def export(
     ],
     to: Annotated[
         Format,
-        typer.Option(
+        option(
             "--to",
-            help="json, protobuf: an MCAP file (protobuf opens in Foxglove, rerun and PlotJuggler);"
+            "json, protobuf: an MCAP file (protobuf opens in Foxglove, rerun and PlotJuggler);"
             " csv, parquet: a folder with a table per message.",
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path,
-        typer.Option("-o", "--out", metavar="OUT", help="File or folder.", show_default=False),
-    ],
-    force: Annotated[bool, typer.Option("--force", help="Replace what is there already.")] = False,
+    out: Annotated[Path, option("--out", "File or folder.", "OUT", short="-o", show_default=False)],
+    force: ForceOption = False,
 ) -> None:
     """Convert a recording for other programs; nothing is resampled or renamed."""
     from adaptive_contact.service.recording import read_recording
@@ -109,7 +104,6 @@ def _quiet(record: Record) -> None:
 
 
 def _progress() -> Callable[[Record], None]:
-    """Show twice a second how far it is."""
     count = 0
     first_ns: int | None = None
     due_s = time.perf_counter() + _PROGRESS_S

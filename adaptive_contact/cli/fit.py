@@ -8,31 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    JsonOption,
-    check_output,
-    recorded_robot,
-    say_damage,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.fit.train import Training
+    from adaptive_contact.fit.train import LegFigures, Training
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.findings import Finding
     from adaptive_contact.wire import Rejected, ServoSample
-
-__all__ = [
-    "check_conventions",
-    "check_streams",
-    "fit",
-    "gather",
-    "print_training",
-    "refuse_useless",
-]
 
 # Free ticks, of all legs together, from which a tail's quantile at 10⁻⁶ is worth its name.
 MANY_TICKS: Final = 20_000
@@ -48,36 +34,25 @@ def fit(
             show_default=False,
         ),
     ],
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="FILE", help="Where the baseline goes (JSON)."),
-    ] = Path("baseline.json"),
-    config: ConfigOption = None,
+    out: opt.BaselineOutOption = Path("baseline.json"),
+    config: opt.ConfigOption = None,
     free: Annotated[
-        bool,
-        typer.Option(
-            "--free",
-            help="Nothing was touched: without truth, use the swings to their ends.",
-        ),
+        bool, option("--free", "Nothing was touched: without truth, use the swings to their ends.")
     ] = False,
     library: Annotated[
-        Literal["servo", "paper", "linear"],
-        typer.Option("--library", help="Candidate terms."),
+        Literal["servo", "paper", "linear"], option("--library", "Candidate terms.")
     ] = "servo",
     threshold: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--threshold",
-            metavar="λ",
+            "STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
+            "λ",
             min=0.0,
-            help="STLSQ's threshold in units of the residual; chosen on held-out swings if absent.",
-            show_default=False,
         ),
     ] = None,
-    equations: Annotated[
-        bool, typer.Option("--equations", help="Print every leg's equations, too.")
-    ] = False,
-    json: JsonOption = False,
+    equations: Annotated[bool, option("--equations", "Print every leg's equations, too.")] = False,
+    json: opt.JsonOption = False,
 ) -> None:
     """Learn a contact-free model of every recorded leg, and say how good it is."""
     from threadpoolctl import threadpool_limits
@@ -86,8 +61,8 @@ def fit(
     from adaptive_contact.fit.verdict import verdict
     from adaptive_contact.model.model_file import save_baseline
 
-    check_output(out, "--out")
-    robot = recorded_robot(config, recordings)
+    opt.check_output(out, "--out")
+    robot = opt.recorded_robot(config, recordings)
     gathered = gather(recordings, robot)
     check_conventions(robot, gathered)
     with threadpool_limits(1):  # matrices this small only wait for each other in threads
@@ -108,6 +83,8 @@ def fit(
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
                 "record free swings, or with truth, to learn from all of them"
             )
+        if known.strength is not None:
+            say_note(undetermined(leg_id, known))
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
         say_note(
@@ -120,6 +97,20 @@ def fit(
     for line in verdict(robot, training):
         say(line, err=json)
     say(f"baseline written to {out}", err=True)
+
+
+def undetermined(leg: str, known: LegFigures) -> str:
+    """Say that a recording does not determine all terms, and what that means."""
+    line = (
+        f"leg '{leg}': its motions are too few, or too alike, to determine all terms; what is "
+        "known of any leg stands in for the rest"
+    )
+    if known.lone:
+        line += (
+            f"; {known.lone} ticks move as no other motion does, and are judged by ten times the "
+            "noise and more instead of raising the thresholds of all"
+        )
+    return line + ": record more motions, at every speed that the leg will have"
 
 
 def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict[str, LegGatherer]:
@@ -162,7 +153,7 @@ def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict
                 truth = decode(record.payload, ContactTruth, record.encoding)
                 if not isinstance(truth, Rejected):
                     leg.take_truth(truth)
-        say_damage(recording)
+        opt.say_damage(recording)
         for line in robots.trouble(None):
             say_note(f"{path}: {line}")
         of = f"{path}: " if len(recordings) > 1 else ""

@@ -26,8 +26,6 @@ from adaptive_contact.cli._output import (
 )
 from adaptive_contact.errors import AdaptiveContactError
 
-__all__ = ["app", "main"]
-
 app = Commands(
     name="adaptive-contact",
     help="Foot contacts from servo positions alone.",

@@ -9,38 +9,28 @@ from typing import Annotated, Final
 
 import typer
 
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
-
-__all__ = ["paper"]
 
 _OUT: Final = Path("out/paper")
 _LOGS: Final = Path("../shared/data")
 
 
 def paper(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")] = _OUT,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A few minutes: fewer legs, fewer hours.")
-    ] = False,
-    workers: Annotated[
-        int, typer.Option("--workers", min=0, help="Processes, 0 for one per core.")
-    ] = 0,
+    out: Annotated[Path, option("--out", "Where results go.", "DIR")] = _OUT,
+    quick: Annotated[bool, option("--quick", "A few minutes: fewer legs, fewer hours.")] = False,
+    workers: Annotated[int, option("--workers", "Processes, 0 for one per core.", min=0)] = 0,
     scheduler: SchedulerOption = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, max=90, help="Of all streams.")] = 0,
+    seed: Annotated[int, option("--seed", "Of all streams.", min=0, max=90)] = 0,
     stage: Annotated[
-        list[str] | None,
-        typer.Option("--stage", metavar="NAME", help="Only this stage; repeatable."),
+        list[str] | None, option("--stage", "Only this stage; repeatable.", "NAME")
     ] = None,
     logs: Annotated[
-        Path | None,
-        typer.Option(
-            "--logs", metavar="PATH", help="Recordings of real servos; skipped where absent."
-        ),
+        Path | None, option("--logs", "Recordings of real servos; skipped where absent.", "PATH")
     ] = _LOGS,
     docs: Annotated[
-        Path | None,
-        typer.Option("--docs", metavar="FILE.md", help="Write the results as a document, too."),
+        Path | None, option("--docs", "Write the results as a document, too.", "FILE.md")
     ] = None,
 ) -> None:
     """Run the paper's experiments in the simulator: figures, results.json, report.html."""

@@ -11,46 +11,33 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import (
-    Network,
-    flatten,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, overwrite, say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError
 from adaptive_contact.files import holds_content
 from adaptive_contact.printable import printable
 
-__all__ = ["record"]
 
-
-@flatten
+@opt.flatten
 def record(
     *,
     file: Annotated[
         Path, typer.Argument(metavar="FILE.mcap", help="Recording to write.", show_default=False)
     ],
     key: Annotated[
-        str, typer.Option("--key", metavar="EXPR", help="Zenoh key expression of what to record.")
+        str, option("--key", "Zenoh key expression of what to record.", "EXPR")
     ] = "robot/**",
     seconds: Annotated[
-        float | None,
-        seconds_option(
-            "--seconds",
-            help="Stop after so long; otherwise at Ctrl-C.",
-            show_default=False,
-        ),
+        float | None, seconds_option("--seconds", "Stop after so long; otherwise at Ctrl-C.")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace the file if it is there already.")
-    ] = False,
-    network: Network,
+    force: opt.ForceOption = False,
+    network: opt.Network,
 ) -> None:
     """Record messages of any key, byte for byte, until Ctrl-C."""
     make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
-    stop = stoppable()
+    stop = opt.stoppable()
 
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.recording import RecordingWriter
@@ -76,9 +63,7 @@ def record(
             recorder = Recorder(link, writer, key)
             say(f"recording {key} to {file}; stop with Ctrl-C", err=True)
             recorder.run(
-                stop,
-                seconds,
-                (lambda: _progress(recorder.counts, started_s)) if live else None,
+                stop, seconds, (lambda: _progress(recorder.counts, started_s)) if live else None
             )
     finally:
         closed = link.close()

@@ -13,20 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli._options import (
-    AmbiguousOption,
-    BaselineOption,
-    ConfigOption,
-    Network,
-    WhenAmbiguous,
-    check_output,
-    flatten,
-    recorded_robot,
-    say_damage,
-    speed_of,
-    stoppable,
-)
+from adaptive_contact.cli._options import option
 from adaptive_contact.cli._output import say, say_note, say_waiting
 from adaptive_contact.errors import ConfigurationError, LinkError, RecordingError
 from adaptive_contact.files import write_file
@@ -39,10 +28,8 @@ if TYPE_CHECKING:
     from adaptive_contact.service.recording import Recording
     from adaptive_contact.service.replay import Counts
 
-__all__ = ["replay"]
 
-
-@flatten
+@opt.flatten
 def replay(
     *,
     file: Annotated[
@@ -53,64 +40,50 @@ def replay(
     ],
     speed: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--speed",
-            metavar="X|max",
-            help="How much faster than recorded; 'max' takes as little time as it can. [1]",
-            show_default=False,
+            "How much faster than recorded; 'max' takes as little time as it can. [1]",
+            "X|max",
         ),
     ] = None,
     events: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--events",
-            metavar="OUT.jsonl",
-            help="Use no network: feed the learners and write one contact event per line "
+            "Use no network: feed the learners and write one contact event per line "
             "('-' for standard output).",
-            show_default=False,
+            "OUT.jsonl",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--plot",
-            metavar="FILE.html|png",
-            help="Use no network: feed the learners and draw per leg what was detected and missed, "
+            "Use no network: feed the learners and draw per leg what was detected and missed, "
             "and how far below the threshold.",
-            show_default=False,
+            "FILE.html|png",
         ),
     ] = None,
-    baseline: BaselineOption = None,
-    config: ConfigOption = None,
-    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
+    baseline: opt.BaselineOption = None,
+    config: opt.ConfigOption = None,
+    when_ambiguous: opt.AmbiguousOption = opt.WhenAmbiguous.WITHHOLD,
     everything: Annotated[
-        bool,
-        typer.Option("--all", help="Also publish recorded events, status and COMMANDS."),
+        bool, option("--all", "Also publish recorded events, status and COMMANDS.")
     ] = False,
     keep_run: Annotated[
-        bool,
-        typer.Option("--keep-run", help="Leave `run` in the samples as recorded, not a new start."),
+        bool, option("--keep-run", "Leave `run` in the samples as recorded, not a new start.")
     ] = False,
-    network: Network,
+    network: opt.Network,
 ) -> None:
     """Play a recording: its servo samples and truth onto the wire, or to events with --events."""
     from adaptive_contact.service.recording import is_bag, read_recording
 
-    on_wire = {
-        "--speed": speed,
-        "--all": everything,
-        "--keep-run": keep_run,
-        **network.given,
-    }
-    published = when_ambiguous is not WhenAmbiguous.WITHHOLD
-    through_learners = {
-        "--baseline": baseline,
-        "--config": config,
-        "--when-ambiguous": published,
-    }
+    on_wire = {"--speed": speed, "--all": everything, "--keep-run": keep_run, **network.given}
+    published = when_ambiguous is not opt.WhenAmbiguous.WITHHOLD
+    through_learners = {"--baseline": baseline, "--config": config, "--when-ambiguous": published}
     if events is not None or plot is not None:
         _refuse(on_wire, "--events and --plot use no network; leave {} out")
-        robot = recorded_robot(config, [file])
+        robot = opt.recorded_robot(config, [file])
         recording = read_recording(file, robot)
         learned = _learned(robot, config, baseline)
         _to_events(recording, robot, events, plot, learned, when_ambiguous)
@@ -119,8 +92,8 @@ def replay(
         if bag:
             del through_learners["--config"]  # says what the bag's topics are
         _refuse(through_learners, "{} is for --events, --plot; the service on the wire has its own")
-        mapping = recorded_robot(config, [file]) if bag else None
-        factor = speed_of(speed)
+        mapping = opt.recorded_robot(config, [file]) if bag else None
+        factor = opt.speed_of(speed)
         settings = network.client()
         recording = read_recording(file, mapping)
         _to_wire(recording, settings, factor, everything=everything, keep_run=keep_run)
@@ -138,7 +111,7 @@ def _to_events(
     out: Path | None,
     plot: Path | None,
     learned: Baseline | None,
-    when_ambiguous: WhenAmbiguous,
+    when_ambiguous: opt.WhenAmbiguous,
 ) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -147,15 +120,14 @@ def _to_events(
     from adaptive_contact.learn import mode
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.refits import WaitingRefitter
-    from adaptive_contact.service.replay import Counts, replay_events
-    from adaptive_contact.service.replay_trace import TraceBank, TracedRecords
+    from adaptive_contact.service.replay import Counts, TraceBank, TracedRecords, replay_events
     from adaptive_contact.wire import JSON, encode
 
     if out is not None and str(out) != "-":
-        check_output(out, "--events")
+        opt.check_output(out, "--events")
     if plot is not None:
         check_plot(plot)
-        check_output(plot, "--plot")
+        opt.check_output(plot, "--plot")
     compile_tick()
     threadpool_limits(1)  # matrices this small only wait for each other in threads
     counts = Counts()
@@ -167,10 +139,7 @@ def _to_events(
     file = sys.stdout.buffer if to_stdout else kept
     with closing(WaitingRefitter()) as refitter:
         bank = LearnerBank(
-            robot,
-            learned,
-            refitter=refitter,
-            when_ambiguous=mode.WhenAmbiguous(when_ambiguous),
+            robot, learned, refitter=refitter, when_ambiguous=mode.WhenAmbiguous(when_ambiguous)
         )
         robots = OneRobot(recording)
         traced = TracedRecords(robots, robot) if plot is not None else None
@@ -240,7 +209,7 @@ def _to_wire(
     from adaptive_contact.service.one_robot import OneRobot
     from adaptive_contact.service.replay import WirePlayer
 
-    stop = stoppable()
+    stop = opt.stoppable()
     try:
         link = Link.open(settings, on_wait=say_waiting, stop=stop)
     except LinkError:
@@ -289,8 +258,7 @@ def _learned(robot: Robot, config: Path | None, baseline: Path | None) -> Baseli
 
 
 def _warn(recording: Recording, counts: Counts) -> None:
-    """One line each for what was cut off and for what could not be used."""
-    say_damage(recording)
+    opt.say_damage(recording)
     rejected = counts.rejects.total()
     if rejected:
         reasons = ", ".join(f"{reason} {n}" for reason, n in sorted(counts.rejects.items()))

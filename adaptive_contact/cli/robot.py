@@ -6,14 +6,10 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from adaptive_contact.cli._bus import DeviceOption
-from adaptive_contact.cli._options import Commands, flatten
+from adaptive_contact.cli._options import Commands, ForceOption, flatten, option
 from adaptive_contact.cli._robot_check import check
 from adaptive_contact.cli._robot_learning import learn
-
-__all__ = ["Wishes", "app"]
 
 app = Commands(help="A new robot: who is there, is it right, learn it.", no_args_is_help=True)
 
@@ -23,113 +19,86 @@ class Wishes:
     """The options of ``robot init``; None where one is not given."""
 
     device: DeviceOption = None
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="Description to write.")
-    ] = Path("robot.toml")
+    out: Annotated[Path, option("--out", "Description to write.", "FILE", short="-o")] = Path(
+        "robot.toml"
+    )
     joints: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--joints",
-            metavar="NUMBER|NAME,NAME,...",
-            help="Per leg, from the body outwards; 3 unless given.  A URDF has its own.",
-            show_default=False,
+            "Per leg, from the body outwards; 3 unless given.  A URDF has its own.",
+            "NUMBER|NAME,NAME,...",
         ),
     ] = None
     ids: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--ids",
-            metavar="ID,ID,.../ID,...",
-            help="Servos of each leg, from the body outwards, such as 2,4,6/8,10,12; all others, "
+            "Servos of each leg, from the body outwards, such as 2,4,6/8,10,12; all others, "
             "such as a head's, are ignored.  Without it, all are taken in the order of their ids.",
-            show_default=False,
+            "ID,ID,.../ID,...",
         ),
     ] = None
     legs: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--legs",
-            metavar="ID,ID,...",
-            help="Names, in the order of the servos' ids, or of --ids; with --urdf ID=LINK,..., "
+            "Names, in the order of the servos' ids, or of --ids; with --urdf ID=LINK,..., "
             "with each foot's link.",
-            show_default=False,
+            "ID,ID,...",
         ),
     ] = None
     lengths: Annotated[
-        str | None,
-        typer.Option(
-            "--lengths",
-            metavar="M,M,...",
-            help="Of the links, where all legs are alike, m.",
-            show_default=False,
-        ),
+        str | None, option("--lengths", "Of the links, where all legs are alike, m.", "M,M,...")
     ] = None
     urdf: Annotated[
         Path | None,
-        typer.Option(
-            "--urdf",
-            metavar="FILE",
-            help="Take joints, axes, origins and limits from this URDF.",
-            show_default=False,
-        ),
+        option("--urdf", "Take joints, axes, origins and limits from this URDF.", "FILE"),
     ] = None
     base: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--base",
-            metavar="LINK",
-            help="The URDF's link that is the body, z up; the last one that all legs hang on "
+            "The URDF's link that is the body, z up; the last one that all legs hang on "
             "unless given.",
-            show_default=False,
+            "LINK",
         ),
     ] = None
     tip: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--tip",
-            metavar="X,Y,Z",
-            help="The foot's tip in the frame of its link, m, where a URDF has no link there.",
-            show_default=False,
+            "The foot's tip in the frame of its link, m, where a URDF has no link there.",
+            "X,Y,Z",
         ),
     ] = None
-    name: Annotated[
-        str | None, typer.Option("--name", help="Of the robot.", show_default=False)
-    ] = None
+    name: Annotated[str | None, option("--name", "Of the robot.")] = None
     resolution: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--resolution",
-            metavar="RAD",
+            "One step of a reading; read from the servos with --device.",
+            "RAD",
             min=1e-6,
             max=0.2,
-            help="One step of a reading; read from the servos with --device.",
-            show_default=False,
         ),
     ] = None
     rate: Annotated[
         float | None,
-        typer.Option(
-            "--rate",
-            metavar="HZ",
-            min=1.0,
-            max=10_000.0,
-            help="Control ticks per second; 50 with --device.",
-            show_default=False,
+        option(
+            "--rate", "Control ticks per second; 50 with --device.", "HZ", min=1.0, max=10_000.0
         ),
     ] = None
-    baud: Annotated[
-        int | None,
-        typer.Option("--baud", help="Otherwise the usual ones are tried.", show_default=False),
-    ] = None
+    baud: Annotated[int | None, option("--baud", "Otherwise the usual ones are tried.")] = None
     configure: Annotated[
         bool,
-        typer.Option(
+        option(
             "--configure",
-            help="Let servos that answer pings only answer reads (status return level 2, in the "
+            "Let servos that answer pings only answer reads (status return level 2, in the "
             "EEPROM of AX, RX, MX and XL-320).",
         ),
     ] = False
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False
+    force: ForceOption = False
 
 
 @app.command()

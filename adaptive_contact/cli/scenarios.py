@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption
+from adaptive_contact.cli._options import Commands, JsonOption, ProcessesOption, option
 from adaptive_contact.cli._output import say, say_json
 from adaptive_contact.cli._sim_options import SchedulerOption, needs_studies
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
@@ -20,17 +20,12 @@ if TYPE_CHECKING:
     from adaptive_contact_studies.scenarios.judge import Judgement
     from adaptive_contact_studies.scenarios.runner import Done, Folders, Job
 
-__all__ = ["app"]
-
 app = Commands(
     help="Drifts, contacts and trouble, replayed through the learner and lesser ones.",
     no_args_is_help=True,
 )
 
-OutOption = Annotated[
-    Path,
-    typer.Option("--out", metavar="FOLDER", help="Recordings, replays, figures and pages."),
-]
+OutOption = Annotated[Path, option("--out", "Recordings, replays, figures and pages.", "FOLDER")]
 DEFAULT_OUT = Path("out/scenarios")
 # How a command ends that Ctrl-C stopped, as shells have it.
 INTERRUPTED = 130
@@ -86,38 +81,33 @@ def run(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]...", help="Which (`scenarios list`).")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="All of them.")] = False,
+    everything: Annotated[bool, option("--all", "All of them.")] = False,
     seeds: Annotated[
-        int | None,
-        typer.Option("--seeds", metavar="N", min=1, max=200, help="Leg-runs of each. [20]"),
+        int | None, option("--seeds", "Leg-runs of each. [20]", "N", min=1, max=200)
     ] = None,
     steady_walks: Annotated[
         int | None,
-        typer.Option(
+        option(
             "--steady-walks",
-            metavar="N",
+            "Walks in which nothing changes; a third of the work is theirs. [60: 10 hours]",
+            "N",
             min=1,
             max=600,
-            help="Walks in which nothing changes; a third of the work is theirs. [60: 10 hours]",
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Short recordings, two leg-runs: does it all run?")
+        bool, option("--quick", "Short recordings, two leg-runs: does it all run?")
     ] = False,
     brief: Annotated[
-        bool, typer.Option("--brief", help="Short recordings, six leg-runs: half an hour.")
+        bool, option("--brief", "Short recordings, six leg-runs: half an hour.")
     ] = False,
     only_goals: Annotated[
         bool,
-        typer.Option(
-            "--goals", help="The frozen and the full learner only: all goals, in half the time."
-        ),
+        option("--goals", "The frozen and the full learner only: all goals, in half the time."),
     ] = False,
-    processes: Annotated[
-        int, typer.Option("--processes", min=1, max=64, help="Recordings worked on at a time.")
-    ] = 2,
+    processes: ProcessesOption = 2,
     scheduler: SchedulerOption = None,
-    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Draw plots.")] = True,
+    pages: Annotated[bool, option("--pages/--no-pages", "Draw plots.")] = True,
     out: OutOption = DEFAULT_OUT,
     json: JsonOption = False,
 ) -> None:
@@ -203,9 +193,7 @@ def run(
 @app.command()
 def report(
     out: OutOption = DEFAULT_OUT,
-    docs: Annotated[
-        Path, typer.Option("--docs", metavar="FOLDER", help="Where adaptation.md goes.")
-    ] = Path("docs"),
+    docs: Annotated[Path, option("--docs", "Where adaptation.md goes.", "FOLDER")] = Path("docs"),
 ) -> None:
     """Write docs/adaptation.md, with its pictures: of the full form, where there are figures of it.
 
@@ -224,7 +212,6 @@ def report(
 
 
 def _work(work: list[Job], folders: Folders, processes: int, console: Console) -> list[str]:
-    """Make what is missing, with a bar."""
     from adaptive_contact_studies.scenarios.runner import run as run_jobs
     from adaptive_contact_studies.show.progress import progress
 

@@ -8,19 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adaptive_contact.cli._options import (
-    ConfigOption,
-    JsonOption,
-    recorded_robot,
-    seconds_option,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json, say_note
 from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.wire import ContactEvent
-
-__all__ = ["score"]
 
 
 def score(
@@ -34,20 +28,16 @@ def score(
     ],
     events: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--events",
-            metavar="FILE.jsonl",
-            help="Score these events, one ContactEvent per line, instead of the recorded ones.",
-            show_default=False,
+            "Score these events, one ContactEvent per line, instead of the recorded ones.",
+            "FILE.jsonl",
         ),
     ] = None,
-    json: JsonOption = False,
-    config: ConfigOption = None,
-    from_s: Annotated[float, seconds_option("--from", help="Judge swings from here on.")] = 0.0,
-    to_s: Annotated[
-        float | None,
-        seconds_option("--to", help="And up to here.", show_default=False),
-    ] = None,
+    json: opt.JsonOption = False,
+    config: opt.ConfigOption = None,
+    from_s: Annotated[float, seconds_option("--from", "Judge swings from here on.")] = 0.0,
+    to_s: Annotated[float | None, seconds_option("--to", "And up to here.")] = None,
 ) -> None:
     """Print recall, latency, precision and false alarms per robot-hour of a recording."""
     from adaptive_contact.score import score_messages
@@ -58,7 +48,7 @@ def score(
     end_s = math.inf if to_s is None else to_s
     if not from_s < end_s:
         raise ConfigurationError(f"--from {from_s} is not before --to {end_s}; swap them")
-    robot = recorded_robot(config, [recording])
+    robot = opt.recorded_robot(config, [recording])
     given = None if events is None else _read_events(events)
     source = read_recording(recording, robot)
     robots = OneRobot(source)

@@ -12,26 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from adaptive_contact.cli import _options as opt
 from adaptive_contact.cli._compiling import compile_tick
-from adaptive_contact.cli._options import (
-    AmbiguousOption,
-    BaselineOption,
-    ConfigOption,
-    InsecureOption,
-    JsonPayloadOption,
-    ListenOption,
-    LogJsonOption,
-    LogLevel,
-    LogLevelOption,
-    MaxSessionsOption,
-    Network,
-    NoStateOption,
-    RealtimeOption,
-    StateOption,
-    WhenAmbiguous,
-    flatten,
-    stoppable,
-)
 from adaptive_contact.cli._output import make_stdout_optional, say, say_note, say_waiting
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError, LinkError
 from adaptive_contact.priority import cores, take_priority
@@ -42,8 +24,6 @@ if TYPE_CHECKING:
     from adaptive_contact.service.link import Link
     from adaptive_contact.service.state import StateKeeper
 
-__all__ = ["serve"]
-
 # Python hands its lock on every 5 ms while a thread computes; a callback or the outbox would wait
 # as long for the worker.  At half a millisecond the hand-over costs nothing that can be measured.
 _SWITCH_S: Final = 0.0005
@@ -51,22 +31,22 @@ _SWITCH_S: Final = 0.0005
 _BEHIND_THE_BUS: Final = 5
 
 
-@flatten
+@opt.flatten
 def serve(
     *,
-    config: ConfigOption = None,
-    baseline: BaselineOption = None,
-    state: StateOption = None,
-    no_state: NoStateOption = False,
-    listen: ListenOption = None,
-    network: Network,
-    insecure: InsecureOption = False,
-    max_sessions: MaxSessionsOption = None,
-    realtime: RealtimeOption = False,
-    when_ambiguous: AmbiguousOption = WhenAmbiguous.WITHHOLD,
-    json: JsonPayloadOption = False,
-    log_json: LogJsonOption = False,
-    log_level: LogLevelOption = LogLevel.INFO,
+    config: opt.ConfigOption = None,
+    baseline: opt.BaselineOption = None,
+    state: opt.StateOption = None,
+    no_state: opt.NoStateOption = False,
+    listen: opt.ListenOption = None,
+    network: opt.Network,
+    insecure: opt.InsecureOption = False,
+    max_sessions: opt.MaxSessionsOption = None,
+    realtime: opt.RealtimeOption = False,
+    when_ambiguous: opt.AmbiguousOption = opt.WhenAmbiguous.WITHHOLD,
+    json: opt.JsonPayloadOption = False,
+    log_json: opt.LogJsonOption = False,
+    log_level: opt.LogLevelOption = opt.LogLevel.INFO,
 ) -> None:
     """Turn servo samples into contact events, over Zenoh.
 
@@ -74,7 +54,7 @@ def serve(
     """
     make_stdout_optional()
     # Before anything that takes time, so that a stop during the start is clean too.
-    stop = stoppable()
+    stop = opt.stoppable()
 
     if no_state and state is not None:
         raise ConfigurationError("--state and --no-state contradict each other; give one of them")
@@ -83,12 +63,10 @@ def serve(
 
         from adaptive_contact.bank import LearnerBank
         from adaptive_contact.learn.mode import WhenAmbiguous as Policy
-        from adaptive_contact.service.faults import FaultLog
-        from adaptive_contact.service.garbage import Sweeper
         from adaptive_contact.service.link import Link, router_settings
-        from adaptive_contact.service.logs import configure_logs
+        from adaptive_contact.service.logs import FaultLog, configure_logs
         from adaptive_contact.service.refits import ProcessRefitter
-        from adaptive_contact.service.server import Service
+        from adaptive_contact.service.server import Service, Sweeper
 
         configure_logs(log_level, json=log_json)
         settings = router_settings(

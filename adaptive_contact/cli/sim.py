@@ -1,69 +1,86 @@
-"""``adaptive-contact sim``: the simulated robot."""
+"""``adaptive-contact sim``: the simulated robot, and its shipped baseline learned again."""
 
 from __future__ import annotations
 
 import dataclasses
 import json as jsonlib
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import (
-    Commands,
-    JsonOption,
-    JsonPayloadOption,
-    Network,
-    flatten,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import make_stdout_optional, say, say_json, say_waiting
 from adaptive_contact.cli._sim_options import (
     ReactOption,
     RunOptions,
+    SchedulerOption,
     execute,
     given,
     needs_simulator,
+    needs_studies,
 )
-from adaptive_contact.cli.baseline import baseline
 from adaptive_contact.errors import ConfigurationError, LinkError
 
-__all__ = ["app"]
 
-app = Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
+def baseline(
+    out: opt.BaselineOutOption = Path("baseline.json"),
+    robot: Annotated[
+        str, option("--robot", "Which robot: hexapod, quadruped12, leg5.", "NAME")
+    ] = "hexapod",
+    processes: opt.ProcessesOption = 2,
+    scheduler: SchedulerOption = None,
+    json: opt.JsonOption = False,
+) -> None:
+    """Record a simulated robot and learn its baseline; the result depends on no clock."""
+    from threadpoolctl import threadpool_limits
+
+    from adaptive_contact.cli.fit import print_training
+    from adaptive_contact.model import save_baseline
+
+    with needs_studies():
+        from adaptive_contact_sim import simulated_robot
+        from adaptive_contact_studies.training import learn_shipped
+        from adaptive_contact_studies.workers import on_cluster
+
+    description = simulated_robot(robot).description
+    with threadpool_limits(1), on_cluster(scheduler, None):
+        training = learn_shipped(
+            robot, processes=processes, progress=lambda line: say(line, err=True)
+        )
+    save_baseline(training.baseline, out)
+    print_training(training, description, json=json)
+    say(f"baseline written to {out}", err=True)
+
+
+app = opt.Commands(help="The simulated robot: in pose, walking, drifting.", no_args_is_help=True)
 
 
 @app.command()
-@flatten
+@opt.flatten
 def pose(
     *,
-    leg: Annotated[
-        str | None, typer.Option("--leg", metavar="LEG|all", help="Which leg moves. [rf]")
-    ] = None,
+    leg: Annotated[str | None, option("--leg", "Which leg moves. [rf]", "LEG|all")] = None,
     obstacles: Annotated[
-        float | None, typer.Option("--obstacles", help="Share of descents onto an obstacle. [0]")
+        float | None, option("--obstacles", "Share of descents onto an obstacle. [0]")
     ] = None,
-    soft: Annotated[
-        float | None, typer.Option("--soft", help="Share of obstacles that yield. [0]")
-    ] = None,
+    soft: Annotated[float | None, option("--soft", "Share of obstacles that yield. [0]")] = None,
     approach: Annotated[
-        str | None,
-        typer.Option("--approach", metavar="descent|slow|forward|graze", help="How legs come."),
+        str | None, option("--approach", "How legs come.", "descent|slow|forward|graze")
     ] = None,
     workspace: Annotated[
-        str | None, typer.Option("--workspace", metavar="paper|whole", help="Where legs move.")
+        str | None, option("--workspace", "Where legs move.", "paper|whole")
     ] = None,
-    path: Annotated[
-        str | None, typer.Option("--path", metavar="cartesian|joint", help="What is straight.")
-    ] = None,
+    path: Annotated[str | None, option("--path", "What is straight.", "cartesian|joint")] = None,
     react_ms: ReactOption = None,
     run: RunOptions,
-    network: Network,
-    json: JsonPayloadOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Stand on five legs and move one, in free air or onto obstacles (the paper's set-up)."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     with needs_simulator():
         from adaptive_contact_sim import PoseSettings, simulated_robot
 
@@ -80,46 +97,35 @@ def pose(
 
 
 @app.command()
-@flatten
+@opt.flatten
 def walk(
     *,
     gait: Annotated[
-        str | None,
-        typer.Option(
-            "--gait", metavar="GAIT", help="tripod, ripple, wave; trot, walk of a quadruped."
-        ),
+        str | None, option("--gait", "tripod, ripple, wave; trot, walk of a quadruped.", "GAIT")
     ] = None,
     terrain: Annotated[
-        str | None,
-        typer.Option(
-            "--terrain", metavar="flat|steps|rough|soft|holes", help="The ground. [rough]"
-        ),
+        str | None, option("--terrain", "The ground. [rough]", "flat|steps|rough|soft|holes")
     ] = None,
-    relief: Annotated[
-        float | None, typer.Option("--relief", metavar="M", help="Lowest to highest. [0.035]")
-    ] = None,
+    relief: Annotated[float | None, option("--relief", "Lowest to highest. [0.035]", "M")] = None,
     stop_on: Annotated[
-        str | None,
-        typer.Option(
-            "--stop-on", metavar="truth|service|never", help="Who stops a descent. [truth]"
-        ),
+        str | None, option("--stop-on", "Who stops a descent. [truth]", "truth|service|never")
     ] = None,
     react_ms: ReactOption = None,
     phase: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--phase",
-            metavar="touch|planned",
-            help="When it says stance: stopped by a touch, or as planned. [touch]",
+            "When it says stance: stopped by a touch, or as planned. [touch]",
+            "touch|planned",
         ),
     ] = None,
     run: RunOptions,
-    network: Network,
-    json: JsonPayloadOption = False,
+    network: opt.Network,
+    json: opt.JsonPayloadOption = False,
 ) -> None:
     """Walk over flat, stepped, rough or soft ground, or one with holes."""
     make_stdout_optional()
-    stop = stoppable()
+    stop = opt.stoppable()
     with needs_simulator():
         from adaptive_contact_sim import WalkSettings
 
@@ -134,23 +140,21 @@ def walk(
 
 
 @app.command()
-@flatten
+@opt.flatten
 def inject(
     kind: Annotated[
         str | None,
         typer.Argument(metavar="KIND", help="What drifts (`sim list`); without it, what holds."),
     ] = None,
-    value: Annotated[
-        float | None, typer.Option("--value", help="Absolute, in the kind's unit.")
-    ] = None,
+    value: Annotated[float | None, option("--value", "Absolute, in the kind's unit.")] = None,
     *,
-    leg: Annotated[str, typer.Option("--leg", metavar="LEG|all")] = "all",
-    joint: Annotated[str, typer.Option("--joint", metavar="JOINT|all")] = "all",
-    shape: Annotated[str, typer.Option("--shape", metavar="step|ramp|pulse|walk")] = "step",
-    duration: Annotated[float, seconds_option("--duration", help="Of a shape.")] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of a random walk.")] = 0,
-    network: Network,
-    json: JsonOption = False,
+    leg: Annotated[str, option("--leg", metavar="LEG|all")] = "all",
+    joint: Annotated[str, option("--joint", metavar="JOINT|all")] = "all",
+    shape: Annotated[str, option("--shape", metavar="step|ramp|pulse|walk")] = "step",
+    duration: Annotated[float, seconds_option("--duration", "Of a shape.")] = 0.0,
+    seed: Annotated[int, option("--seed", "Of a random walk.", min=0)] = 0,
+    network: opt.Network,
+    json: opt.JsonOption = False,
 ) -> None:
     """Let something drift in a running simulator, and print what now holds."""
     from adaptive_contact.service.link import Link
@@ -188,7 +192,7 @@ def inject(
 
 
 @app.command("list")
-def list_(json: JsonOption = False) -> None:
+def list_(json: opt.JsonOption = False) -> None:
     """Show the shipped scenarios, and the kinds of drift with their ranges."""
     with needs_simulator():
         from adaptive_contact_sim import KINDS, describe, shipped_scenarios

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from adaptive_contact.cli._options import Commands, JsonOption, StateOption
+from adaptive_contact.cli._options import Commands, JsonOption, StateOption, option
 from adaptive_contact.cli._output import say, say_json
-from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.files import write_file
 from adaptive_contact.printable import printable
 from adaptive_contact.service.settings import shown_path
@@ -26,17 +26,13 @@ if TYPE_CHECKING:
 
     from adaptive_contact.service.state import Record, Stored
 
-__all__ = ["app"]
-
 app = Commands(
     help="Show, export or forget what the service has learned and kept.", no_args_is_help=True
 )
 
 _PIPE_WIDTH: Final = 160
-RobotOption = Annotated[
-    str | None, typer.Option("--robot", metavar="NAME", help="Only of this robot.")
-]
-LegOption = Annotated[str | None, typer.Option("--leg", metavar="ID", help="Only of this leg.")]
+RobotOption = Annotated[str | None, option("--robot", "Only of this robot.", "NAME")]
+LegOption = Annotated[str | None, option("--leg", "Only of this leg.", "ID")]
 
 
 @app.command()
@@ -127,7 +123,7 @@ def reset(
     state: StateOption = None,
     robot: RobotOption = None,
     leg: LegOption = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    yes: Annotated[bool, option("--yes", "Do not ask.", short="-y")] = False,
 ) -> None:
     """Forget what was learned: the service starts from its baseline again.
 
@@ -198,7 +194,7 @@ def _found(state: Path | None, robot: str | None, leg: str | None) -> list[Store
             ) from error
     except OSError as error:
         raise ConfigurationError(
-            f"{root} cannot be read ({(error.strerror or str(error)).lower()}); run as the "
+            f"{root} cannot be read ({reason_of(error)}); run as the "
             "service's user, or give another --state DIR"
         ) from error
     found = []

@@ -7,15 +7,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Annotated, Final
 
-import typer
-
-from adaptive_contact.cli._options import (
-    JsonOption,
-    Network,
-    flatten,
-    seconds_option,
-    stoppable,
-)
+from adaptive_contact.cli import _options as opt
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_json, say_waiting
 from adaptive_contact.cli._web import (
     WEB_PANEL,
@@ -37,38 +30,33 @@ if TYPE_CHECKING:
 
     Look = Callable[[], View]
 
-__all__ = ["watch"]
-
 _REFRESH_S: Final = 0.25
 _PIPE_WIDTH: Final = 160
 
 
-@flatten
+@opt.flatten
 def watch(
     *,
-    network: Network,
-    once: Annotated[
-        bool, typer.Option("--once", help="Look for a while, print one table and end.")
-    ] = False,
+    network: opt.Network,
+    once: Annotated[bool, option("--once", "Look for a while, print one table and end.")] = False,
     seconds: Annotated[
         float,
         seconds_option(
             "--seconds",
+            "How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
             least=0.1,
             most=3600.0,
-            help="How long --once looks; otherwise how often --json, or a pipe, gets its lines.",
         ),
     ] = 2.0,
     wait: Annotated[
         float,
         seconds_option(
-            "--wait", most=3600.0, help="How long --once waits for a router before it gives up."
+            "--wait", "How long --once waits for a router before it gives up.", most=3600.0
         ),
     ] = 10.0,
-    json: JsonOption = False,
+    json: opt.JsonOption = False,
     web: Annotated[
-        bool,
-        typer.Option("--web", help="Show it as a page in the browser.", rich_help_panel=WEB_PANEL),
+        bool, option("--web", "Show it as a page in the browser.", panel=WEB_PANEL)
     ] = False,
     port: PortOption = None,
     host: HostOption = None,
@@ -82,9 +70,9 @@ def watch(
     if page_settings is not None:
         serve_page(page_settings, settings, browse=not no_browser)
         return
-    stop = stoppable()
-    from adaptive_contact.service.feed import Feed
+    stop = opt.stoppable()
     from adaptive_contact.service.link import Link, NoRouterError
+    from adaptive_contact.service.watch import Feed
 
     # A script that looks once is not to stand still where there is no router.
     patience_s = wait if once else math.inf
@@ -120,7 +108,6 @@ def _look_for(seconds: float, look: Look, stop: threading.Event) -> bool:
 
 
 def _live(look: Look, stop: threading.Event) -> None:
-    """Redraw until Ctrl-C."""
     from rich.live import Live
 
     from adaptive_contact.cli._console import table_console

@@ -30,8 +30,7 @@ from adaptive_contact.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.conventions.rigid import Reading
 from adaptive_contact.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
 from adaptive_contact.conventions.together import OPEN_RAD, choose
-from adaptive_contact.robot.angles import AngleFrame, angles_text
-from adaptive_contact.robot.description import Leg, Mount, Robot
+from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
 __all__ = [
     "ConventionFinding",

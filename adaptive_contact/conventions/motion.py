@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["LegMotion", "control_ticks"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -23,21 +23,6 @@ from numpy.typing import NDArray
 
 from adaptive_contact.robot.description import Leg
 
-__all__ = [
-    "FLOOR",
-    "MOST",
-    "SURE_RAD",
-    "Feet",
-    "Reading",
-    "Refined",
-    "Stream",
-    "fit_readings",
-    "on_body",
-    "refine",
-    "rigidity",
-    "standing",
-]
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]

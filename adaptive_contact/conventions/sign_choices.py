@@ -17,8 +17,6 @@ from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import Reading, Stream, standing
 from adaptive_contact.robot.description import Leg
 
-__all__ = ["HOLD_S", "SURE_SHARE", "Alone", "LegChoices"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -32,8 +32,6 @@ from adaptive_contact.conventions.rigid import (
 )
 from adaptive_contact.conventions.sign_choices import LegChoices
 
-__all__ = ["OPEN_RAD", "choose"]
-
 Array = NDArray[np.float64]
 
 # Displacements are taken over this time, s: long against the jitter of a command's rounding, short

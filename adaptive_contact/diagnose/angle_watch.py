@@ -15,18 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.conventions.judge import (
-    ConventionFinding,
-    LegMotion,
-    Verdict,
-    judge_motion,
-)
+from adaptive_contact.conventions.judge import ConventionFinding, LegMotion, Verdict, judge_motion
 from adaptive_contact.diagnose.kept_samples import KeptSamples
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import Phase
-
-__all__ = ["ConventionJob", "ConventionWatch", "MotionTrack"]
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,6 @@ from adaptive_contact.model.labelled_swing import Row, residuals_of
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.robot.kinematics import yaws_then_pitches
 
-__all__ = ["ChangeClassifier"]
-
 Array = NDArray[np.float64]
 
 KINDS: Final = ("friction", "drive", "load")

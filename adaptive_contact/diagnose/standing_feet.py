@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from adaptive_contact.robot import Leg
 from adaptive_contact.robot.gait_phase import infer_phase
 
-__all__ = ["LOOSE", "LegRows", "StandingFeet", "standing_feet"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

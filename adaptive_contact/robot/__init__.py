@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from adaptive_contact.robot.angles import AngleFrame
 from adaptive_contact.robot.description import (
     ROBOT_HOUR_TICKS,
+    AngleFrame,
     Angles,
     DetectorSettings,
     Leg,

@@ -1,11 +1,22 @@
-"""What a robot is said to be: its legs, their joints, servos and ports.
+r"""What a robot is said to be: its legs, their joints, servos and ports, and how it counts angles.
 
 A description is frozen, and checked once, on load (:mod:`adaptive_contact.robot.load`).
+
+A source may count its joints' angles another way than ``robot.toml`` does: the other way round, or
+from another zero.  ``[leg.angles]`` says how, joint by joint:
+
+.. math:: q = d\,w + o, \qquad d \in \{1, -1\}
+
+with the wire's angle :math:`w`, the description's :math:`q`, and the description's angle :math:`o`
+of a joint whose source says 0.  A sample is turned once, where it enters a learner or is gathered
+for a fit.  Everything behind that point, models and residuals included, is in the description's
+frame; keys of the wire (samples, commands) are in the source's.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Final, Literal
 
@@ -13,23 +24,74 @@ import msgspec
 
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot.kinematics import AXES, Chain, Vector, straight
+from adaptive_contact.wire import ServoSample
 
-__all__ = [
-    "ROBOT_HOUR_TICKS",
-    "Angles",
-    "Axis",
-    "AxisWord",
-    "DetectorSettings",
-    "Leg",
-    "LegRos2",
-    "Limits",
-    "Mount",
-    "Port",
-    "Robot",
-    "Ros2",
-    "ServoBus",
-    "ServoLaw",
-]
+# Offsets are written with so many digits: finer than the step of any servo (0.0001 rad).
+_DIGITS: Final = 4
+
+
+class AngleFrame:
+    """Turns one leg's samples into the description's frame.
+
+    Args:
+        leg: its description.
+
+    Attributes:
+        directions: (J,) 1 or -1.
+        offsets_rad: (J,) rad.
+        same: the wire's angles are the description's, so that nothing is to be done.
+    """
+
+    def __init__(self, leg: Leg) -> None:
+        joints = len(leg.joints)
+        angles = Angles() if leg.angles is None else leg.angles
+        self.directions = angles.directions or (1,) * joints
+        self.offsets_rad = angles.offsets_rad or (0.0,) * joints
+        self.same = all(d == 1 for d in self.directions) and not any(self.offsets_rad)
+        self._joints = joints
+
+    def sample(self, sample: ServoSample) -> ServoSample:
+        """Turn a sample of the wire into the description's frame.
+
+        A sample with another number of values is left as it is; the checks refuse it.
+        """
+        if self.same:
+            return sample
+        preview = sample.preview
+        return msgspec.structs.replace(
+            sample,
+            measured=self.angles(sample.measured),
+            desired=self.angles(sample.desired),
+            preview=None if preview is None else [self.angles(row) for row in preview],
+        )
+
+    def angles(self, wire: list[float]) -> list[float]:
+        """(J,) rad of the description for (J,) rad of the wire."""
+        if len(wire) != self._joints:
+            return wire
+        turned = zip(self.directions, wire, self.offsets_rad, strict=True)
+        return [d * w + o for d, w, o in turned]
+
+    def wire(self, angles: Sequence[float]) -> list[float]:
+        """(J,) rad of the wire for (J,) rad of the description."""
+        turned = zip(self.directions, angles, self.offsets_rad, strict=True)
+        return [d * (q - o) for d, q, o in turned]
+
+
+def angles_text(directions: Sequence[int], offsets_rad: Sequence[float], table: str) -> str:
+    """What to write into ``robot.toml``, in one line.
+
+    Args:
+        directions: (J,) 1 or -1.
+        offsets_rad: (J,) rad; left out where all are 0.
+        table: ``[leg.angles]`` or ``[leg.servos]``.
+    """
+    text = f"{table} directions = {list(directions)}"
+    if any(round(o, _DIGITS) for o in offsets_rad):
+        listed = ", ".join(f"{round(o, _DIGITS):g}" for o in offsets_rad)
+        text += f", offsets_rad = [{listed}]"
+    return text
+
 
 AxisWord = Literal["roll", "pitch", "yaw"]
 # A word, or a direction in the leg's frame with all angles 0.

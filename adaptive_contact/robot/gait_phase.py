@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from adaptive_contact.robot.description import Leg
 from adaptive_contact.wire import Phase
 
-__all__ = ["Direction", "PhaseTracker", "directions", "infer_phase"]
-
 # Lengths are of a leg of 0.256 m, and in proportion for others (`Chain.size`).
 # A swing begins once the command has risen this far out of the low of the last LOW_TICKS.  The
 # posture control of a walking robot moves stance feet by less within a fifth of a second.

@@ -35,20 +35,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptive_contact.errors import ConfigurationError
 
-__all__ = [
-    "AXES",
-    "Chain",
-    "Vector",
-    "axis_text",
-    "foot",
-    "foot_point",
-    "height_gradient",
-    "inverse",
-    "link_angles",
-    "straight",
-    "yaws_then_pitches",
-]
-
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 

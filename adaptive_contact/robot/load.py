@@ -7,17 +7,18 @@ optional.
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import tomllib
+from collections.abc import Callable
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Final, get_args
+from typing import Final, NoReturn, get_args
 
 import msgspec
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.robot.checks import check
 from adaptive_contact.robot.description import (
     Angles,
     AxisWord,
@@ -32,8 +33,233 @@ from adaptive_contact.robot.description import (
     ServoBus,
     ServoLaw,
 )
+from adaptive_contact.wire import is_leg_id
 
-__all__ = ["is_shipped", "load_robot", "parse_robot", "recorded_as", "shipped_robot"]
+# What one service has been tried with (`make many`).
+MAX_LEGS: Final = 64
+# A link is no longer, m; a direction is no shorter.
+MOST_M: Final = 5.0
+LEAST_AXIS: Final = 1e-3
+# A Dynamixel bus: 253 is reserved, 254 is everybody.
+MAX_SERVO_ID: Final = 252
+
+# Names of ROS: chunks of letters, digits and '_' that begin with no digit.
+_CHUNK: Final = r"[A-Za-z_][A-Za-z0-9_]*"
+_NODE: Final = re.compile(_CHUNK)
+_TOPIC: Final = re.compile(rf"/{_CHUNK}(?:/{_CHUNK})*")
+# ROS 2 maps a domain to UDP ports; beyond 232 there are none left.
+_MOST_DOMAINS: Final = 232
+_TOPICS: Final = ("state", "command", "phase", "truth")
+
+_Fail = Callable[[str], NoReturn]
+
+
+def check(robot: Robot, source: str) -> None:
+    """Refuse a description that no robot can have; ``source`` names it in errors.
+
+    Raises:
+        ConfigurationError: in one line, what was found, what was expected.
+    """
+
+    def fail(what: str) -> NoReturn:
+        raise ConfigurationError(f"{source}: {what}")
+
+    if not robot.name:
+        fail("[robot] name is empty; give the robot a name")
+    if not 1e-4 <= robot.period_s <= 1.0:
+        fail(f"[robot] period_s is {robot.period_s}; expected 0.0001 to 1 s (0.02 for 50 Hz)")
+    if not robot.legs:
+        fail("no [[leg]]; describe at least one")
+    if len(robot.legs) > MAX_LEGS:
+        fail(
+            f"{len(robot.legs)} [[leg]]; expected {MAX_LEGS} at most: give each part of the robot "
+            "a robot.toml, a service and a --namespace of its own"
+        )
+    if not 1e-3 <= robot.servo.slope_rad <= math.pi:
+        fail(f"[servo] slope_rad is {robot.servo.slope_rad}; expected 0.001 to 3.14 rad")
+    if not 1e-3 <= robot.detector.false_alarms_per_hour <= 1e4:
+        fail(
+            f"[detector] false_alarms_per_hour is {robot.detector.false_alarms_per_hour}; "
+            "expected 0.001 to 10000"
+        )
+    _check_ports(robot, fail)
+    seen: set[str] = set()
+    for leg in robot.legs:
+        where = f"[[leg]] '{leg.id}'"
+        if not is_leg_id(leg.id):
+            fail(
+                f"{where}: an id is 1 to 32 letters, digits, '_', '.' or '-' (it is part of a key)"
+            )
+        if leg.id in seen:
+            fail(f"{where}: the id is used twice; ids must differ")
+        seen.add(leg.id)
+        _check_leg(robot, leg, where, fail)
+    _check_ros2(robot, fail)
+
+
+def _check_ports(robot: Robot, fail: _Fail) -> None:
+    for name, port in robot.ports.items():
+        if not is_leg_id(name):
+            fail(f"[port.{name}]: a name is 1 to 32 letters, digits, '_', '.' or '-'")
+        if port.fast and port.protocol == 1:
+            fail(f"[port.{name}] fast is for protocol 2; remove it, or set protocol = 2")
+        if not 0.5 <= port.timeout_ms <= 100.0:
+            fail(f"[port.{name}] timeout_ms is {port.timeout_ms}; expected 0.5 to 100 (usual: 5)")
+        for servo in port.ignore:
+            if not 0 <= servo <= MAX_SERVO_ID:
+                fail(f"[port.{name}] ignore has {servo}; ids are 0 to {MAX_SERVO_ID}")
+    owner: dict[tuple[str | None, int], str] = {}
+    for leg in robot.legs:
+        servos = leg.servos
+        if servos is None:
+            continue
+        where = f"[[leg]] '{leg.id}'"
+        if servos.port is not None and servos.port not in robot.ports:
+            known = ", ".join(robot.ports) or "none"
+            fail(f"{where}: servos.port is '{servos.port}'; there is no such [port.NAME] ({known})")
+        if servos.port is None and len(robot.ports) > 1:
+            fail(f"{where}: servos.port is missing; name one of {', '.join(robot.ports)}")
+        if not 1e-3 <= servos.max_step_rad <= 1.0:
+            fail(f"{where}: servos.max_step_rad is {servos.max_step_rad}; expected 0.001 to 1 rad")
+        for servo in servos.ids:
+            if not 0 <= servo <= MAX_SERVO_ID:
+                fail(f"{where}: servo id {servo}; ids are 0 to {MAX_SERVO_ID}")
+            for name, port in robot.ports.items():
+                if servos.port in (name, None) and servo in port.ignore:
+                    fail(
+                        f"{where}: servo id {servo} is in ignore of [port.{name}], too; take it "
+                        "out of one of them"
+                    )
+            before = owner.setdefault((servos.port, servo), leg.id)
+            if before != leg.id or servos.ids.count(servo) > 1:
+                fail(
+                    f"{where}: servo id {servo} is used twice on a port (by leg '{before}'); give "
+                    "every servo an id of its own"
+                )
+
+
+def _check_leg(robot: Robot, leg: Leg, where: str, fail: _Fail) -> None:
+    joints = len(leg.joints)
+    quantum = robot.quantum(leg.id)
+    if joints == 0:
+        fail(f"{where}: joints is empty; name at least one")
+    if len(set(leg.joints)) != joints:
+        fail(f"{where}: joints {list(leg.joints)} repeat a name; names must differ")
+    if not 1e-6 <= quantum <= 0.2:
+        fail(f"{where}: quantum_rad is {quantum}; expected 1e-6 to 0.2 rad (AX-12A: 0.00511)")
+    sized: list[tuple[str, tuple[object, ...] | None]] = [
+        ("lengths_m", leg.lengths_m),
+        ("axes", leg.axes),
+        ("origins_m", leg.origins_m),
+        ("limits.lower_rad", leg.limits.lower_rad if leg.limits else None),
+        ("limits.upper_rad", leg.limits.upper_rad if leg.limits else None),
+        ("servos.ids", leg.servos.ids if leg.servos else None),
+        ("servos.model", leg.servos.models if leg.servos else None),
+        ("servos.directions", leg.servos.directions if leg.servos else None),
+        ("servos.offsets_rad", leg.servos.offsets_rad if leg.servos else None),
+        ("angles.directions", leg.angles.directions if leg.angles else None),
+        ("angles.offsets_rad", leg.angles.offsets_rad if leg.angles else None),
+    ]
+    for name, values in sized:
+        if values is not None and len(values) != joints:
+            fail(f"{where}: {name} has {len(values)} values for {joints} joints")
+    _check_chain(leg, where, fail)
+    if leg.limits is not None:
+        for low, high in zip(leg.limits.lower_rad, leg.limits.upper_rad, strict=True):
+            if not -2 * math.pi <= low < high <= 2 * math.pi:
+                fail(
+                    f"{where}: limits {low} .. {high} rad; expected lower below upper, within 2 pi"
+                )
+    for table, of in (("servos", leg.servos), ("angles", leg.angles)):
+        if of is not None and any(d not in (-1, 1) for d in of.directions or ()):
+            fail(f"{where}: {table}.directions are {list(of.directions or ())}; use 1 or -1")
+    for offset in (leg.angles.offsets_rad if leg.angles else None) or ():
+        if not -2 * math.pi <= offset <= 2 * math.pi:  # false for NaN, too
+            fail(f"{where}: angles.offsets_rad has {offset}; expected -6.28 to 6.28 rad")
+
+
+def _check_chain(leg: Leg, where: str, fail: _Fail) -> None:
+    for axis in leg.axes or ():
+        if not isinstance(axis, str) and not LEAST_AXIS <= math.hypot(*axis) < math.inf:
+            fail(f"{where}: axes has {list(axis)}; expected a direction such as [0, 1, 0]")
+    if leg.lengths_m is not None and not all(0 < x <= MOST_M for x in leg.lengths_m):
+        fail(f"{where}: lengths_m is {list(leg.lengths_m)}; expected metres above 0, up to 5")
+    origins = leg.origins_m
+    if origins is not None and leg.lengths_m is not None:
+        fail(
+            f"{where}: has lengths_m and origins_m; give one: lengths_m of links that lie along x, "
+            "origins_m of any others"
+        )
+    if origins is not None and not all(abs(x) <= MOST_M for origin in origins for x in origin):
+        fail(f"{where}: origins_m is {[list(o) for o in origins]}; expected metres, up to 5")
+    chain = leg.chain
+    if chain is None:
+        return
+    if not chain.reach_m:
+        fail(f"{where}: origins_m are all 0; expected the way from each joint to the next, m")
+    if not chain.lifts.any():
+        if chain.is_straight:
+            fail(f"{where}: no joint pitches, so that its foot never rises; leave lengths_m out")
+        key = "lengths_m" if origins is None else "origins_m"
+        fail(f"{where}: no joint raises the foot; look at axes, or leave {key} out")
+
+
+def _check_ros2(robot: Robot, fail: _Fail) -> None:
+    shared = robot.ros2
+    if shared is not None:
+        if not 0 <= shared.domain <= _MOST_DOMAINS:
+            fail(f"[ros2] domain is {shared.domain}; expected 0 to {_MOST_DOMAINS} (ROS_DOMAIN_ID)")
+        if _NODE.fullmatch(shared.node) is None:
+            fail(f"[ros2] node is '{shared.node}'; expected letters, digits and '_'")
+        for key in _TOPICS:
+            _check_topic(getattr(shared, key), f"[ros2] {key}", fail, leg="leg")
+        mapped = [leg.id for leg in robot.legs if leg.ros2 is not None]
+        for key in ("phase", "truth"):  # a Bool speaks of one leg
+            if len(mapped) > 1 and "{leg}" not in (getattr(shared, key) or "{leg}"):
+                fail(f"[ros2] {key} is one topic for {len(mapped)} legs; write {{leg}} into it")
+    owner: dict[tuple[str, str], str] = {}
+    for leg in robot.legs:
+        own = leg.ros2
+        if own is None:
+            continue
+        where = f"[[leg]] '{leg.id}'"
+        if shared is None:
+            fail(f"{where}: [leg.ros2] without [ros2]; write [ros2] and its state topic")
+        if len(own.joints) != len(leg.joints):
+            fail(f"{where}: ros2.joints has {len(own.joints)} values for {len(leg.joints)} joints")
+        for key in _TOPICS:
+            _check_topic(getattr(own, key), f"{where}: ros2.{key}", fail, leg=leg.id)
+            topic = getattr(shared, key)
+            if topic is not None and getattr(own, key) is None and "{leg}" in topic:
+                _check_topic(topic, f"{where}: [ros2] {key}", fail, leg=leg.id)
+        state = own.state or shared.state
+        if state is None:
+            fail(
+                f"{where}: no state topic; write state in [ros2] or [leg.ros2], such as "
+                '"/leg_controller/controller_state"'
+            )
+        state = state.replace("{leg}", leg.id)
+        for joint in own.joints:
+            if not joint:
+                fail(f"{where}: ros2.joints has an empty name; write those that {state} has")
+            before = owner.setdefault((state, joint), leg.id)
+            if before != leg.id or own.joints.count(joint) > 1:
+                fail(
+                    f"{where}: ros2.joints has '{joint}' of {state} twice (leg '{before}' has it, "
+                    "too); each joint belongs to one leg"
+                )
+        order = own.command_joints or shared.command_joints
+        lacking = [joint for joint in own.joints if order is not None and joint not in order]
+        if lacking:
+            fail(f"{where}: command_joints lacks {', '.join(lacking)} of ros2.joints")
+
+
+def _check_topic(topic: str | None, where: str, fail: _Fail, *, leg: str) -> None:
+    if topic is not None and _TOPIC.fullmatch(topic.replace("{leg}", leg)) is None:
+        fail(
+            f"{where} is '{topic}'; expected a topic such as /joint_states, with a leading slash, "
+            "of letters, digits, '_' and '{leg}'"
+        )
 
 
 class _Head(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

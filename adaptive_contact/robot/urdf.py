@@ -31,8 +31,6 @@ from adaptive_contact.printable import printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
 from adaptive_contact.robot.kinematics import Vector
 
-__all__ = ["Urdf", "UrdfLegs", "read_urdf"]
-
 Array = NDArray[np.float64]
 
 MOST_BYTES: Final = 8_000_000
@@ -53,8 +51,6 @@ _ABOVE_SHARE: Final = 0.1
 
 @dataclasses.dataclass
 class _Joint:
-    """A joint as the file has it."""
-
     name: str
     kind: str
     line: int
@@ -320,7 +316,6 @@ class Urdf:
         return parents
 
     def _path(self, leg: str, link: str) -> list[_Joint]:
-        """Joints from the root to a foot."""
         if link not in self.links:
             near = difflib.get_close_matches(link, self.links, n=1, cutoff=0.5)
             hint = f"did you mean '{near[0]}'?" if near else f"its last links: {self.last_links()}"
@@ -334,7 +329,6 @@ class Urdf:
         return ", ".join(tips[:_LISTED]) + more
 
     def _above(self, link: str) -> list[_Joint]:
-        """Joints from a link to the root."""
         above = []
         while link in self._parents:
             above.append(self._parents[link])
@@ -363,14 +357,7 @@ class Urdf:
 
     # -- a leg -------------------------------------------------------------------------------------
 
-    def _leg(
-        self,
-        leg: str,
-        path: Sequence[_Joint],
-        foot: str,
-        body: str,
-        tip_m: Vector,
-    ) -> Leg:
+    def _leg(self, leg: str, path: Sequence[_Joint], foot: str, body: str, tip_m: Vector) -> Leg:
         turn, place = np.eye(3), np.zeros(3)
         joints: list[_Joint] = []
         axes: list[Array] = []

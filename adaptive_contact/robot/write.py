@@ -8,8 +8,6 @@ import msgspec
 
 from adaptive_contact.robot.description import Leg, Port, Robot, ServoBus
 
-__all__ = ["write_robot"]
-
 
 def write_robot(robot: Robot, *, comments: bool = True) -> str:
     """A description as TOML text.

@@ -13,16 +13,6 @@ import struct
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-__all__ = [
-    "CdrError",
-    "ControllerState",
-    "Header",
-    "Point",
-    "Stamp",
-    "StateReader",
-    "UnknownHashError",
-]
-
 _LITTLE: Final = b"\x00\x01"
 _BIG: Final = b"\x00\x00"
 _DOUBLE: Final = 8

@@ -15,12 +15,10 @@ from typing import Any, Final
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.ros2.cdr import CdrError, UnknownHashError
-from adaptive_contact.ros2.names import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.problems import OnProblem, Reason
+from adaptive_contact.ros2.rmw import COMMANDS, FLAGS, STATES, RosType
 from adaptive_contact.ros2.ticks import Origin, Publisher, TickCounter
 from adaptive_contact.wire import ContactTruth, Message, ServoSample
-
-__all__ = ["Intake", "check_mapped"]
 
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 4  # joints that a line names

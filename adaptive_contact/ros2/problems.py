@@ -7,8 +7,6 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
-__all__ = ["Complaints", "OnProblem", "Reason"]
-
 
 class Reason(enum.StrEnum):
     """Why a message, or what one leg has of it, was not used."""

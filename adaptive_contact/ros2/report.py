@@ -9,12 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.ros2.names import RosType
-from adaptive_contact.ros2.rmw import Address
+from adaptive_contact.ros2.rmw import Address, RosType
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.wire import ContactEvent, LearnerStatus
-
-__all__ = ["Report", "topic_of_leg"]
 
 _NS: Final = 1_000_000_000
 # Levels of diagnostic_msgs/DiagnosticStatus.

@@ -1,4 +1,4 @@
-"""Keys, liveliness tokens and attachments of rmw_zenoh.
+"""Types of messages, keys, liveliness tokens and attachments of rmw_zenoh.
 
 A topic is published on ``<domain>/<topic>/<type>/<type hash>``.  Every node, publisher and
 subscription shows itself by a liveliness token under ``@ros2_lv``.  A message carries an
@@ -10,27 +10,29 @@ liveliness_utils.cpp, qos.cpp), as of ROS 2 Kilted.
 
 from __future__ import annotations
 
+import enum
 import hashlib
 import struct
 from typing import Final, Literal, NamedTuple
 
-__all__ = [
-    "LATCHED",
-    "NO_HASH",
-    "STREAM",
-    "Address",
-    "Attachment",
-    "Node",
-    "address_of",
-    "any_type",
-    "dds_name",
-    "decode_attachment",
-    "encode_attachment",
-    "published",
-    "publisher_id",
-    "publishers",
-    "topic_key",
-]
+
+class RosType(enum.StrEnum):
+    """Name of a message type, as keys, bags and rosbags write it."""
+
+    CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+    JOINT_STATE = "sensor_msgs/msg/JointState"
+    TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+    ARRAY = "std_msgs/msg/Float64MultiArray"
+    BOOL = "std_msgs/msg/Bool"
+    JOINT_VALUES = "control_msgs/msg/DynamicJointState"
+    DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+# What a topic of each role may carry.
+STATES: Final = (RosType.CONTROLLER_STATE, RosType.JOINT_STATE)
+COMMANDS: Final = (RosType.JOINT_STATE, RosType.TRAJECTORY, RosType.ARRAY)
+FLAGS: Final = (RosType.BOOL,)
+
 
 # Humble's rosidl knows no type hashes and writes this in their place.
 NO_HASH: Final = "TypeHashNotSupported"

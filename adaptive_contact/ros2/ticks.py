@@ -11,8 +11,6 @@ from typing import Final, NamedTuple
 
 from adaptive_contact.ros2.problems import OnProblem, Reason
 
-__all__ = ["Origin", "Publisher", "TickCounter"]
-
 # A publisher whose numbers go back by less has sent a message twice; by more, it counts again.
 _REPEATED: Final = 50
 # Numbers of a publisher that jump further are no loss: it counts again.

@@ -17,8 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from adaptive_contact.ros2.cdr import CdrError, StateReader, UnknownHashError
-from adaptive_contact.ros2.names import RosType
-from adaptive_contact.ros2.rmw import NO_HASH
+from adaptive_contact.ros2.rmw import NO_HASH, RosType
 
 __all__ = ["CdrError", "Types", "UnknownHashError", "typestore"]
 

@@ -7,8 +7,16 @@ The rules are in ``docs/scoring.md``.  With arrays: a :class:`LegStream` and a d
 
 from __future__ import annotations
 
-from adaptive_contact.score.contacts import Contacts, TruthChanges, contacts_of, truth_changes
-from adaptive_contact.score.intervals import Interval, clopper_pearson, poisson_mean
+from adaptive_contact.score.contacts import (
+    Contacts,
+    Swings,
+    TruthChanges,
+    contacts_of,
+    find_swings,
+    lift_by_halves,
+    lift_by_height,
+    truth_changes,
+)
 from adaptive_contact.score.matching import match
 from adaptive_contact.score.outcome import (
     COUNTED,
@@ -21,11 +29,19 @@ from adaptive_contact.score.outcome import (
     SwingTable,
     TouchTable,
 )
-from adaptive_contact.score.recovery import is_harmful, swings_to_recovery
 from adaptive_contact.score.score import Score, score_messages
 from adaptive_contact.score.streams import Gatherer
-from adaptive_contact.score.summary import Latency, RowFigures, Summary, summarise
-from adaptive_contact.score.swings import Swings, find_swings, lift_by_halves, lift_by_height
+from adaptive_contact.score.summary import (
+    Interval,
+    Latency,
+    RowFigures,
+    Summary,
+    clopper_pearson,
+    is_harmful,
+    poisson_mean,
+    summarise,
+    swings_to_recovery,
+)
 
 __all__ = [
     "COUNTED",

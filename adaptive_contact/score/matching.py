@@ -13,7 +13,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.score.contacts import FOREVER_NS, Contacts, contacts_of
+from adaptive_contact.score.contacts import (
+    FOREVER_NS,
+    Contacts,
+    Swings,
+    contacts_of,
+    find_swings,
+    lift_by_halves,
+    longest_gap,
+)
 from adaptive_contact.score.outcome import (
     ROWS,
     Events,
@@ -23,9 +31,6 @@ from adaptive_contact.score.outcome import (
     SwingTable,
     TouchTable,
 )
-from adaptive_contact.score.swings import Swings, find_swings, lift_by_halves, longest_gap
-
-__all__ = ["match"]
 
 Times = NDArray[np.int64]
 Index = NDArray[np.int64]

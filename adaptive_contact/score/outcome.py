@@ -13,18 +13,6 @@ from numpy.typing import NDArray
 from adaptive_contact.score.contacts import TruthChanges
 from adaptive_contact.wire import ContactEvent
 
-__all__ = [
-    "COUNTED",
-    "ROWS",
-    "Events",
-    "LegOutcome",
-    "LegStream",
-    "Outcome",
-    "Row",
-    "SwingTable",
-    "TouchTable",
-]
-
 Times = NDArray[np.int64]
 Index = NDArray[np.int64]
 Floats = NDArray[np.float64]

@@ -19,8 +19,6 @@ from adaptive_contact.score.streams import Gatherer, Received
 from adaptive_contact.score.summary import Summary, summarise
 from adaptive_contact.wire import ContactEvent
 
-__all__ = ["Score", "score_messages"]
-
 _NS_PER_S = 1_000_000_000
 
 

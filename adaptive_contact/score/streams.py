@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import ConfigurationError, RecordingError
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import infer_phase
-from adaptive_contact.score.contacts import truth_changes
+from adaptive_contact.score.contacts import find_swings, lift_by_height, truth_changes
 from adaptive_contact.score.outcome import Events, LegStream
-from adaptive_contact.score.swings import find_swings, lift_by_height
 from adaptive_contact.wire import (
     ContactEvent,
     ContactTruth,
@@ -30,8 +29,6 @@ from adaptive_contact.wire import (
     decode,
     is_leg_id,
 )
-
-__all__ = ["Gatherer", "Received"]
 
 _MAX_TIME_NS: Final = 2**63 - 1
 _UNTOLD, _SWING, _STANCE = 0, 1, 2

@@ -9,12 +9,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from adaptive_contact.score.intervals import Interval
 from adaptive_contact.score.outcome import Row
 from adaptive_contact.score.score import Score
-from adaptive_contact.score.summary import RowFigures, Summary
-
-__all__ = ["JSON_VERSION", "as_json", "as_table", "summary_json"]
+from adaptive_contact.score.summary import Interval, RowFigures, Summary
 
 JSON_VERSION: Final = 1
 

@@ -16,8 +16,6 @@ from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.wire import LearnerStatus
 
-__all__ = ["Attention", "remedy_of"]
-
 # What each note asks for, in the order of `docs/operating.md`; the first that fits is meant.
 _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
     (re.compile(words), remedy)
@@ -59,10 +57,7 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
             r"no phase|no lengths_m",
             "Give lengths_m in robot.toml, or have the controller send phase.",
         ),
-        (
-            r"samples are those of leg",
-            "Give each leg the same id in the source and in robot.toml.",
-        ),
+        (r"samples are those of leg", "Give each leg the same id in the source and in robot.toml."),
         (
             r"no lift could be",
             "Publish at a higher rate, lift higher, or have phase begin with the lift.",
@@ -71,10 +66,7 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
             r"after phase had turned",
             "Send swing for some 5 ticks more, until the foot can have arrived.",
         ),
-        (
-            r"needs a preview",
-            "Publish preview, or fit a baseline of a library without.",
-        ),
+        (r"needs a preview", "Publish preview, or fit a baseline of a library without."),
         (
             r"ms apart, robot\.toml says",
             "Correct period_s in robot.toml, or the rate of the control loop.",
@@ -84,14 +76,8 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
             "This is a defect of adaptive-contact: report it with the service's log. The leg "
             "works on.",
         ),
-        (
-            r"t_ns jitters",
-            "Stamp each reading when it is read, with a monotonic clock.",
-        ),
-        (
-            r"no servo has answered|has not answered",
-            "Look at the servo's cable, supply and id.",
-        ),
+        (r"t_ns jitters", "Stamp each reading when it is read, with a monotonic clock."),
+        (r"no servo has answered|has not answered", "Look at the servo's cable, supply and id."),
         (
             r"no usable sample|payload refused",
             "Correct what the source publishes; docs/messages.md says what each reason means.",
@@ -220,13 +206,7 @@ def _of_service(service: ServiceStatus) -> Iterator[Fault]:
     if service.note is not None:
         yield Fault("error", Cause.SERVICE, service.note, "As it says.", key="note")
     for key, question in service.strays.items():
-        yield Fault(
-            "error",
-            Cause.KEY,
-            f"nobody reads {key}",
-            question,
-            key=key,
-        )
+        yield Fault("error", Cause.KEY, f"nobody reads {key}", question, key=key)
     if service.state is not None:
         for line in service.state.refused:
             what = f"learned state was refused: {line}"

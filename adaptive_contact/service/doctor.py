@@ -27,12 +27,12 @@ from adaptive_contact.service.findings import (
     Level,
     entries,
 )
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_ids, check_leg, check_twins
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.readings import ECHO_FOUND, ECHO_REMEDY
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     LearnerStatus,
     Rejected,
@@ -43,16 +43,6 @@ from adaptive_contact.wire import (
     meant_key,
     namespace_of,
 )
-
-__all__ = [
-    "Diagnosis",
-    "Examination",
-    "KeyTraffic",
-    "about_learner",
-    "all_lost",
-    "diagnose",
-    "examine",
-]
 
 # A flood is measured by its count; its samples need not all be looked at.
 _SAMPLES_KEPT: Final = 3000
@@ -78,7 +68,7 @@ class KeyTraffic(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found.  ``router`` is a :class:`~adaptive_contact.service.probe.Reach`."""
+    """What was found.  ``router`` is a :class:`~adaptive_contact.service.settings.Reach`."""
 
     router: str
     router_line: str

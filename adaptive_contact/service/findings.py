@@ -12,18 +12,6 @@ from typing import Final, Literal, NamedTuple
 
 from adaptive_contact.wire import Reject
 
-__all__ = [
-    "EXPLAINS",
-    "REFUSED_FOR",
-    "SPOILS",
-    "Cause",
-    "Fault",
-    "Finding",
-    "Level",
-    "entries",
-    "of_legs",
-]
-
 Level = Literal["error", "warning", "note"]
 _RANKS: Final[dict[Level, int]] = {"error": 0, "warning": 1, "note": 2}
 # Details of one entry that are printed; the others are counted.

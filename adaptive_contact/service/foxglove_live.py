@@ -47,8 +47,6 @@ from adaptive_contact.wire import (
 if TYPE_CHECKING:
     from foxglove import Channel
 
-__all__ = ["DEFAULT_PORT", "FoxgloveServer", "JudgedTick"]
-
 # Where Foxglove looks first.
 DEFAULT_PORT: Final = 8765
 # A key is a channel; a robot of 64 legs has 300 of them, and a stranger may make more.

@@ -20,8 +20,6 @@ from adaptive_contact.service.readings import check_readings, position_step
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample
 
-__all__ = ["MOST_QUANTUM_RAD", "check_ids", "check_leg", "check_recording", "check_twins"]
-
 # A rate further off than this is not jitter: 50 Hz that is really 45 shifts every velocity.
 _RATE_TOLERANCE: Final = 0.05
 # No leg is controlled faster, s: 5 kHz.
@@ -138,9 +136,7 @@ def check_recording(
     return entries([*faults, *check_twins(samples)])
 
 
-def check_twins(
-    samples: Mapping[str, Sequence[ServoSample]],
-) -> Iterator[tuple[str, Fault]]:
+def check_twins(samples: Mapping[str, Sequence[ServoSample]]) -> Iterator[tuple[str, Fault]]:
     """Find legs that send another leg's readings, to the last bit.
 
     Yields:

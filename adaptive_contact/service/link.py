@@ -1,4 +1,4 @@
-"""The Zenoh session.  Only this module, :mod:`transport` and :mod:`zenoh_log` import zenoh.
+"""The Zenoh session.  Only this module, :mod:`transport` and :mod:`transport` import zenoh.
 
 Delivery, as measured on 1.10.2: streams go with DROP and without express; contact events are
 rare and must arrive, so they go express with BLOCK, ahead of the streams, and the last one is
@@ -21,18 +21,26 @@ import zenoh
 import zenoh.ext
 
 from adaptive_contact.errors import LinkError
-from adaptive_contact.service.probe import Finding, NoRouterError, Reach, probe
+from adaptive_contact.service.interfaces import Received, Reply
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
+    Finding,
     LinkSettings,
+    NoRouterError,
+    Reach,
     client_settings,
     endpoint,
+    probe,
     router_settings,
 )
 from adaptive_contact.service.sockets import LinkSockets
-from adaptive_contact.service.traffic import Received, Reply
-from adaptive_contact.service.transport import Facts, configure, first_line, router_failure
-from adaptive_contact.service.zenoh_log import callback_faults
+from adaptive_contact.service.transport import (
+    Facts,
+    callback_faults,
+    configure,
+    first_line,
+    router_failure,
+)
 from adaptive_contact.wire import MAX_PAYLOAD_BYTES, Message, encode
 
 __all__ = [

@@ -21,12 +21,10 @@ from adaptive_contact.conventions.motion import LegMotion
 from adaptive_contact.conventions.rigid import on_body
 from adaptive_contact.robot import AngleFrame, Leg, Mount, Robot, axis_text
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_ids, check_leg
 from adaptive_contact.service.status import LegFacts
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key
-
-__all__ = ["Flatness", "JointView", "LegView", "LiveCheck", "LiveReport"]
 
 Array = NDArray[np.float64]
 
@@ -272,12 +270,10 @@ class _LegCheck:
 
     @property
     def rests(self) -> bool:
-        """Whether no joint has moved for a while."""
         full = len(self._recent) == self._recent.maxlen
         return full and bool((np.ptp(np.array(self._recent), axis=0) < _REST_RAD).all())
 
     def view(self) -> LegView:
-        """The leg as it is now."""
         newest, leg = self.turned[-1], self.leg
         measured = np.array([sample.measured for sample in self.turned])
         limits = leg.limits
@@ -313,7 +309,6 @@ class _LegCheck:
         )
 
     def faults(self, seconds: float) -> Iterator[Fault]:
-        """What is wrong with rate, units, order and range."""
         facts = LegFacts(
             joints=list(self.leg.joints),
             lengths=self.leg.chain is not None,

@@ -1,4 +1,4 @@
-"""Structured logs on stderr: ``key=value`` lines for people, JSON lines for machines."""
+"""Structured logs on stderr: `key=value` lines for people, JSON lines for machines; throttled."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ import json
 import logging
 import sys
 import threading
-from collections.abc import MutableMapping
-from typing import Any, TextIO
+import time
+from collections import OrderedDict
+from collections.abc import Hashable, MutableMapping
+from typing import Any, Final, TextIO
 
 import structlog
 
 from adaptive_contact.printable import printable, printable_json, printable_lines
 
-__all__ = ["configure_logs"]
+_log = structlog.get_logger()
 
 
 class _Lines:
@@ -30,7 +32,6 @@ class _Lines:
         self._turn = threading.Lock()
 
     def msg(self, message: str) -> None:
-        """Write a line, if that can be done."""
         with self._turn, contextlib.suppress(OSError, ValueError):  # full, gone, or closed
             self._stream.write(f"{message}\n")
             self._stream.flush()
@@ -83,9 +84,7 @@ def configure_logs(
         processors.append(_shown)
         # A plain stack: a fancy one takes a fifth of a second of a tick, and shows local variables.
         console = structlog.dev.ConsoleRenderer(
-            colors=stream.isatty(),
-            pad_event_to=0,
-            exception_formatter=_trace,
+            colors=stream.isatty(), pad_event_to=0, exception_formatter=_trace
         )
         processors += [console]
     lines = _Lines(stream)
@@ -97,3 +96,57 @@ def configure_logs(
         logger_factory=lambda *_: lines,
         cache_logger_on_first_use=False,
     )
+
+
+_BRAKE_S: Final = 10.0
+_BRAKED_KINDS: Final = 256
+
+
+class LogThrottle:
+    """Lets one line of a kind through per period, and says how many it held back.
+
+    Args:
+        period_s: between two lines of a kind.
+    """
+
+    def __init__(self, period_s: float = _BRAKE_S) -> None:
+        self._period_ns = int(period_s * 1e9)
+        # kind -> when the last line passed, and how many came since; the oldest kind goes first.
+        self._kinds: OrderedDict[Hashable, tuple[int, int]] = OrderedDict()
+
+    def passes(self, kind: Hashable, now_ns: int, times: int = 1) -> int | None:
+        """Ask for a line.
+
+        Args:
+            kind: what the line is about; each kind has its own period.
+            now_ns: monotonic.
+            times: how many such things happened.
+
+        Returns:
+            How many the line stands for, or None where it is to be held back.
+        """
+        passed_ns, held = self._kinds.get(kind, (None, 0))
+        if passed_ns is not None and now_ns - passed_ns < self._period_ns:
+            self._kinds[kind] = (passed_ns, held + times)
+            return None
+        self._kinds[kind] = (now_ns, 0)
+        self._kinds.move_to_end(kind)
+        if len(self._kinds) > _BRAKED_KINDS:
+            self._kinds.popitem(last=False)
+        return held + times
+
+
+_PERIOD_S = 60.0
+
+
+class FaultLog:
+    """Logs a fault of each leg a minute, and how many came since the last one logged."""
+
+    def __init__(self) -> None:
+        self._throttle = LogThrottle(_PERIOD_S)
+
+    def __call__(self, leg: str, fault: Exception) -> None:
+        """A leg was restarted."""
+        times = self._throttle.passes(leg, time.monotonic_ns())
+        if times is not None:
+            _log.error("fault in learning, leg restarted", leg=leg, times=times, exc_info=fault)

@@ -16,16 +16,7 @@ from adaptive_contact.service.findings import Cause, Fault, entries, of_legs
 from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.recording import Record
 from adaptive_contact.service.status import LegFacts
-from adaptive_contact.wire import (
-    Rejected,
-    ServoSample,
-    decode,
-    leg_of_key,
-    meant_key,
-    namespace_of,
-)
-
-__all__ = ["OneRobot"]
+from adaptive_contact.wire import Rejected, ServoSample, decode, leg_of_key, meant_key, namespace_of
 
 # Of each leg, samples and refusals that are looked at.
 _KEPT: Final = 1000
@@ -153,14 +144,7 @@ class OneRobot:
 
     def _faults(self, robot: Robot) -> Iterator[tuple[str | None, Fault]]:
         for leg, samples in self._samples.items():
-            facts = None
-            if leg in robot.leg_ids:
-                described = robot.leg(leg)
-                facts = LegFacts(
-                    joints=list(described.joints),
-                    lengths=described.chain is not None,
-                    quantum_rad=robot.quantum(leg),
-                )
+            facts = LegFacts.of(robot, leg) if leg in robot.leg_ids else None
             faults = check_leg(
                 leg,
                 samples,

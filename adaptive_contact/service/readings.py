@@ -19,8 +19,6 @@ from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Cause, Fault
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["ECHO_FOUND", "ECHO_REMEDY", "check_readings", "position_step"]
-
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]  # seq
 

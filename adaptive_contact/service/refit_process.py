@@ -1,24 +1,71 @@
-"""Starts the process that refits; light, so that it can be started before anything else is loaded.
+"""The process that refits, and its start: jobs come in on stdin, results go out on stdout.
 
-Its imports take more than a second of a core.  Beside the service's own they disturb nobody; later
-they take a core from threads with an event in hand.
+A frame is 8 bytes of length, big endian, and a pickle.  Pickles are safe here because both ends are
+ours and the pipe is private.  The process ends with its stdin.
+
+Light, so that the process can be started before anything else is loaded: what fits need takes more
+than a second of a core to import.  Beside the service's own imports that disturbs nobody; later it
+takes a core from threads with an event in hand.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
+import pickle
+import struct
 import subprocess
 import sys
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 import adaptive_contact
-from adaptive_contact.service.refit_worker import HURRY
+from adaptive_contact.priority import yield_priority
 
-__all__ = ["ONE_BLAS_THREAD", "end_process", "start_process"]
+# Says that nobody is disturbed yet by what it imports.
+HURRY: Final = "--hurry"
 
-_MODULE: Final = "adaptive_contact.service.refit_worker"
+_LENGTH: Final = struct.Struct(">Q")
+# What fits need, seconds to import: while nobody waits, not while the first job does.
+_NEEDED: Final = ("pysindy.optimizers", "adaptive_contact.learn.cold_start")
+# A robot's other core is the tick loop's; a refit can wait.
+_NICE: Final = 5
+
+
+def write_frame(stream: IO[bytes], data: bytes) -> None:
+    """Write one frame."""
+    stream.write(_LENGTH.pack(len(data)) + data)
+    stream.flush()
+
+
+def read_frame(stream: IO[bytes]) -> bytes | None:
+    """Read one frame, None where the other side is gone."""
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        return None
+    length = int(_LENGTH.unpack(head)[0])
+    data = stream.read(length)
+    return data if len(data) == length else None
+
+
+def main() -> None:
+    """Do jobs until the service is gone."""
+    # Whatever prints must not print between the frames.
+    results = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    hurry = HURRY in sys.argv
+    yield_priority(0 if hurry else _NICE)
+    for module in _NEEDED:
+        importlib.import_module(module)
+    if hurry:
+        yield_priority(_NICE)
+    with contextlib.suppress(BrokenPipeError):
+        while (frame := read_frame(sys.stdin.buffer)) is not None:
+            write_frame(results, pickle.dumps(pickle.loads(frame).run()))
+
+
+_MODULE: Final = "adaptive_contact.service.refit_process"
 # Read by the BLAS libraries when they are loaded, which is before the worker can say anything.
 ONE_BLAS_THREAD: Final = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM")
@@ -59,3 +106,7 @@ def end_process(process: subprocess.Popen[bytes]) -> None:
         if stream is not None:
             with contextlib.suppress(OSError):  # what was never flushed has no reader
                 stream.close()
+
+
+if __name__ == "__main__":
+    main()

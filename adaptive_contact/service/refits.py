@@ -25,10 +25,12 @@ from adaptive_contact.diagnose.leg_ids import IdJob
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
 from adaptive_contact.learn.cold_start import ColdJob, ColdResult
-from adaptive_contact.service.refit_process import end_process, start_process
-from adaptive_contact.service.refit_worker import read_frame, write_frame
-
-__all__ = ["ProcessRefitter", "WaitingRefitter"]
+from adaptive_contact.service.refit_process import (
+    end_process,
+    read_frame,
+    start_process,
+    write_frame,
+)
 
 _log = structlog.get_logger()
 
@@ -48,10 +50,7 @@ class ProcessRefitter:
     """
 
     def __init__(
-        self,
-        timeout_s: float = JOB_TIMEOUT_S,
-        *,
-        process: subprocess.Popen[bytes] | None = None,
+        self, timeout_s: float = JOB_TIMEOUT_S, *, process: subprocess.Popen[bytes] | None = None
     ) -> None:
         self.failures = 0
         self._timeout_s = timeout_s

@@ -30,7 +30,7 @@ from adaptive_contact.ros2.report import Report
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types
 from adaptive_contact.service.link import Link, Publisher, Received
-from adaptive_contact.service.probe import REMEDY, Finding
+from adaptive_contact.service.settings import REMEDY, Finding
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -40,8 +40,6 @@ from adaptive_contact.wire import (
     decode,
     servo_key,
 )
-
-__all__ = ["Gateway", "shown_of_ros"]
 
 # A controller state of 64 legs has 20 kB.
 MAX_BYTES: Final = 256 * 1024
@@ -105,8 +103,6 @@ class _Inbox:
 
 
 class _RosPublisher:
-    """A publisher of the gateway's node."""
-
     def __init__(self, link: Link, node: rmw.Node, number: int, address: rmw.Address) -> None:
         token = node.endpoint_token("MP", number, address, rmw.LATCHED)
         self._id = rmw.publisher_id(token)
@@ -115,7 +111,6 @@ class _RosPublisher:
         self._token = link.token(token)
 
     def put(self, payload: bytes) -> None:
-        """Publish one message."""
         attachment = rmw.Attachment(next(self._seq), time.time_ns(), self._id)
         self._publisher.put_raw(payload, _ENCODING, rmw.encode_attachment(attachment))
 

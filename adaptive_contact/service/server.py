@@ -1,13 +1,19 @@
 """The service: servo samples in, contact events out.
 
-One worker does all the work: it takes a round from the intake (at most one sample per leg),
-hands it to the learners, and leaves the events to the outbox.  Learning, statuses and the
+One worker does all the work: it takes a batch from the queue (at most one sample per leg),
+hands it to the learners, and leaves the events to the publisher.  Learning, statuses and the
 learners' state come after that, when no other leg's sample waits to be judged.  Everything but
 :meth:`Service.run` gets its time as an argument.
+
+Garbage is collected by hand, between ticks.  A collection holds up every thread for as long as it
+takes, and Python makes one when a count says so: often in the tick of an event, in which most is
+made.
+
 """
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
 from collections import Counter, deque
@@ -17,17 +23,16 @@ from typing import Final
 import structlog
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.desk import Desk
-from adaptive_contact.service.garbage import Sweeper
-from adaptive_contact.service.intake import Intake, Raw, Round, read
+from adaptive_contact.service.event_publisher import HELD_UP_NS, EventPublisher
+from adaptive_contact.service.interfaces import Bank, Question
+from adaptive_contact.service.leg_endpoint import LegEndpoint
 from adaptive_contact.service.link import Link, Request
-from adaptive_contact.service.meters import Brake, Latency
-from adaptive_contact.service.outbox import HELD_UP_NS, Outbox
-from adaptive_contact.service.ports import Bank, Question
+from adaptive_contact.service.logs import LogThrottle
+from adaptive_contact.service.network_health import NetworkHealth, UnreadKeys
+from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue, read
 from adaptive_contact.service.settings import SERVICE_TOKEN
 from adaptive_contact.service.state import StateKeeper
-from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
-from adaptive_contact.service.surroundings import Strays, Surroundings
+from adaptive_contact.service.status import SERVICE_STATUS, Latency, LegFacts, ServiceStatus
 from adaptive_contact.service.trace import Tracer, judged_tick
 from adaptive_contact.service.watchdog import Watchdog, give_up
 from adaptive_contact.wire import (
@@ -41,9 +46,45 @@ from adaptive_contact.wire import (
     trace_key,
 )
 
-__all__ = ["Service", "version"]
-
 _log = structlog.get_logger()
+
+# The learners make no cycles (0 in 150 s of six walking legs); others may, on bad days.
+_SWEEP_NS: Final = 60_000_000_000
+# So many objects more than at the last collection, some 4 MB, wait for no pause.
+_MOST_OBJECTS: Final = 20_000
+
+
+class Sweeper:
+    """Collects the garbage of a process that is in a hurry.
+
+    Args:
+        most_objects: made since the last collection, and still there, after which one is due at
+            once.
+    """
+
+    def __init__(self, most_objects: int = _MOST_OBJECTS) -> None:
+        self._most = most_objects
+        self._swept_ns = 0
+
+    def start(self, now_ns: int) -> None:
+        """Nothing is collected by itself from now on, and what there is is not looked at again."""
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        self._swept_ns = now_ns
+
+    def sweep(self, now_ns: int, *, pause: bool) -> None:
+        """Collect if it is time.
+
+        Args:
+            now_ns: monotonic.
+            pause: nothing else waits to be done.
+        """
+        due = pause and now_ns - self._swept_ns > _SWEEP_NS
+        if due or gc.get_count()[0] > self._most:
+            gc.collect()
+            self._swept_ns = now_ns
+
 
 # How often each status is looked at for a change, and the longest a stop goes unnoticed.
 _LOOK_NS: Final = 100_000_000
@@ -91,9 +132,9 @@ class Service:
         self._robot = robot
         self._baseline = baseline
         self._started_ns = now_ns
-        self._intake: Intake[Question] = Intake(robot.leg_ids)
-        self._desks: dict[str, Desk] = {}
-        self._order: list[Desk] = []  # the same, to be visited one by one
+        self._queue: SampleQueue[Question] = SampleQueue(robot.leg_ids)
+        self._endpoints: dict[str, LegEndpoint] = {}
+        self._order: list[LegEndpoint] = []  # the same, to be visited one by one
         self._facts: dict[str, LegFacts] = {}
         self._samples = 0
         self._events = 0
@@ -105,50 +146,51 @@ class Service:
         self._tracer = Tracer(robot)
         self._untraced: list[tuple[str, ServoSample]] = []  # samples that a page asks for
         self._refused: set[str] = set()  # legs whose sample in hand the learner refuses
-        self._brake = Brake()
+        self._throttle = LogThrottle()
         self._keeper = keeper
         self._sweeper = sweeper
-        self._to_save: deque[tuple[int, Desk]] = deque()
-        self._outbox = Outbox()
+        self._to_save: deque[tuple[int, LegEndpoint]] = deque()
+        self._publisher = EventPublisher()
         self._beats = 0
         self._watchdog = Watchdog(
-            lambda: self._beats, self._outbox.busy_ns, on_stall=self._stalled, on_end=give_up
+            lambda: self._beats, self._publisher.busy_ns, on_stall=self._stalled, on_end=give_up
         )
-        link.drop_what_holds_up(self._outbox.busy_ns, self._outbox.dropped)
-        self._surroundings = Surroundings(link, now_ns)
-        self._strays = Strays(link)
+        link.drop_what_holds_up(self._publisher.busy_ns, self._publisher.dropped)
+        self._network = NetworkHealth(link, now_ns)
+        self._strays = UnreadKeys(link)
         self._stray_keys: dict[str, str] = {}
         self._status = link.publisher(SERVICE_STATUS, history=1)
-        self._look_ns = self._status_ns = now_ns
+        self._look_ns = self._status_ns = self._note_ns = now_ns
+        self._amiss: list[bool] = []  # which complaints the last status had
         self._latency_ns = now_ns + _LATENCY_LOG_NS
         self._visited = 0
         for leg in robot.legs:
-            self._desk(leg.id, now_ns, len(leg.joints))
+            self._endpoint(leg.id, now_ns, len(leg.joints))
         # What the first sample would wait for.
         bank.finish()
         _rehearse()
-        link.subscribe(ALL_SERVO, self._intake.offer)
+        link.subscribe(ALL_SERVO, self._queue.offer)
         link.queryable(model_key("*"), self._ask)
         link.queryable(trace_key("*"), self._ask_trace)
         link.token(SERVICE_TOKEN)
 
     def run(self, stop: threading.Event) -> None:
         """Work until ``stop`` is set; it is noticed within 0.1 s."""
-        self._outbox.start()
+        self._publisher.start()
         self._watchdog.start()
         try:
             while not stop.is_set():
                 self._beats += 1
                 wait_s = min(max(self._look_ns - time.monotonic_ns(), 0), _LOOK_NS) / 1e9
-                round_ = self._intake.take(_PAUSE_S if self._to_save else wait_s)
-                if round_:
-                    self.work(round_, time.monotonic_ns())
+                batch = self._queue.take(_PAUSE_S if self._to_save else wait_s)
+                if batch:
+                    self.work(batch, time.monotonic_ns())
                     # A tick's samples may take as many rounds as there are legs, this one among
                     # them: what no event needs waits for the last.  Where a leg's next sample is
                     # there already the worker is behind, and statuses and saves would wait long.
-                    legs = set(round_.samples)
+                    legs = set(batch.samples)
                     for _ in range(max(1, len(self._order) - 1)):
-                        more = self._intake.take(_REST_S, query=False)
+                        more = self._queue.take(_REST_S, query=False)
                         if not more:
                             break
                         self.work(more, time.monotonic_ns())
@@ -156,32 +198,32 @@ class Service:
                             break
                         legs |= more.samples.keys()
                     self.finish()
-                self.save(time.monotonic_ns(), pause=not round_)
+                self.save(time.monotonic_ns(), pause=not batch)
                 self.look(time.monotonic_ns())
                 if self._sweeper is not None:
-                    self._sweeper.sweep(time.monotonic_ns(), pause=bool(round_))
+                    self._sweeper.sweep(time.monotonic_ns(), pause=bool(batch))
             self._end(time.monotonic_ns())
         finally:
             self._watchdog.close()
-            self._outbox.close()
+            self._publisher.close()
             if self._keeper is not None:
                 self._keeper.close()
 
-    def work(self, round_: Round[Question], now_ns: int) -> None:
+    def work(self, batch: Batch[Question], now_ns: int) -> None:
         """Process one round, up to its events."""
-        for leg, dropped in round_.overflow.items():
+        for leg, dropped in batch.overflow.items():
             self._overflow(leg, dropped, now_ns)
-        if round_.strangers:
-            self._stranger(round_.stranger, round_.strangers, now_ns)
+        if batch.strangers:
+            self._stranger(batch.stranger, batch.strangers, now_ns)
         samples: dict[str, ServoSample] = {}
         self._refused.clear()
-        for leg, raw in round_.samples.items():
+        for leg, raw in batch.samples.items():
             sample = self._sample(leg, raw, now_ns)
             if sample is not None:
                 samples[leg] = sample
         if samples:
-            self._update(samples, round_.samples)
-        self._asked += round_.requests
+            self._update(samples, batch.samples)
+        self._asked += batch.requests
 
     def finish(self) -> None:
         """Learn from what was worked on, once its events are on their way, and answer queries."""
@@ -200,27 +242,33 @@ class Service:
         """Take the snapshot of one leg that is due, in a pause between samples."""
         if self._keeper is None or not self._to_save:
             return
-        since_ns, desk = self._to_save[0]
+        since_ns, endpoint = self._to_save[0]
         if pause or now_ns - since_ns > _LONGEST_WAIT_NS:
             self._to_save.popleft()
-            self._keeper.take(desk, now_ns)
+            self._keeper.take(endpoint, now_ns)
 
     def look(self, now_ns: int) -> None:
         """Publish the statuses that are due, and watch the router; cheap when nothing is."""
         # One leg at a time: a status takes 0.1 ms, and an event must not wait for six of them.
-        pause_ns = _LOOK_NS // max(1, len(self._desks))
-        for _ in range(len(self._desks)):
+        pause_ns = _LOOK_NS // max(1, len(self._endpoints))
+        for _ in range(len(self._endpoints)):
             if now_ns < self._look_ns:
                 break
             self._look_ns += pause_ns
             self._look_at(self._visited, now_ns)
-            self._visited = (self._visited + 1) % len(self._desks)
+            self._visited = (self._visited + 1) % len(self._endpoints)
         self._look_ns = max(self._look_ns, now_ns)
-        self._surroundings.look(now_ns)
+        self._network.look(now_ns)
+        if now_ns >= self._note_ns:
+            self._note_ns = now_ns + _LOOK_NS
+            # A complaint that comes or goes is published at once, its figures with the next status.
+            amiss = [one is not None for one in self._complaints(now_ns)]
+            if amiss != self._amiss:
+                self._amiss, self._status_ns = amiss, now_ns
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + _SERVICE_STATUS_NS
-            desks = (self._desks.get(leg) for leg in self._robot.leg_ids)
-            lonely = any(desk is not None and not desk.ever_heard for desk in desks)
+            endpoints = (self._endpoints.get(leg) for leg in self._robot.leg_ids)
+            lonely = any(endpoint is not None and not endpoint.ever_heard for endpoint in endpoints)
             self._stray_keys = self._strays.look(lonely=lonely, now_ns=now_ns)
             self._status.put(self.status(now_ns))
         if now_ns >= self._latency_ns:
@@ -229,28 +277,15 @@ class Service:
 
     def status(self, now_ns: int) -> ServiceStatus:
         """How the service is."""
-        for latency_ns in self._outbox.latencies():
+        for latency_ns in self._publisher.latencies():
             self._event_latency.add(latency_ns)
         state = None if self._keeper is None else self._keeper.facts
-        failing = None if state is None or state.error is None else f"state: {state.error}"
-        held_ns = self._outbox.busy_ns(now_ns)
-        held = (
-            f"a subscriber that hangs has held up contact events for {held_ns / 1e9:.1f} s"
-            if held_ns > HELD_UP_NS
-            else None
-        )
-        dropped = (
-            f"{self._outbox.cut_off} links dropped since the start, as they held up contact "
-            "events: their subscribers hang or are gone"
-            if self._outbox.dropped_within(now_ns, _REPORTED_NS)
-            else None
-        )
         return ServiceStatus(
-            instance=self._surroundings.instance,
-            note="; ".join(filter(None, (self._surroundings.note, held, dropped, failing))) or None,
-            events_lost=self._outbox.lost,
-            slow_puts=self._outbox.slow,
-            cut_off=self._outbox.cut_off,
+            instance=self._network.instance,
+            note="; ".join(filter(None, self._complaints(now_ns))) or None,
+            events_lost=self._publisher.lost,
+            slow_puts=self._publisher.slow,
+            cut_off=self._publisher.cut_off,
             stalls=self._watchdog.stalls,
             state=state,
             version=version(),
@@ -268,6 +303,24 @@ class Service:
             event_latency=self._event_latency.quantiles(),
         )
 
+    def _complaints(self, now_ns: int) -> tuple[str | None, ...]:
+        """What is wrong with the service, each cause in its own place."""
+        held_ns = self._publisher.busy_ns(now_ns)
+        held = (
+            f"a subscriber that hangs has held up contact events for {held_ns / 1e9:.1f} s"
+            if held_ns > HELD_UP_NS
+            else None
+        )
+        dropped = (
+            f"{self._publisher.cut_off} links dropped since the start, as they held up contact "
+            "events: their subscribers hang or are gone"
+            if self._publisher.dropped_within(now_ns, _REPORTED_NS)
+            else None
+        )
+        error = None if self._keeper is None else self._keeper.facts.error
+        failing = None if error is None else f"state: {error}"
+        return self._network.note, held, dropped, failing
+
     def log_figures(self) -> None:
         """Log what was done and how fast."""
         figures: dict[str, object] = {"samples": self._samples, "events": self._events}
@@ -282,18 +335,18 @@ class Service:
     def _sample(self, leg: str, raw: Raw, now_ns: int) -> ServoSample | None:
         self._samples += 1
         read_ = read(raw)
-        desk = self._desks.get(leg)
+        endpoint = self._endpoints.get(leg)
         if isinstance(read_, Rejected):
-            if desk is None:
+            if endpoint is None:
                 # A leg is made by its first good sample, not by noise on a key.
                 self._refuse(read_.reason, now_ns, leg=leg, detail=read_.detail)
             else:
-                desk.refused(read_, now_ns)
+                endpoint.refused(read_, now_ns)
                 self._warn("payload refused", read_.reason, now_ns, leg=leg, detail=read_.detail)
             return None
-        if desk is None:
-            desk = self._desk(leg, now_ns, len(read_.measured))
-            if desk is None:
+        if endpoint is None:
+            endpoint = self._endpoint(leg, now_ns, len(read_.measured))
+            if endpoint is None:
                 self._refuse(
                     Reject.UNKNOWN_LEG, now_ns, leg=leg, detail="no room for another learner"
                 )
@@ -302,7 +355,7 @@ class Service:
         if leg not in self._facts:
             joints = [f"joint {i + 1}" for i in range(len(read_.measured))]
             self._facts[leg] = LegFacts(joints=joints, described=False)
-        refused = desk.heard(read_, now_ns)
+        refused = endpoint.heard(read_, now_ns)
         if refused is not None:
             self._refused.add(leg)
             self._warn("payload refused", refused, now_ns, leg=leg)
@@ -311,7 +364,7 @@ class Service:
     def _update(self, samples: dict[str, ServoSample], raws: dict[str, Raw]) -> None:
         for event in self._bank.judge(samples):
             arrival_ns = raws[event.leg].arrival_ns
-            self._desks[event.leg].publish_event(event, arrival_ns, self._outbox)
+            self._endpoints[event.leg].publish_event(event, arrival_ns, self._publisher)
             self._events += 1
             _log.debug(
                 "contact" if event.contact else "withheld" if event.withheld else "release",
@@ -328,24 +381,28 @@ class Service:
         # Of two ticks of a leg in one go the learner knows the last.
         last = dict(self._untraced)
         self._tracer.take(
-            (leg, sample, judged_tick(self._desks[leg].learner) if sample is last[leg] else None)
+            (
+                leg,
+                sample,
+                judged_tick(self._endpoints[leg].learner) if sample is last[leg] else None,
+            )
             for leg, sample in self._untraced
         )
         self._untraced.clear()
 
     def _answer(self, request: Question) -> None:
         if request.key.endswith(_TRACE):
-            legs = [leg for leg in self._desks if request.covers(trace_key(leg))]
+            legs = [leg for leg in self._endpoints if request.covers(trace_key(leg))]
             now_ns = time.monotonic_ns()
             for trace in self._tracer.answer(legs, request.parameter("after"), now_ns):
                 request.reply(trace, trace_key(trace.leg))
             request.close()
             return
-        asked = [leg for leg in self._desks if request.covers(model_key(leg))]
-        reports = {leg: self._desks[leg].report() for leg in asked}
+        asked = [leg for leg in self._endpoints if request.covers(model_key(leg))]
+        reports = {leg: self._endpoints[leg].report() for leg in asked}
         found = {leg: report for leg, report in reports.items() if report is not None}
         if not asked:
-            known = ", ".join(self._desks) or "none yet"
+            known = ", ".join(self._endpoints) or "none yet"
             request.refuse(f"no such leg in {request.key}; legs are {known}")
             return
         if not found:
@@ -357,7 +414,7 @@ class Service:
 
     # -- what belongs to no round ---------------------------------------------------------
 
-    def _desk(self, leg: str, now_ns: int, joints: int) -> Desk | None:
+    def _endpoint(self, leg: str, now_ns: int, joints: int) -> LegEndpoint | None:
         learner = self._bank.learner(leg, joints)
         if learner is None:
             return None
@@ -367,39 +424,41 @@ class Service:
             library = "none" if report is None else report.library or "unnamed"
             resumes = self._keeper.restore(leg, learner, library, now_ns)
         learner.request_release()
-        desk = self._desks[leg] = Desk(self._link, leg, learner, joints, now_ns, resumes)
-        self._order.append(desk)
+        endpoint = self._endpoints[leg] = LegEndpoint(
+            self._link, leg, learner, joints, now_ns, resumes
+        )
+        self._order.append(endpoint)
         if leg in self._robot.leg_ids:
             self._facts[leg] = LegFacts.of(self._robot, leg)
-        return desk
+        return endpoint
 
     def _look_at(self, at: int, now_ns: int) -> None:
-        desk = self._order[at]
-        changed = desk.publish_status(now_ns)
-        if changed is not None and desk.ever_heard:
-            _log.info("leg status", leg=desk.leg, status=changed)
+        endpoint = self._order[at]
+        changed = endpoint.publish_status(now_ns)
+        if changed is not None and endpoint.ever_heard:
+            _log.info("leg status", leg=endpoint.leg, status=changed)
         keeper = self._keeper
-        if keeper is None or not keeper.due(desk, now_ns):
+        if keeper is None or not keeper.due(endpoint, now_ns):
             return
-        if all(desk is not waiting for _, waiting in self._to_save):
-            self._to_save.append((now_ns, desk))
+        if all(endpoint is not waiting for _, waiting in self._to_save):
+            self._to_save.append((now_ns, endpoint))
 
     def _stalled(self, for_s: float) -> None:
         """Say on a thread of the watchdog what the worker cannot say."""
-        self._surroundings.note = f"the worker has stood still for {for_s:.1f} s"
+        self._network.note = f"the worker has stood still for {for_s:.1f} s"
         self._status.put(self.status(time.monotonic_ns()))
 
     def _end(self, now_ns: int) -> None:
         """Have every leg saved, send the last events, and publish the last counts."""
-        for desk in self._order:
-            desk.publish_status(now_ns, anyway=True)
-            if self._keeper is not None and desk.ever_heard:
-                self._keeper.take(desk, now_ns)
-        self._outbox.close()  # first: what it cannot send any more is to be told of
+        for endpoint in self._order:
+            endpoint.publish_status(now_ns, anyway=True)
+            if self._keeper is not None and endpoint.ever_heard:
+                self._keeper.take(endpoint, now_ns)
+        self._publisher.close()  # first: what it cannot send any more is to be told of
         self._status.put(self.status(time.monotonic_ns()))
 
     def _ask(self, request: Request) -> None:
-        if not self._intake.ask(request):
+        if not self._queue.ask(request):
             request.refuse("too many queries at once; ask again")
 
     def _ask_trace(self, request: Request) -> None:
@@ -409,11 +468,11 @@ class Service:
             self._ask(request)
 
     def _overflow(self, leg: str, dropped: int, now_ns: int) -> None:
-        desk = self._desks.get(leg)
-        if desk is None:
+        endpoint = self._endpoints.get(leg)
+        if endpoint is None:
             self._rejects[Reject.OVERFLOW] += dropped
         else:
-            desk.learner.count(Reject.OVERFLOW, dropped)
+            endpoint.learner.count(Reject.OVERFLOW, dropped)
         self._warn("samples dropped", Reject.OVERFLOW, now_ns, times=dropped, leg=leg)
 
     def _stranger(self, key: str | None, times: int, now_ns: int) -> None:
@@ -427,7 +486,7 @@ class Service:
     def _warn(
         self, what: str, reason: Reject, now_ns: int, *, times: int = 1, **facts: str
     ) -> None:
-        stands_for = self._brake.passes((what, reason, facts.get("leg")), now_ns, times)
+        stands_for = self._throttle.passes((what, reason, facts.get("leg")), now_ns, times)
         if stands_for is not None:
             _log.warning(what, reason=reason.value, times=stands_for, **facts)
 

@@ -28,8 +28,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeVar
 
-__all__ = ["HELD_UP_NS", "STUCK_NS", "LinkSockets"]
-
 # A link that is cut sooner than one look after it was accepted can still hold a receiving thread
 # for 10 s.
 _LOOK_S: Final = 0.1

@@ -1,22 +1,59 @@
 """ServiceStatus: what is true of the service as a whole, beside the legs' own LearnerStatus.
 
-Published once a second on ``robot/service/status`` and kept for late joiners, so that ``watch``
-and ``doctor`` can say what belongs to no leg: payloads on unusable keys, and what the service
-was told about the robot.
+Published once a second on ``robot/service/status``, and within 0.1 s when a complaint of its note
+comes or goes; kept for late joiners, so that ``watch`` and ``doctor`` can say what belongs to no
+leg: payloads on unusable keys, and what the service was told about the robot.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Final
 
 import msgspec
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.meters import LatencyMs
 from adaptive_contact.service.state.keeper import StateFacts
 from adaptive_contact.wire import Message
 
-__all__ = ["SERVICE_STATUS", "LegFacts", "ServiceStatus"]
+_NS_PER_MS: Final = 1e6
+_KEPT: Final = 4096  # p99 of as many is good to about 40 values beyond it
+
+
+class LatencyMs(msgspec.Struct, frozen=True, kw_only=True):
+    """Quantiles of the newest values, in milliseconds, and how many there ever were."""
+
+    p50: float
+    p99: float
+    max: float
+    count: int
+
+
+class Latency:
+    """Keeps the newest latencies and gives their quantiles."""
+
+    def __init__(self, kept: int = _KEPT) -> None:
+        self._values: deque[int] = deque(maxlen=kept)
+        self._count = 0
+
+    def add(self, latency_ns: int) -> None:
+        """Take one in, ns."""
+        self._values.append(latency_ns)
+        self._count += 1
+
+    def quantiles(self) -> LatencyMs | None:
+        """Quantiles of the newest values, by nearest rank; None before the first."""
+        if not self._values:
+            return None
+        ordered = sorted(self._values)
+        last = len(ordered) - 1
+        return LatencyMs(
+            p50=ordered[round(0.50 * last)] / _NS_PER_MS,
+            p99=ordered[round(0.99 * last)] / _NS_PER_MS,
+            max=ordered[-1] / _NS_PER_MS,
+            count=self._count,
+        )
+
 
 SERVICE_STATUS: Final = "robot/service/status"
 

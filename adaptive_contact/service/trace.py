@@ -17,11 +17,9 @@ import numpy as np
 
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.robot.gait_phase import PhaseTracker
+from adaptive_contact.service.interfaces import Learner
 from adaptive_contact.service.link import Link
-from adaptive_contact.service.ports import Learner
 from adaptive_contact.wire import LegTrace, Rejected, ServoSample, decode, leg_of_key, trace_key
-
-__all__ = ["LEASE_S", "MOST_TICKS", "Judged", "TraceReader", "Tracer", "judged_tick"]
 
 # Ticks are kept for so long after a question; a page asks ten times a second.
 LEASE_S: Final = 3.0

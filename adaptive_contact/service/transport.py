@@ -1,22 +1,25 @@
-"""The Zenoh configuration of a link.
+"""The Zenoh configuration of a link, and what Zenoh logs.
 
 A configuration file comes first; ``DEFAULTS`` hold where it says nothing; our own settings
-(mode, endpoints, namespace) always hold.
+(mode, endpoints, namespace) always hold.  Zenoh reads such a file itself but fills in its own
+defaults, and then nobody can tell what the file says from what it does not say; so its keys are
+read here too.
 """
 
 from __future__ import annotations
 
 import json
+import logging
+import os
 import re
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import zenoh
 
-from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.service.json5 import keys_of
+from adaptive_contact.errors import ConfigurationError, reason_of
 from adaptive_contact.service.settings import (
     DEFAULT_ENDPOINT,
     LinkSettings,
@@ -25,16 +28,6 @@ from adaptive_contact.service.settings import (
     shown,
     tcp_address,
 )
-
-__all__ = [
-    "DEFAULTS",
-    "MAX_MESSAGE_BYTES",
-    "MAX_SESSIONS",
-    "Facts",
-    "configure",
-    "first_line",
-    "router_failure",
-]
 
 # Bounds one attempt to open a session, and with it how long a Ctrl-C may go unheard: the call
 # is Zenoh's own and cannot be interrupted.
@@ -77,11 +70,7 @@ DEFAULTS: Final[Mapping[str, object]] = {
     # Bounds each such try: a SYN that is lost in the cut is repeated only after 1, 3 and 7 s.
     "transport/unicast/open_timeout": 1000,
     # Reconnects go on for ever at this pace; an outage of 4 s was over 0.34 s after its end.
-    "connect/retry": {
-        "period_init_ms": 100,
-        "period_max_ms": 500,
-        "period_increase_factor": 1.5,
-    },
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
 }
 
 # An endpoint's options may hold a key.
@@ -187,7 +176,7 @@ def _from_file(path: Path) -> zenoh.Config:
             pass
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: cannot be read: {(error.strerror or str(error)).lower()}; give a Zenoh "
+            f"{path}: cannot be read: {reason_of(error)}; give a Zenoh "
             "configuration with --zenoh-config (docs/security.md has some)"
         ) from error
     try:
@@ -327,3 +316,87 @@ def _with_free_port(text: str) -> str:
         ) from error
     head, _, tail = text.rpartition(":0")
     return f"{head}:{port}{tail}"
+
+
+# https://spec.json5.org: comments, texts in quotes of either kind, and whatever stands without.
+_TOKEN = re.compile(
+    r"(?P<skipped>(?:\s|\ufeff|//[^\n\r\u2028\u2029]*|/\*.*?\*/)+)"
+    r"|(?P<text>\"(?:\\.|[^\"\\])*\"|'(?:\\.|[^'\\])*')"
+    r"|(?P<mark>[{}\[\],:])|(?P<word>[^\s\"'{}\[\],:/]+)",
+    re.DOTALL,
+)
+_ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|(.))", re.DOTALL)
+# A line that ends in a backslash goes on in the next.
+_SHORT: Final = dict(zip("bfnrtv0\n", ("\b", "\f", "\n", "\r", "\t", "\v", "\0", ""), strict=True))
+_DEEPEST: Final = 64
+
+
+def keys_of(text: str) -> frozenset[str]:
+    """Paths of all settings in a JSON5 text, read as JSON with its words as texts.
+
+    Zenoh has checked the file before: what cannot be read has no keys, and nobody is told.
+
+    Args:
+        text: whose outermost value is an object.
+
+    Returns:
+        Paths as ``scouting/multicast/enabled``, those of objects included; empty for what is no
+        JSON5 object.
+    """
+    tokens: list[str] = []
+    at = 0
+    while at < len(text):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            return frozenset()
+        at, kind, found = match.end(), match.lastgroup, match.group()
+        if kind == "mark":
+            if found in "}]" and tokens[-1:] == [","]:
+                tokens.pop()
+            tokens.append(found)
+        elif kind != "skipped":
+            plain = _ESCAPE.sub(_unescape, found[1:-1]) if kind == "text" else found
+            tokens.append(json.dumps(plain))
+    try:
+        return frozenset(_paths(json.loads("".join(tokens))))
+    except (ValueError, RecursionError):
+        return frozenset()
+
+
+def _paths(tree: object, at: tuple[str, ...] = ()) -> Iterator[str]:
+    if len(at) > _DEEPEST:
+        raise ValueError("too deep")
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            yield "/".join((*at, key))
+            yield from _paths(value, (*at, key))
+
+
+def _unescape(match: re.Match[str]) -> str:
+    code = match[1] or match[2]
+    return chr(int(code, 16)) if code else _SHORT.get(match[3], match[3])
+
+
+class _CallbackFaults(logging.Handler):
+    """Counts exceptions in callbacks; Zenoh logs them and goes on."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.count += 1
+
+
+def callback_faults() -> int:
+    """Exceptions raised in callbacks of any session, since this process began."""
+    return _faults.count
+
+
+_faults = _CallbackFaults()
+logging.getLogger("zenoh.handlers").addHandler(_faults)
+if "RUST_LOG" in os.environ:
+    # At debug the one part of Zenoh writes the whole configuration, passwords and all; the other
+    # writes whole endpoints, in which a key may stand, with every connection that fails.
+    os.environ["RUST_LOG"] += ",zenoh::api::session=info,zenoh::net::runtime::orchestrator=off"
+    zenoh.try_init_log_from_env()

@@ -18,8 +18,6 @@ from adaptive_contact.printable import printable
 from adaptive_contact.service.watch import LegView, View
 from adaptive_contact.wire import Status
 
-__all__ = ["headline", "table"]
-
 _COLOURS: Final[dict[Status, str]] = {
     "valid": "green",
     "learning": "cyan",

@@ -1,4 +1,4 @@
-"""Looks at the worker and the outbox from outside, for they cannot say that they hang.
+"""Looks at the worker and the publisher from outside, for they cannot say that they hang.
 
 A worker that stands still is told of after a second (the log and ServiceStatus), an event whose
 put blocks after half a second.  After half a minute of either, the process ends with exit code 70
@@ -24,8 +24,6 @@ from collections.abc import Callable
 from typing import Final
 
 import structlog
-
-__all__ = ["EXIT_CODE", "Watchdog", "give_up"]
 
 _log = structlog.get_logger()
 

@@ -29,8 +29,6 @@ from adaptive_contact.service.findings import Finding
 from adaptive_contact.service.watch import LegView, Verdict, View
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, LegTrace
 
-__all__ = ["Frames", "Table"]
-
 # A source's clock has jumped where a tick is this far from the time of its arrival: a service that
 # stands still for a second gives its ticks later, at their own times.
 _JUMP_NS: Final = 2_000_000_000

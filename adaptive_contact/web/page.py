@@ -15,16 +15,13 @@ from typing import Final, Self
 import msgspec
 
 from adaptive_contact.errors import LinkError
-from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.findings import Finding, Level
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.trace import TraceReader
-from adaptive_contact.service.watch import View
+from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.web.frames import Frames, Table
 from adaptive_contact.web.server import Site, WebSettings
 from adaptive_contact.wire import ModelReport, Rejected, decode, model_key
-
-__all__ = ["FRAME_S", "LivePage"]
 
 FRAME_S: Final = 0.1
 # The table of legs is looked at every so many frames: its figures come once a second.

@@ -8,8 +8,6 @@ import msgspec
 
 from adaptive_contact.wire.messages import Message
 
-__all__ = ["BridgeStatus", "Quantiles", "ServoCounts"]
-
 State = Literal["running", "holding", "lost"]
 
 

@@ -18,19 +18,6 @@ import msgspec
 
 from adaptive_contact.wire.messages import Message, ServoSample
 
-__all__ = [
-    "JSON",
-    "MAX_PAYLOAD_BYTES",
-    "MAX_SAMPLE_BYTES",
-    "MSGPACK",
-    "Reject",
-    "Rejected",
-    "decode",
-    "encode",
-    "is_json",
-    "json_text",
-]
-
 MSGPACK: Final = "application/msgpack"
 JSON: Final = "application/json"
 

@@ -12,26 +12,6 @@ from typing import Final
 
 from adaptive_contact.wire.messages import LEG_MESSAGES
 
-__all__ = [
-    "ALL_CONTACT",
-    "ALL_LEARNER",
-    "ALL_SERVO",
-    "ALL_TRUTH",
-    "SIM_DRIFT",
-    "bridge_status_key",
-    "command_key",
-    "contact_key",
-    "is_leg_id",
-    "learner_key",
-    "leg_of_key",
-    "meant_key",
-    "model_key",
-    "namespace_of",
-    "servo_key",
-    "trace_key",
-    "truth_key",
-]
-
 ALL_SERVO: Final = "robot/leg/*/servo"
 ALL_CONTACT: Final = "robot/leg/*/contact"
 ALL_LEARNER: Final = "robot/leg/*/learner"

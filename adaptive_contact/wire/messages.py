@@ -12,32 +12,6 @@ from typing import Final, Literal
 
 import msgspec
 
-__all__ = [
-    "LEG_MESSAGES",
-    "MAX_ANGLE_RAD",
-    "MAX_PREVIEW_TICKS",
-    "VERSION",
-    "BufferCounts",
-    "Command",
-    "ContactEvent",
-    "ContactTruth",
-    "Doubt",
-    "Drift",
-    "DriftKind",
-    "DriftLevel",
-    "DriftReply",
-    "DriftShape",
-    "LearnerStatus",
-    "LegTrace",
-    "Message",
-    "ModelReport",
-    "ModelTerm",
-    "Phase",
-    "RefitCounts",
-    "ServoSample",
-    "Status",
-]
-
 VERSION: Final = 1
 # No library looks further ahead than 20 ticks.  A payload holds tens of thousands of rows, and
 # every leg would wait while they are looked at.

@@ -30,8 +30,8 @@ from adaptive_contact.wire import (
 from adaptive_contact_sim.simulation import Simulation, Tick
 
 if TYPE_CHECKING:
+    from adaptive_contact.service.interfaces import Received
     from adaptive_contact.service.link import Link, Request
-    from adaptive_contact.service.traffic import Received
 
 __all__ = ["Outcome", "Pace", "run_live", "run_offline"]
 

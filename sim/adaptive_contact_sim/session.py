@@ -23,7 +23,7 @@ from adaptive_contact_sim.walk import WalkSettings
 
 if TYPE_CHECKING:
     from adaptive_contact.service.link import LinkSettings
-    from adaptive_contact.service.probe import Finding
+    from adaptive_contact.service.settings import Finding
 
 __all__ = ["Report", "RunPlan", "describe", "run"]
 

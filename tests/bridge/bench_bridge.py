@@ -44,11 +44,12 @@ import numpy as np
 from bare import BareBus  # beside this file
 from machine import STALL_MS, Computer, Stall, Stalls, Workers
 
-from adaptive_contact.bridge.status import BridgeStatus, Quantiles
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, router_settings
 from adaptive_contact.wire import (
+    BridgeStatus,
     Command,
+    Quantiles,
     Rejected,
     ServoSample,
     command_key,

@@ -15,15 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge import handshake, survey
+from adaptive_contact.bridge import discovery, handshake
 from adaptive_contact.bridge.loop import PortLoop
-from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import PortPlan, plan_ports
-from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.bridge.tables import models_named
+from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.cli import main as cli
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.wire import MSGPACK, Command, ServoSample, encode
+from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
 from adaptive_contact_sim.virtual import (
     FaultSchedule,
     KinematicBackend,
@@ -53,7 +52,7 @@ def _few_ids(monkeypatch: pytest.MonkeyPatch) -> None:
     Commands that are processes of their own look for all.
     """
     monkeypatch.setattr(handshake, "ALL_IDS", range(31))
-    monkeypatch.setattr(survey, "_BEYOND", 2)
+    monkeypatch.setattr(discovery, "_BEYOND", 2)
 
 
 @dataclasses.dataclass

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge.status import Quantiles, quantiles
+from adaptive_contact.bridge.transport import quantiles
+from adaptive_contact.wire import Quantiles
 
 
 @pytest.fixture

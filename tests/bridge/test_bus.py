@@ -13,9 +13,9 @@ import pytest
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from adaptive_contact.bridge.bus import Bus, Fault, Pong
+from adaptive_contact.bridge.drive import standing
 from adaptive_contact.bridge.port import PortLostError
 from adaptive_contact.bridge.tables import Block
-from adaptive_contact.bridge.wake import standing
 from adaptive_contact.errors import BusError
 from adaptive_contact.robot import Port
 from adaptive_contact_sim.virtual import VirtualServo

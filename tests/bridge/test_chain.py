@@ -17,13 +17,13 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.bridge.status import BridgeStatus
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
+    BridgeStatus,
     Command,
     ContactEvent,
     LearnerStatus,

@@ -20,12 +20,11 @@ from adaptive_contact.bridge.health import (
     due,
     is_stale,
 )
-from adaptive_contact.bridge.outlet import Mailbox
-from adaptive_contact.bridge.phaselock import FAR_SHARE, PhaseLock
+from adaptive_contact.bridge.loop import FAR_SHARE, PhaseLock
 from adaptive_contact.bridge.plan import LegPlan, plan_ports
-from adaptive_contact.bridge.status import BridgeStatus, Pulse, Quantiles, ServoCounts
+from adaptive_contact.bridge.transport import Mailbox, Pulse
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.wire import MSGPACK, Command, encode
+from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, Quantiles, ServoCounts, encode
 
 TICK_NS = 20_000_000
 

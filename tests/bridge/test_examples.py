@@ -16,15 +16,17 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptive_contact.bridge.status import BridgeStatus, Quantiles, ServoCounts
 from adaptive_contact.robot import foot, shipped_robot
 from adaptive_contact.robot.write import write_robot
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, router_settings
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     MSGPACK,
+    BridgeStatus,
     Command,
     ContactEvent,
+    Quantiles,
+    ServoCounts,
     ServoSample,
     command_key,
     contact_key,

@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from adaptive_contact.bridge.discovery import find_servos
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.bridge.survey import find_servos
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact_sim.virtual import VirtualServo

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptive_contact.bridge.holders import holders, is_pseudo
+from adaptive_contact.bridge.port import holders, is_pseudo
 
 _TIOCGPTN = 0x80045430
 _TIOCSPTLCK = 0x40045431

@@ -6,9 +6,9 @@ import pytest
 from described import Serve, command, init, robot
 from typer.testing import CliRunner
 
+from adaptive_contact.bridge.discovery import find_servos, group, wanted_legs
 from adaptive_contact.bridge.handshake import check_ports
 from adaptive_contact.bridge.plan import plan_ports
-from adaptive_contact.bridge.survey import find_servos, group, wanted_legs
 from adaptive_contact.bridge.tables import (
     feetech_name,
 )

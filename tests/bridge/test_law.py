@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptive_contact.bridge.law import slope_rad
-from adaptive_contact.bridge.survey import find_servos, group, steepness
+from adaptive_contact.bridge.discovery import find_servos, group, steepness
+from adaptive_contact.bridge.modes import slope_rad
 from adaptive_contact.bridge.tables import models_named
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.robot.write import write_robot

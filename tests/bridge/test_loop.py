@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.bridge.status import ServoCounts
-from adaptive_contact.wire import MSGPACK
+from adaptive_contact.wire import MSGPACK, ServoCounts
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from adaptive_contact.bridge.handshake import check_ports
-from adaptive_contact.bridge.health import ServoHealth
+from adaptive_contact.bridge.health import News, ServoHealth
 from adaptive_contact.bridge.modes import setting
-from adaptive_contact.bridge.news import News
-from adaptive_contact.bridge.packets import Status
-from adaptive_contact.bridge.protocol2 import fast_sync_status, split_fast_sync
+from adaptive_contact.bridge.packets import Status, fast_sync_status, split_fast_sync
 from adaptive_contact.bridge.tables import MODELS, models_named
 
 AX = {"model": "AX-12A", "protocol": 1}

@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from adaptive_contact.bridge.bus import Bus
 from adaptive_contact.bridge.cycle import Cycle
 from adaptive_contact.bridge.drive import EASY_SHARE
-from adaptive_contact.bridge.outlet import Mailbox
 from adaptive_contact.bridge.plan import JointPlan, LegPlan, PortPlan
 from adaptive_contact.bridge.tables import MODELS, ServoModel, models_named
+from adaptive_contact.bridge.transport import Mailbox
 from adaptive_contact.robot import Port
 from adaptive_contact.wire import MSGPACK, Command, encode
 from adaptive_contact_sim.virtual import FaultSchedule, VirtualPort

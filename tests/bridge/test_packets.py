@@ -16,10 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptive_contact.bridge.bus import Bus
-from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Frame, Instruction, Status
-from adaptive_contact.bridge.protocol1 import Protocol1
-from adaptive_contact.bridge.protocol2 import (
+from adaptive_contact.bridge.packets import (
+    BROADCAST_ID,
+    Codec,
+    Frame,
+    Instruction,
+    Protocol1,
     Protocol2,
+    Status,
     crc16,
     fast_sync_status,
     split_fast_sync,

@@ -13,13 +13,13 @@ import pytest
 from described import command
 from typer.testing import CliRunner
 
-from adaptive_contact.bridge.freeswing import (
+from adaptive_contact.bridge.discovery import describe, find_servos, group
+from adaptive_contact.bridge.training import (
     HELD_SWINGS,
     HELD_TICKS,
     REST_TICKS,
     free_swings,
 )
-from adaptive_contact.bridge.survey import describe, find_servos, group
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import losses, pose_of
 from adaptive_contact.cli._robot_picture import chain, draw

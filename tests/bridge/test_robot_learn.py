@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adaptive_contact.bridge.freeswing import free_swings
+from adaptive_contact.bridge.training import free_swings
 from adaptive_contact.cli import main as cli
 from adaptive_contact.cli._robot_learning import fit_samples, free_file
 from adaptive_contact.cli.fit import gather

@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptive_contact.bridge.packets import BROADCAST_ID, Instruction
-from adaptive_contact.bridge.protocol1 import Protocol1
-from adaptive_contact.bridge.protocol2 import Protocol2
+from adaptive_contact.bridge.packets import BROADCAST_ID, Instruction, Protocol1, Protocol2
 
 AX = {"model": "AX-12A", "protocol": 1}
 XL = {"model": "XL-330", "protocol": 2}

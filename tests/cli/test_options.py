@@ -43,6 +43,15 @@ def test_no_help_shows_a_type_behind_a_flag(program: Any, monkeypatch: Any) -> N
     assert seen > 25
 
 
+def test_square_brackets_of_a_help_are_shown(program: Any, monkeypatch: Any) -> None:
+    """A default stands in them, and what looks like markup would be swallowed."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("NO_COLOR", "1")
+    text = CliRunner().invoke(main.app, ["sim", "pose", "--help"]).output
+    assert "Which leg moves. [rf]" in text
+    assert "[walk 60, pose never]" in text
+
+
 def test_every_option_in_seconds_is_a_duration(program: Any) -> None:
     """Whoever adds one takes the same option; those in other units have these in their names."""
     found = {}

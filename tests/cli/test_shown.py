@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 import adaptive_contact.cli
 from adaptive_contact.cli import doctor, main
 from adaptive_contact.service.doctor import Examination, diagnose
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.recording import RecordingWriter
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import JSON, MSGPACK, ContactTruth, ServoSample, encode
 
 CLI: Final = Path(adaptive_contact.cli.__file__).parent

@@ -8,8 +8,8 @@ from adaptive_contact.bank import LearnerBank
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     MSGPACK,
     Rejected,

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import ALL_CONTACT, ALL_LEARNER, ContactEvent, LearnerStatus, decode
 
 from . import mistakes as m

@@ -33,7 +33,7 @@ pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
-from adaptive_contact.ros2.names import RosType
+from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
 
 TICK = 20_000_000

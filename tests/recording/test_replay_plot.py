@@ -14,9 +14,15 @@ from adaptive_contact.cli._replay_plot import check_plot, write_plot
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import inverse, shipped_robot
 from adaptive_contact.service.recording import Record
-from adaptive_contact.service.replay import Counts, replay_events
-from adaptive_contact.service.replay_trace import LegTrace, Touch, TraceBank, TracedRecords
-from adaptive_contact.service.replay_trace import _why_missed as why_missed
+from adaptive_contact.service.replay import (
+    Counts,
+    LegTrace,
+    Touch,
+    TraceBank,
+    TracedRecords,
+    replay_events,
+)
+from adaptive_contact.service.replay import _why_missed as why_missed
 from adaptive_contact.wire import MSGPACK, ContactTruth, ServoSample, encode
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact.ros2.names import RosType
+from adaptive_contact.ros2.rmw import RosType
 
 LEGS = """
 [[leg]]

@@ -13,8 +13,8 @@ pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import parse_robot
 from adaptive_contact.ros2.intake import Intake
-from adaptive_contact.ros2.names import RosType
 from adaptive_contact.ros2.problems import Complaints, Reason
+from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.ticks import Origin
 from adaptive_contact.ros2.types import Types, typestore
 from adaptive_contact.wire import ContactTruth, ServoSample

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
-from adaptive_contact.ros2.names import RosType
-from adaptive_contact.ros2.rmw import NO_HASH
+from adaptive_contact.ros2.rmw import NO_HASH, RosType
 from adaptive_contact.ros2.types import CdrError, Types, UnknownHashError, typestore
 
 READER = Types()

@@ -34,7 +34,7 @@ import zenoh
 
 from adaptive_contact.priority import take_priority
 from adaptive_contact.ros2 import rmw
-from adaptive_contact.ros2.names import RosType
+from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
 from adaptive_contact.service.link import Link, client_settings, router_settings
 from adaptive_contact.wire import (

@@ -22,21 +22,20 @@ from typing import Any
 
 import msgspec
 
-from adaptive_contact.bridge.status import BridgeStatus, Quantiles
 from adaptive_contact.detect.stream import (
     CONFIRM_SAMPLES,
     MOST_DOUBTS,
     Accepted,
     StreamGuard,
 )
-from adaptive_contact.service.intake import Raw, read
-from adaptive_contact.service.meters import LatencyMs
+from adaptive_contact.service.sample_queue import Raw, read
 from adaptive_contact.service.state import Identity, Record, StateFacts, pack
-from adaptive_contact.service.status import LegFacts, ServiceStatus
+from adaptive_contact.service.status import LatencyMs, LegFacts, ServiceStatus
 from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,
     MSGPACK,
+    BridgeStatus,
     Command,
     ContactEvent,
     ContactTruth,
@@ -45,6 +44,7 @@ from adaptive_contact.wire import (
     Message,
     ModelReport,
     ModelTerm,
+    Quantiles,
     Reject,
     Rejected,
     ServoSample,

@@ -19,9 +19,9 @@ from typing import Any
 
 from rich.console import Console
 
-from adaptive_contact.service.feed import Feed
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.watch import Feed
 from adaptive_contact.service.watch_table import headline, table
 from adaptive_contact.wire import (
     ALL_CONTACT,
@@ -317,8 +317,8 @@ def closing(*things: Any) -> Iterator[None]:
         yield
 
 
-def watched(link: Link, line: str = "", timeout_s: float = 20.0) -> str:
-    """What `watch` shows, once it has heard the service and every leg, and shows a line."""
+def watched(link: Link, line: str = "", timeout_s: float = 20.0, *, without: str = "") -> str:
+    """What `watch` shows, once it has every status, shows a line and no longer another one."""
     feed = Feed(link)
     until = time.monotonic() + timeout_s
     shown = ""
@@ -329,7 +329,8 @@ def watched(link: Link, line: str = "", timeout_s: float = 20.0) -> str:
             Console(file=text, width=240).print(table(view))
             # The lines over the table as they are, not as they are folded to its width.
             shown = f"{headline(view).plain}\n{text.getvalue()}"
-            if line in shown:
+            if line in shown and not (without and without in shown):
                 return shown
-        assert time.monotonic() < until, f"'{line}' is not in {shown or 'nothing'}"
+        missing = f"'{line}'" + (f" without '{without}'" if without else "")
+        assert time.monotonic() < until, f"{missing} is not in {shown or 'nothing'}"
         time.sleep(0.05)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from adaptive_contact.detect.stream import MAX_OLD_RUNS, SHORT_RUN_SAMPLES, TAKE_BACK_SAMPLES
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.robot import parse_robot
-from adaptive_contact.service.admission import Admission
+from adaptive_contact.service.leg_endpoint import Admission
 from adaptive_contact.service.state.keeper import Position
 from adaptive_contact.wire import Reject, ServoSample
 

@@ -20,8 +20,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.intake import Raw, Round
 from adaptive_contact.service.link import Link, router_settings
+from adaptive_contact.service.sample_queue import Batch, Raw
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.state import StateKeeper, StateStore
 from adaptive_contact.service.status import SERVICE_STATUS
@@ -56,7 +56,7 @@ class Life:
         for sample in samples:
             self.now_ns += TICK
             raw = Raw(encode(sample), MSGPACK, self.now_ns, 1)
-            self.service.work(Round(samples={"rf": raw}), self.now_ns)
+            self.service.work(Batch(samples={"rf": raw}), self.now_ns)
             self.service.look(self.now_ns)
 
     def idle(self, ticks: int) -> None:

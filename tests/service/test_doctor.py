@@ -12,10 +12,10 @@ import pytest
 
 from adaptive_contact.service.doctor import Diagnosis, Examination, diagnose
 from adaptive_contact.service.findings import Cause, Fault, Finding
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.legcheck import check_leg
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.status import SERVICE_STATUS, LegFacts, ServiceStatus
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     JSON,
     MSGPACK,

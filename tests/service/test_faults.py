@@ -19,9 +19,8 @@ from typing import Any
 
 import pytest
 
-from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.link import Link, client_settings
-from adaptive_contact.service.watch import LegView
+from adaptive_contact.service.watch import Feed, LegView
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, servo_key
 
 pytestmark = pytest.mark.e2e

@@ -13,9 +13,8 @@ from typing import Any
 import pytest
 
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.garbage import Sweeper
 from adaptive_contact.service.link import Link
-from adaptive_contact.service.server import Service
+from adaptive_contact.service.server import Service, Sweeper
 from adaptive_contact.wire import ServoSample, servo_key
 
 S = 1_000_000_000

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.service.intake import Intake, Raw, read
-from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.interfaces import Received
+from adaptive_contact.service.sample_queue import Raw, SampleQueue, read
 from adaptive_contact.wire import (
     JSON,
     MAX_SAMPLE_BYTES,
@@ -29,7 +29,7 @@ def received(leg: str, payload: bytes = b"", n: int = 0) -> Received:
     return Received(servo_key(leg), payload, MSGPACK, n, None)
 
 
-def drain(intake: Intake[object]) -> list[dict[str, Raw]]:
+def drain(intake: SampleQueue[object]) -> list[dict[str, Raw]]:
     rounds = []
     while round_ := intake.take(0.0):
         rounds.append(round_.samples)
@@ -37,7 +37,7 @@ def drain(intake: Intake[object]) -> list[dict[str, Raw]]:
 
 
 def test_a_round_holds_at_most_one_sample_per_leg_in_order() -> None:
-    intake: Intake[object] = Intake()
+    intake: SampleQueue[object] = SampleQueue()
     for n, leg in enumerate(["lf", "rf", "lf", "lf", "rf"]):
         intake.offer(received(leg, n=n))
     rounds = drain(intake)
@@ -49,7 +49,7 @@ def test_a_round_holds_at_most_one_sample_per_leg_in_order() -> None:
 
 
 def test_a_flood_costs_the_others_nothing_and_is_counted() -> None:
-    intake: Intake[object] = Intake(queue_samples=8)
+    intake: SampleQueue[object] = SampleQueue(queue_samples=8)
     for n in range(1000):
         intake.offer(received("bad", n=n))
     intake.offer(received("good", n=5000))
@@ -62,7 +62,7 @@ def test_a_flood_costs_the_others_nothing_and_is_counted() -> None:
 
 
 def test_keys_that_name_no_leg_are_counted_together() -> None:
-    intake: Intake[object] = Intake()
+    intake: SampleQueue[object] = SampleQueue()
     for key in ("robot/leg/*/servo", "robot/leg/**/servo", "robot/leg/a$*/servo", "other"):
         intake.offer(Received(key, b"", MSGPACK, 0, None))
     round_ = intake.take(0.0)
@@ -71,7 +71,7 @@ def test_keys_that_name_no_leg_are_counted_together() -> None:
 
 
 def test_made_up_legs_cannot_take_the_place_of_real_ones() -> None:
-    intake: Intake[object] = Intake(["real"], max_legs=4)
+    intake: SampleQueue[object] = SampleQueue(["real"], max_legs=4)
     for n in range(100):
         intake.offer(received(f"fake{n}"))
     intake.offer(received("real"))
@@ -81,7 +81,7 @@ def test_made_up_legs_cannot_take_the_place_of_real_ones() -> None:
 
 
 def test_questions_are_bounded() -> None:
-    intake: Intake[int] = Intake()
+    intake: SampleQueue[int] = SampleQueue()
     taken = [intake.ask(n) for n in range(100)]
     assert taken == [True] * 64 + [False] * 36
     assert intake.take(0.0).requests == [0]
@@ -91,7 +91,7 @@ def test_questions_are_bounded() -> None:
 
 def test_a_flood_of_questions_gets_one_answer_between_two_rounds_of_samples() -> None:
     """And none of them is forgotten, nor waited for."""
-    intake: Intake[int] = Intake(["lf"])
+    intake: SampleQueue[int] = SampleQueue(["lf"])
     for n in range(30):
         intake.ask(n)
     intake.offer(received("lf"))
@@ -104,7 +104,7 @@ def test_a_flood_of_questions_gets_one_answer_between_two_rounds_of_samples() ->
 
 
 def test_a_question_can_wait_for_the_next_round() -> None:
-    intake: Intake[int] = Intake(["lf"])
+    intake: SampleQueue[int] = SampleQueue(["lf"])
     intake.ask(7)
     began = time.monotonic()
     assert not intake.take(0.05, query=False)
@@ -115,7 +115,7 @@ def test_a_question_can_wait_for_the_next_round() -> None:
 
 
 def test_a_waiting_worker_wakes_at_once() -> None:
-    intake: Intake[object] = Intake()
+    intake: SampleQueue[object] = SampleQueue()
     threading.Timer(0.05, intake.offer, [received("lf")]).start()
     began = time.monotonic()
     assert intake.take(5.0).samples
@@ -124,12 +124,12 @@ def test_a_waiting_worker_wakes_at_once() -> None:
 
 def test_waiting_ends() -> None:
     began = time.monotonic()
-    assert not Intake[object]().take(0.05)
+    assert not SampleQueue[object]().take(0.05)
     assert 0.04 < time.monotonic() - began < 2.0
 
 
 def test_offers_from_many_threads_lose_nothing_uncounted() -> None:
-    intake: Intake[object] = Intake(queue_samples=16)
+    intake: SampleQueue[object] = SampleQueue(queue_samples=16)
     legs = ["a", "b", "c", "d"]
 
     def pump(leg: str) -> None:
@@ -151,7 +151,7 @@ def test_offers_from_many_threads_lose_nothing_uncounted() -> None:
 
 
 def raw(payload: bytes, encoding: str = MSGPACK) -> Raw:
-    intake: Intake[object] = Intake()
+    intake: SampleQueue[object] = SampleQueue()
     intake.offer(Received(servo_key("lf"), payload, encoding, 0, None))
     return intake.take(0.0).samples["lf"]
 

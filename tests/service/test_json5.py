@@ -11,9 +11,8 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.service.json5 import keys_of
 from adaptive_contact.service.settings import client_settings, router_settings
-from adaptive_contact.service.transport import DEFAULTS, configure
+from adaptive_contact.service.transport import DEFAULTS, configure, keys_of
 
 
 @pytest.mark.parametrize(

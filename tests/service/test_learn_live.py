@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from adaptive_contact.bridge.freeswing import free_swings
+from adaptive_contact.bridge.training import free_swings
 from adaptive_contact.cli import _robot_learning as command
 from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError

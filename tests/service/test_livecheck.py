@@ -15,13 +15,13 @@ import pytest
 from typer.testing import CliRunner
 
 from adaptive_contact.cli import main as cli
-from adaptive_contact.cli._robot_live import _told
+from adaptive_contact.cli._robot_check import _told
 from adaptive_contact.conventions.judge import speaks_of_angles
 from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.robot import Angles, Leg, Mount, Robot, foot, shipped_robot
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, NoRouterError
 from adaptive_contact.service.livecheck import LiveCheck, LiveReport
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import MSGPACK, ServoSample, encode, leg_of_key, servo_key
 
 PERIOD_NS = 20_000_000

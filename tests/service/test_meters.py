@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptive_contact.service.meters import Brake, Latency
+from adaptive_contact.service.logs import LogThrottle
+from adaptive_contact.service.status import Latency
 
 
 def test_no_values_no_quantiles() -> None:
@@ -33,22 +34,23 @@ def test_only_the_newest_count(values: list[int]) -> None:
     assert min(newest) / 1e6 <= found.p50 <= found.p99 <= found.max
 
 
-def test_a_brake_lets_one_line_per_period_through_and_counts_the_rest() -> None:
-    brake = Brake(period_s=10.0)
-    assert brake.passes("a", 0) == 1
-    assert brake.passes("a", 1_000_000_000, times=5) is None
-    assert brake.passes("b", 1_000_000_000) == 1
-    assert brake.passes("a", 9_999_999_999) is None
-    assert brake.passes("a", 10_000_000_000, times=2) == 8
+def test_a_throttle_lets_one_line_per_period_through_and_counts_the_rest() -> None:
+    throttle = LogThrottle(period_s=10.0)
+    assert throttle.passes("a", 0) == 1
+    assert throttle.passes("a", 1_000_000_000, times=5) is None
+    assert throttle.passes("b", 1_000_000_000) == 1
+    assert throttle.passes("a", 9_999_999_999) is None
+    assert throttle.passes("a", 10_000_000_000, times=2) == 8
 
 
-def test_a_brake_forgets_rather_than_grows() -> None:
-    brake = Brake()
+def test_a_throttle_forgets_rather_than_grows() -> None:
+    throttle = LogThrottle()
     for kind in range(10_000):
-        assert brake.passes(kind, kind) == 1
-    assert len(brake._kinds) <= 256
+        assert throttle.passes(kind, kind) == 1
+    assert throttle.passes(9_999, 10_000) is None
+    assert throttle.passes(9_999 - 256, 10_000) == 1, "forgotten: it passes within its period"
 
 
 @pytest.mark.parametrize("times", [1, 7])
 def test_a_line_stands_for_what_happened_at_once(times: int) -> None:
-    assert Brake().passes("x", 5, times=times) == times
+    assert LogThrottle().passes("x", 5, times=times) == times

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.e2e
 # A worker that reads a job and hangs within its answer.
 HALF_AN_ANSWER = """
 import sys, threading
-from adaptive_contact.service.refit_worker import read_frame
+from adaptive_contact.service.refit_process import read_frame
 read_frame(sys.stdin.buffer)
 sys.stdout.buffer.write((1000).to_bytes(8, "big") + b"half")
 sys.stdout.buffer.flush()

@@ -23,10 +23,10 @@ from adaptive_contact.wire import ContactEvent, ServoSample, contact_key, learne
 pytest.importorskip("rosbags", reason="needs the extra 'ros2' (rosbags)")
 
 from adaptive_contact.ros2 import rmw
-from adaptive_contact.ros2.names import RosType
+from adaptive_contact.ros2.rmw import RosType
 from adaptive_contact.ros2.types import typestore
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.ros2 import WAITING, _Inbox
-from adaptive_contact.service.traffic import Received
 
 pytestmark = pytest.mark.e2e
 

@@ -12,11 +12,12 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service import server
-from adaptive_contact.service.intake import Raw, Round
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
+from adaptive_contact.service.sample_queue import Batch, Raw
 from adaptive_contact.service.server import Service
+from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,
@@ -56,9 +57,28 @@ class Lockstep:
             leg: Raw(payload if isinstance(payload, bytes) else encode(payload), MSGPACK, now_ns, 1)
             for leg, payload in samples.items()
         }
-        self.service.work(Round(samples=raws), now_ns)
+        self.service.work(Batch(samples=raws), now_ns)
         self.service.finish()
         self.service.look(now_ns)
+
+
+class OneDisk:
+    """A keeper that saves nothing and reports what its disk is set to."""
+
+    def __init__(self) -> None:
+        self.error: str | None = None
+
+    @property
+    def facts(self) -> StateFacts:
+        return StateFacts(
+            folder="kept", restored=[], refused=[], saved=0, failed=0, error=self.error
+        )
+
+    def restore(self, *_: object) -> None:
+        return None
+
+    def due(self, *_: object) -> bool:
+        return False
 
 
 @pytest.fixture
@@ -206,7 +226,7 @@ def test_other_legs_do_not_notice_bad_payloads(step: Lockstep, inbox: Any, sampl
 
 
 def test_dropped_samples_are_counted_for_their_leg(step: Lockstep, sample: Sample) -> None:
-    round_: Round[Any] = Round(samples={})
+    round_: Batch[Any] = Batch(samples={})
     round_.overflow.update(lf=3, nobody=2)
     with capture_logs() as logs:
         step.service.work(round_, 5)
@@ -239,9 +259,28 @@ def test_a_new_leg_gets_a_learner_and_too_many_are_refused(
 def test_wildcards_are_counted_for_the_service(step: Lockstep, inbox: Any) -> None:
     got = inbox(ServiceStatus)
     step.client.subscribe(SERVICE_STATUS, got, history=True)
-    step.service.work(Round(strangers=4, stranger="robot/leg/*/servo"), 1)
+    step.service.work(Batch(strangers=4, stranger="robot/leg/*/servo"), 1)
     step.service.look(2 * S)
     assert got.wait(1)[-1].rejects == {Reject.UNKNOWN_LEG: 4}
+
+
+def test_a_complaint_that_comes_or_goes_is_published_at_once(
+    router: Link, join: Callable[..., Link], fake: ModuleType, robot: Robot, inbox: Any
+) -> None:
+    """Not a second later: who reads "state is saved again" in the log looks at `watch` next."""
+    disk: Any = OneDisk()
+    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0, keeper=disk)
+    client = join(router.endpoints[0])
+    got = inbox(ServiceStatus)
+    client.subscribe(SERVICE_STATUS, got, history=True)
+    client.query(SERVICE_STATUS)
+    errors = [None, None, "disk full", "disk full, still", None, None]
+    for tick, error in enumerate(errors):
+        disk.error = error
+        service.look(tick * 100 * MS)
+    service.look(S + 400 * MS)
+    notes = [(status.note, status.uptime_s) for status in got.wait(4)]
+    assert notes == [(None, 0.0), ("state: disk full", 0.2), (None, 0.4), (None, 1.4)]
 
 
 def test_models_are_told_when_asked(
@@ -296,10 +335,10 @@ def test_callbacks_only_enqueue(
 
         return call
 
-    from adaptive_contact.service import intake
+    from adaptive_contact.service import sample_queue
 
     monkeypatch.setattr(f"{module}.server.read", spy("read", server.read))
-    monkeypatch.setattr(f"{module}.intake.leg_of_key", spy("offer", intake.leg_of_key))
+    monkeypatch.setattr(f"{module}.sample_queue.leg_of_key", spy("offer", sample_queue.leg_of_key))
     service = Service(router, bank, robot, baseline=None, now_ns=0)
     for name in ("judge", "finish"):
         monkeypatch.setattr(bank, name, spy(name, getattr(bank, name)))
@@ -368,7 +407,7 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
     service = Service(router, bank, many, baseline=None, now_ns=0)
     for seq in range(40):
         for leg in legs:
-            service._intake.offer(Received(servo_key(leg), encode(sample(seq)), MSGPACK, 0, None))
+            service._queue.offer(Received(servo_key(leg), encode(sample(seq)), MSGPACK, 0, None))
     judge, judged, most, done = bank.judge, [0], [0], threading.Event()
 
     def count(samples: Mapping[str, ServoSample]) -> object:
@@ -419,7 +458,7 @@ def test_models_are_told_of_in_no_half_tick(
     step.work(0, lf=sample(0))
     done.clear()
     raw = Raw(encode(sample(1)), MSGPACK, 1, 1)
-    step.service.work(Round(samples={"lf": raw}, requests=[Asked()]), 1)
+    step.service.work(Batch(samples={"lf": raw}, requests=[Asked()]), 1)
     assert done == ["judged"]
     step.service.finish()
     assert done == ["judged", "finished", "told", "closed"]

@@ -8,13 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.service.probe import Reach, probe
 from adaptive_contact.service.settings import (
     LinkSettings,
+    Reach,
     client_settings,
     endpoint,
     is_loopback,
     is_multicast,
+    probe,
     router_settings,
     tcp_address,
 )

@@ -152,7 +152,7 @@ def test_a_folder_that_becomes_free_is_used(
     while "state is saved again" not in second.log.read_text():
         assert time.monotonic() < until
         time.sleep(0.1)
-    assert "in use" not in rig.watched(link)
+    rig.watched(link, without="in use")
     assert second.stop() == 0
     third = serve("--state", folder)
     assert "state restored" in third.log.read_text()
@@ -197,7 +197,7 @@ def test_a_disk_that_is_full_or_read_only_shows_and_is_tried_again(
         while "state is saved again" not in served.log.read_text():
             assert time.monotonic() < until
             time.sleep(0.1)
-        assert line not in rig.watched(link)
+        rig.watched(link, without=line)
         assert served.stop() == 0
         assert list((disk / "kept" / "mini").glob("rf-*.state"))
     finally:

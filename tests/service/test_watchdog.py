@@ -17,8 +17,8 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.errors import LinkError
 from adaptive_contact.robot import Robot
+from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.link import Link
-from adaptive_contact.service.outbox import Outbox
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
 from adaptive_contact.service.watchdog import LOOK_S, STALL_S, Watchdog
@@ -190,7 +190,7 @@ def test_a_put_that_blocks_for_half_a_minute_is_the_end() -> None:
 
 
 def test_without_a_thread_messages_go_at_once() -> None:
-    box, gate = Outbox(), Gate()
+    box, gate = EventPublisher(), Gate()
     gate.open.set()
     box.post(gate, message(1), time.monotonic_ns())
     assert gate.got == [1]
@@ -199,7 +199,7 @@ def test_without_a_thread_messages_go_at_once() -> None:
 
 
 def test_a_blocked_put_holds_only_the_outbox_up_and_the_oldest_are_counted_as_lost() -> None:
-    box, gate = Outbox(size=4), Gate()
+    box, gate = EventPublisher(size=4), Gate()
     box.start()
     box.post(gate, message(0), 0)
     assert gate.entered.wait(5)
@@ -223,8 +223,10 @@ def test_slow_puts_and_closed_links_are_counted(monkeypatch: pytest.MonkeyPatch)
             raise LinkError("closed")
 
     now = [0]
-    monkeypatch.setattr("adaptive_contact.service.outbox.time.monotonic_ns", lambda: now[0])
-    box = Outbox()
+    monkeypatch.setattr(
+        "adaptive_contact.service.event_publisher.time.monotonic_ns", lambda: now[0]
+    )
+    box = EventPublisher()
     with capture_logs() as logs:
         box.post(Slow(), message(1), now[0])
         box.post(Closed(), message(2), now[0])
@@ -248,7 +250,7 @@ def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
         def put(self, message: Message) -> None:
             raise TypeError("no such thing")
 
-    box = Outbox()
+    box = EventPublisher()
     with capture_logs() as logs:
         box.start()
         for n in (1, 2):
@@ -261,7 +263,7 @@ def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
 
 
 def test_what_waits_at_the_end_is_counted_as_lost_and_not_sent_after_all() -> None:
-    box, gate = Outbox(), Gate()
+    box, gate = EventPublisher(), Gate()
     box.start()
     box.post(gate, message(0), 0)
     assert gate.entered.wait(5)
@@ -297,7 +299,7 @@ def test_the_last_status_tells_of_events_lost_at_the_end(
     got = inbox(ServiceStatus)
     join(router.endpoints[0]).subscribe(SERVICE_STATUS, got, history=True)
     gate, stop = Gate(), threading.Event()
-    box = service._outbox
+    box = service._publisher
     box.start()
     monkeypatch.setattr(box, "start", lambda: None)
     try:
@@ -317,7 +319,7 @@ def test_what_is_held_up_now_is_told(
 ) -> None:
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
     blocked_ns = [0]
-    monkeypatch.setattr(service._outbox, "busy_ns", lambda now_ns: blocked_ns[0])
+    monkeypatch.setattr(service._publisher, "busy_ns", lambda now_ns: blocked_ns[0])
     for blocked, note in (
         (0.4, None),
         (1.23, "a subscriber that hangs has held up contact events for 1.2 s"),

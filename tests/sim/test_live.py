@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings, router_settings
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     ALL_SERVO,
     ALL_TRUTH,

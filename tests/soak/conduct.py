@@ -25,9 +25,9 @@ from typing import Final, NamedTuple
 from adaptive_contact.cli.demo.child import Child
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import shipped_robot
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
-from adaptive_contact.service.traffic import Received
 from adaptive_contact.wire import (
     ALL_CONTACT,
     ALL_LEARNER,

@@ -23,7 +23,7 @@ from adaptive_contact.service.state import (
     robot_folder,
     store,
 )
-from adaptive_contact.service.state.settings import default_folder
+from adaptive_contact.service.state.format import default_folder
 
 WHO = Identity("mini", "rf", "servo", "0123456789abcdef")
 

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.web import WebSettings, http, server
+from adaptive_contact.web import WebSettings, server
 from adaptive_contact.web.server import MOST_STREAMS, History, Site
 
 FRAME = b'{"t":1}'
@@ -295,7 +295,7 @@ def test_requests_that_are_none(shared: Running, request_: bytes, status: int) -
 
 def test_half_a_request_is_ended(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch, running.connect() as one:
-        patch.setattr(http, "HEAD_WITHIN_S", 0.2)
+        patch.setattr(server, "HEAD_WITHIN_S", 0.2)
         one.sendall(b"GET / HTTP/1.1\r\nHost:")
         assert answer_of(everything(one))[0] == 408
     with running.connect() as one:
@@ -427,6 +427,7 @@ def test_a_stream_resumes_where_it_was(running: Running) -> None:
         with running.stream(after) as one:
             times = re.findall(rb'"t":(\d)', read_until(one, b'{"t":4}\n\n'))
         assert times == [b"%d" % t for t in range(first, 5)], after
+    running.until(lambda: running.site.streams == 0)
     with running.stream(f"{session}.99") as one:  # from the future: what comes next
         running.until(lambda: running.site.streams == 1)
         running.push(b'{"t":5}')

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from adaptive_contact.cli._options import seconds_option
+from adaptive_contact.cli._options import option, seconds_option
 from adaptive_contact.cli._output import say_note
 from adaptive_contact.cli._sim_options import given, needs_simulator
 from adaptive_contact.cli._web import (
@@ -32,30 +32,18 @@ _STOPPED = 130  # what a shell calls "ended by Ctrl-C"
 
 
 def demo(
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where report and figures go.")
-    ] = Path("out/demo"),
+    out: Annotated[Path, option("--out", "Where report and figures go.", "FOLDER")] = Path(
+        "out/demo"
+    ),
     seconds: Annotated[
-        float | None,
-        seconds_option("--seconds", help="Of walking, in real time. [60]", show_default=False),
+        float | None, seconds_option("--seconds", "Of walking, in real time. [60]")
     ] = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, help="Of the walk. [0]", show_default=False)
-    ] = None,
+    seed: Annotated[int | None, option("--seed", "Of the walk. [0]", min=0)] = None,
     robot: Annotated[
-        str | None,
-        typer.Option(
-            "--robot",
-            metavar="NAME",
-            help="Which walks: hexapod, quadruped12. [hexapod]",
-            show_default=False,
-        ),
+        str | None, option("--robot", "Which walks: hexapod, quadruped12. [hexapod]", "NAME")
     ] = None,
     web: Annotated[
-        bool,
-        typer.Option(
-            "--web", help="Show it as a page in the browser, too.", rich_help_panel=WEB_PANEL
-        ),
+        bool, option("--web", "Show it as a page in the browser, too.", panel=WEB_PANEL)
     ] = False,
     port: PortOption = None,
     host: HostOption = None,

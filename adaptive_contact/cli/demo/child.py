@@ -19,8 +19,6 @@ from typing import Final, Self
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.service.recording.recorder import Recorder
 
-__all__ = ["Child", "Listening"]
-
 # Lines kept of what it says; enough to find the last one that means something.
 _KEPT: Final = 200
 # `serve` ends within 2 s of a signal, the simulator after its tick.

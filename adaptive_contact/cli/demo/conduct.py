@@ -23,20 +23,17 @@ from adaptive_contact.cli.demo.child import Child, Listening
 from adaptive_contact.cli.demo.settings import DemoSettings, drift_words
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.robot import Robot
-from adaptive_contact.service.feed import Feed
 from adaptive_contact.service.link import Link, client_settings
 from adaptive_contact.service.recording import RecordingWriter
 from adaptive_contact.service.recording.recorder import Recorder
 from adaptive_contact.service.status import ServiceStatus
-from adaptive_contact.service.watch import View
+from adaptive_contact.service.watch import Feed, View
 from adaptive_contact.service.watch_table import table
 from adaptive_contact.web import LivePage
 from adaptive_contact.wire import JSON, SIM_DRIFT, Drift, DriftReply, Rejected, decode, servo_key
 
 if TYPE_CHECKING:
     from adaptive_contact.service.watch import LegView, View
-
-__all__ = ["StoppedError", "Take", "conduct", "display"]
 
 # Between two plain lines, s of simulated time.
 _LINE_EVERY_S: Final = 5.0

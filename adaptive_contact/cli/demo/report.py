@@ -22,8 +22,6 @@ from adaptive_contact.cli.demo.verdict import Verdict, others
 from adaptive_contact.score import LegOutcome, Summary
 from adaptive_contact_studies.show.figures import BLUE, ORANGE, new_figure, save, styled
 
-__all__ = ["draw"]
-
 _SERVICE: Final = BLUE
 _FROZEN: Final = ORANGE
 _WRONG: Final = "#D12D1F"

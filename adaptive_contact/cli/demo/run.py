@@ -15,14 +15,9 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.web import LivePage
 from adaptive_contact_studies.show.figures import needs_matplotlib
 
-__all__ = ["run_demo"]
-
 
 def run_demo(
-    settings: DemoSettings,
-    console: Console,
-    stop: threading.Event,
-    page: LivePage | None = None,
+    settings: DemoSettings, console: Console, stop: threading.Event, page: LivePage | None = None
 ) -> Verdict:
     """Walk, drift, judge, report.
 

@@ -10,8 +10,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim.robots import ROBOTS, SimulatedRobot, simulated_robot
 
-__all__ = ["DemoSettings", "drift_words"]
-
 # Swings take 1.3 s a leg: fewer seconds leave too few of them on either side of the drift.
 SHORTEST_S: Final = 8.0
 LONGEST_S: Final = 3600.0

@@ -6,7 +6,6 @@ The figures: ``summary.json`` for programs, a table for the person who ran the d
 from __future__ import annotations
 
 import math
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,8 +21,7 @@ from adaptive_contact.cli.demo.verdict import RECOVERY_SWINGS, Judged, Verdict, 
 from adaptive_contact.files import write_file
 from adaptive_contact.score import Summary
 from adaptive_contact.score.tables import as_json
-
-__all__ = ["as_table", "figures", "outcome_words", "percent", "touches_words", "write_summary"]
+from adaptive_contact.service.server import version
 
 
 def touches_words(settings: DemoSettings, verdict: Verdict) -> str:
@@ -104,7 +102,7 @@ def figures(settings: DemoSettings, take: Take, verdict: Verdict) -> dict[str, A
                 "t_ns": take.drift_ns,
                 "after_s": (verdict.drift_ns - verdict.start_ns) / 1e9,
             },
-            "version": _version(),
+            "version": version(),
         },
         "recording": settings.recording.name,
         "simulator": take.simulator,
@@ -178,10 +176,3 @@ def _cells(summary: Summary) -> tuple[str, ...]:
         median,
         str(summary.false_alarms),
     )
-
-
-def _version() -> str:
-    try:
-        return metadata.version("adaptive-contact")
-    except metadata.PackageNotFoundError:  # run from a source tree
-        return "source"

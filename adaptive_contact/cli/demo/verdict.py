@@ -36,8 +36,6 @@ from adaptive_contact.service.recording import Record, read_recording
 from adaptive_contact.service.replay import Counts, control_ticks
 from adaptive_contact.wire import ContactEvent, ContactTruth, LearnerStatus, decode
 
-__all__ = ["RECOVERY_SWINGS", "Judged", "LegTruth", "Level", "Verdict", "judge", "others"]
-
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 

@@ -23,14 +23,10 @@ from adaptive_contact.service.recording.format import Record
 from adaptive_contact.service.recording.reader import Recording
 from adaptive_contact.wire import MSGPACK, ContactTruth, encode, servo_key, truth_key
 
-__all__ = ["Bag"]
-
 _SHOWN: Final = 6
 
 
 class _Message(NamedTuple):
-    """One message of a bag."""
-
     topic: str
     type: str
     hash: str
@@ -141,7 +137,6 @@ class Bag(Recording):
             yield from self._walked(file) if file.suffix == ".mcap" else self._by_rosbags(file)
 
     def _walked(self, path: Path) -> Iterator[_Message]:
-        """Messages of an MCAP file."""
         recording = Recording(path)
         for record in recording:
             kind, hash_ = recording.types.get(record.key, ("", ""))

@@ -45,8 +45,6 @@ from adaptive_contact.wire import (
     json_text,
 )
 
-__all__ = ["ExportFormat", "Exported", "export_recording"]
-
 # Larger than a recorder's, for nobody loses what an export has not written out: fewer, and packed
 # tighter.
 _CHUNK_BYTES: Final = 1 << 20
@@ -104,10 +102,7 @@ class Exported:
 
 
 def export_recording(
-    recording: Recording,
-    out: Path,
-    to: ExportFormat,
-    on_record: OnRecord = lambda record: None,
+    recording: Recording, out: Path, to: ExportFormat, on_record: OnRecord = lambda record: None
 ) -> Exported:
     """Write a recording for other programs.
 
@@ -160,8 +155,6 @@ def _read(record: Record, kind: type[Message], exported: Exported) -> Message | 
 
 
 class _Form(ABC):
-    """How messages are written into MCAP."""
-
     encoding: str
     schema_encoding: str
 
@@ -295,7 +288,6 @@ class _Columns:
 
     @property
     def types(self) -> dict[str, type]:
-        """Type of each column, in order."""
         types: dict[str, type] = {"log_time_ns": int, "key": str}
         for name, _, scalar, _, wide in self._fields:
             if wide:
@@ -346,8 +338,6 @@ def _flat(struct: type[msgspec.Struct], before: str) -> Iterator[tuple[str, type
 
 
 class _Table(ABC):
-    """One file of rows."""
-
     def __init__(self, columns: _Columns, file: IO[bytes]) -> None:
         self.columns = columns
         self._names = list(columns.types)

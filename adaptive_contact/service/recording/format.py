@@ -9,8 +9,6 @@ from typing import Final, NamedTuple
 
 from adaptive_contact.wire import JSON, MSGPACK
 
-__all__ = ["ABOUT", "ENCODING", "TO_MCAP", "TO_ZENOH", "Record"]
-
 # Name of the metadata record that says what the recording is of.
 ABOUT: Final = "adaptive-contact"
 # Metadata of a channel: the Zenoh encoding, where MCAP's name of it says less.

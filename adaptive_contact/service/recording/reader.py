@@ -39,8 +39,6 @@ from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_ZENOH,
 if TYPE_CHECKING:
     from adaptive_contact.robot import Robot
 
-__all__ = ["MAX_CHUNK_BYTES", "MAX_RATIO", "Recording", "is_bag", "read_recording"]
-
 # Of a chunk, packed and unpacked.  Writers make chunks of 32 kB (ours) to a few MB.
 MAX_CHUNK_BYTES: Final = 64 << 20
 # All chunks together may unpack to this many times the file, or to one chunk of the largest size.
@@ -152,7 +150,6 @@ class Recording:
         self.skipped, self.lost = walk.skipped, walk.lost
 
     def _open(self) -> IO[bytes]:
-        """Open the file and step over its magic."""
         try:
             file = self.path.open("rb")
         except OSError as error:
@@ -251,7 +248,6 @@ class _Walk:
         return line if self._cut is None else f"{line}; {self._cut}"
 
     def records(self) -> Iterator[Record]:
-        """Messages up to the end of the file."""
         while True:
             self._file.seek(self._at)
             head = self._file.read(_FRAME.size)
@@ -479,7 +475,6 @@ class _Walk:
         self._types[found.topic] = (kind, found.metadata.get(_TYPE_HASH, ""))
 
     def _learn_schema(self, content: bytes) -> None:
-        """Take in a schema's name."""
         found = Schema.read(ReadDataStream(BytesIO(content)))
         self._schemas[found.id] = found.name
 

@@ -14,8 +14,6 @@ from adaptive_contact.errors import ConfigurationError
 from adaptive_contact.service.link import Link, Received
 from adaptive_contact.service.recording.writer import RecordingWriter
 
-__all__ = ["Recorder", "check_key_expression"]
-
 # How long a stop may go unnoticed while nothing arrives.
 _LOOK_S: Final = 0.1
 _PROGRESS_S: Final = 0.5

@@ -25,8 +25,6 @@ from adaptive_contact.wire import LEG_MESSAGES, BridgeStatus, Drift, LegTrace, M
 if TYPE_CHECKING:
     from google.protobuf.descriptor_pb2 import DescriptorProto
 
-__all__ = ["KINDS", "json_schema", "kind_of_key", "parts_of", "protobuf_class", "schema_name"]
-
 # Key, behind any namespace -> its message.  A leg's trace has none: it answers a question, so no
 # recording has it, and a column that is a list of ticks could not be drawn.  Foxglove gets its
 # ticks one by one (:class:`~adaptive_contact.service.foxglove_live.JudgedTick`).

@@ -17,8 +17,6 @@ from adaptive_contact.service.recording.format import ABOUT, ENCODING, TO_MCAP, 
 from adaptive_contact.service.recording.schemas import json_schema, kind_of_key, schema_name
 from adaptive_contact.wire import MSGPACK, Message, encode
 
-__all__ = ["Counted", "RecordingWriter"]
-
 # 32 kB hold about 200 samples, two thirds of a second of six legs at 50 Hz: small enough that a
 # damaged chunk costs little, large enough that zstd still halves it.
 CHUNK_BYTES: Final = 32 * 1024
@@ -71,9 +69,7 @@ class RecordingWriter:
         except OSError as error:
             raise self._failed(error) from error
         self._writer = Writer(
-            cast(Any, Counted(self._file)),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
+            cast(Any, Counted(self._file)), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
         )
         try:
             self._writer.start(profile="", library="adaptive-contact")
@@ -175,9 +171,7 @@ class RecordingWriter:
             return 0
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(
-                name=schema_name(kind),
-                encoding="jsonschema",
-                data=json_schema(kind),
+                name=schema_name(kind), encoding="jsonschema", data=json_schema(kind)
             )
         return self._schemas[kind]
 

@@ -6,9 +6,17 @@ save and never lets the worker wait for a disk.
 
 from __future__ import annotations
 
-from adaptive_contact.service.state.format import FORMAT, Identity, Record, Refused, pack, unpack
+from adaptive_contact.service.state.format import (
+    FORMAT,
+    Identity,
+    Record,
+    Refused,
+    default_folder,
+    pack,
+    settings_digest,
+    unpack,
+)
 from adaptive_contact.service.state.keeper import Keepable, StateFacts, StateKeeper
-from adaptive_contact.service.state.settings import default_folder, settings_digest
 from adaptive_contact.service.state.store import (
     StateStore,
     Stored,

@@ -16,11 +16,9 @@ from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 import msgspec
 import structlog
 
-from adaptive_contact.service.meters import Brake
+from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.state.format import Identity, Record, Refused
 from adaptive_contact.service.state.store import StateStore
-
-__all__ = ["Keepable", "Kept", "Position", "StateFacts", "StateKeeper"]
 
 _log = structlog.get_logger()
 
@@ -86,7 +84,7 @@ class Position(NamedTuple):
 
 
 class Kept(Protocol):
-    """What the keeper asks of a leg's desk."""
+    """What the keeper asks of a leg's endpoint."""
 
     leg: str
     model_version: int
@@ -139,7 +137,7 @@ class StateKeeper:
         self._failed = 0
         self._error: str | None = store.trouble
         self._counting = threading.Lock()  # the worker and the thread both see failures
-        self._brake = Brake(60.0)
+        self._throttle = LogThrottle(60.0)
         self._waiting: dict[str, Record] = {}
         self._under_way: tuple[str, int] | None = None  # leg and begin of a write, monotonic ns
         self._ending = False
@@ -210,39 +208,39 @@ class StateKeeper:
             )
         return None
 
-    def due(self, desk: Kept, now_ns: int) -> bool:
+    def due(self, endpoint: Kept, now_ns: int) -> bool:
         """Tell whether a leg should be saved: a new model, or 10 s with samples since the last."""
-        last = self._last.get(desk.leg)
+        last = self._last.get(endpoint.leg)
         if last is None:
             return False
         if last.model_version is None:  # what it started or went on with is no promotion
-            last = self._last[desk.leg] = last._replace(model_version=desk.model_version)
-        if self._store.trouble is not None or desk.heard_samples == last.heard:
+            last = self._last[endpoint.leg] = last._replace(model_version=endpoint.model_version)
+        if self._store.trouble is not None or endpoint.heard_samples == last.heard:
             return False
-        return desk.model_version != last.model_version or now_ns >= last.due_ns
+        return endpoint.model_version != last.model_version or now_ns >= last.due_ns
 
-    def take(self, desk: Kept, now_ns: int) -> None:
+    def take(self, endpoint: Kept, now_ns: int) -> None:
         """Snapshot a leg, and leave the rest to the thread; nothing where there is no folder."""
         if self._store.trouble is not None:
             return
-        self._last[desk.leg] = _Last(
-            now_ns + self._period_ns, desk.heard_samples, desk.model_version
+        self._last[endpoint.leg] = _Last(
+            now_ns + self._period_ns, endpoint.heard_samples, endpoint.model_version
         )
-        if not isinstance(desk.learner, Keepable):
+        if not isinstance(endpoint.learner, Keepable):
             return
         try:
-            body = desk.learner.snapshot()
+            body = endpoint.learner.snapshot()
         except Exception as error:  # a fault in one leg's learning must not end the others' service
-            self._fail(desk.leg, error)
+            self._fail(endpoint.leg, error)
             return
         if body is None:
             return
-        position = desk.position
+        position = endpoint.position
         record = Record(
-            identity=self._identities[desk.leg],
+            identity=self._identities[endpoint.leg],
             saved_ns=time.time_ns(),
             package=self._package,
-            model_version=desk.model_version,
+            model_version=endpoint.model_version,
             run=None if position is None else position.run,
             seq=None if position is None else position.seq,
             missed_down=0 if position is None else position.missed_down,
@@ -250,13 +248,13 @@ class StateKeeper:
             body=body,
         )
         with self._changed:
-            self._waiting[desk.leg] = record  # replaces one that still waits
+            self._waiting[endpoint.leg] = record  # replaces one that still waits
             self._changed.notify_all()
         self._start()
         hanging = self._hanging
         if hanging is not None:
             with self._counting:
-                told = self._brake.passes("hangs", time.monotonic_ns())
+                told = self._throttle.passes("hangs", time.monotonic_ns())
             if told is not None:
                 _log.warning("state not saved", why=hanging)
 
@@ -357,6 +355,6 @@ class StateKeeper:
         with self._counting:
             self._failed += 1
             self._error = f"{leg} not saved in {self._store.shown}: {why}"
-            stands_for = self._brake.passes("failed", time.monotonic_ns())
+            stands_for = self._throttle.passes("failed", time.monotonic_ns())
         if stands_for is not None:
             _log.warning("state not saved", leg=leg, why=why, times=stands_for)

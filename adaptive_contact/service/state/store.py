@@ -23,17 +23,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from adaptive_contact.errors import reason_of
 from adaptive_contact.service.settings import shown_path
-from adaptive_contact.service.state.format import (
-    MAX_BYTES,
-    Identity,
-    Record,
-    Refused,
-    pack,
-    unpack,
-)
-
-__all__ = ["StateStore", "Stored", "is_of_leg", "list_rest", "list_states", "robot_folder"]
+from adaptive_contact.service.state.format import MAX_BYTES, Identity, Record, Refused, pack, unpack
 
 NEWEST: Final = ".state"
 BEFORE: Final = ".before"
@@ -206,11 +198,7 @@ class StateStore:
         self._remove(old)
         try:
             os.link(
-                newest,
-                old,
-                src_dir_fd=self._handle,
-                dst_dir_fd=self._handle,
-                follow_symlinks=False,
+                newest, old, src_dir_fd=self._handle, dst_dir_fd=self._handle, follow_symlinks=False
             )
         except OSError:  # a file system without links: for an instant there is only the one before
             self._rename(newest, before)
@@ -268,14 +256,14 @@ def _read(path: Path, identity: Identity | None) -> Record | Refused | None:
     except OSError as error:
         if error.errno == errno.ELOOP:
             return Refused("a link, which no state is")
-        return Refused(f"cannot be read ({(error.strerror or str(error)).lower()})")
+        return Refused(f"cannot be read ({reason_of(error)})")
     if len(data) > MAX_BYTES:
         return Refused(f"larger than {MAX_BYTES // 2**20} MB, which no state is")
     return unpack(data, identity)
 
 
 def _reason(error: OSError, folder: str, done: str = "written to") -> str:
-    what = (error.strerror or str(error)).lower()
+    what = reason_of(error)
     return f"{folder} cannot be {done} ({what}); give another --state DIR, or --no-state"
 
 

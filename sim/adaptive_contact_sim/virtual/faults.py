@@ -23,7 +23,7 @@ from typing import Final, Literal, cast, get_args
 
 import numpy as np
 
-from adaptive_contact.bridge.protocol1 import ERROR_BITS
+from adaptive_contact.bridge.packets import ERROR_BITS
 from adaptive_contact.bridge.tables import MODELS, ServoModel
 from adaptive_contact.errors import ConfigurationError
 

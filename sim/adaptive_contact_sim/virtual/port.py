@@ -16,9 +16,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from adaptive_contact.bridge.packets import BROADCAST_ID, Codec, Frame, Instruction, Status
-from adaptive_contact.bridge.protocol1 import Protocol1
-from adaptive_contact.bridge.protocol2 import Protocol2, fast_sync_status
+from adaptive_contact.bridge.packets import (
+    BROADCAST_ID,
+    Codec,
+    Frame,
+    Instruction,
+    Protocol1,
+    Protocol2,
+    Status,
+    fast_sync_status,
+)
 from adaptive_contact.bridge.tables import BAUDS
 from adaptive_contact_sim.virtual.faults import FaultSchedule
 from adaptive_contact_sim.virtual.servo import RANGE2, Refusal, VirtualServo

@@ -19,8 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.bridge.law import LAW_REGISTERS, slope_rad
-from adaptive_contact.bridge.modes import DriveMode
+from adaptive_contact.bridge.modes import LAW_REGISTERS, DriveMode, slope_rad
 from adaptive_contact.bridge.tables import BAUDS, Register, ServoModel
 from adaptive_contact_sim.virtual.backend import Backend
 

@@ -18,10 +18,8 @@ from typing import Final, NamedTuple, Protocol
 import structlog
 
 from adaptive_contact.errors import LinkError
-from adaptive_contact.service.meters import Brake
+from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.wire import Message
-
-__all__ = ["HELD_UP_NS", "QUEUE_EVENTS", "SLOW_PUT_NS", "Outbox"]
 
 _log = structlog.get_logger()
 
@@ -47,7 +45,7 @@ class _Letter(NamedTuple):
     arrival_ns: int
 
 
-class Outbox:
+class EventPublisher:
     """Sends messages in order, on the caller's thread until :meth:`start`, then on its own.
 
     Args:
@@ -64,7 +62,7 @@ class Outbox:
         self.lost = 0
         self.slow = 0
         self.cut_off = 0
-        self._brake = Brake()
+        self._throttle = LogThrottle()
         self._size = size
         self._queue: deque[_Letter] = deque()
         self._changed = threading.Condition()
@@ -126,7 +124,7 @@ class Outbox:
         """Count links that were dropped because they held up a put."""
         now_ns = self._dropped_ns = time.monotonic_ns()
         self.cut_off += links
-        times = self._brake.passes("dropped", now_ns, links)
+        times = self._throttle.passes("dropped", now_ns, links)
         if times is not None:
             _log.warning(
                 "links dropped that held up contact events: their subscribers hang or are gone",
@@ -179,13 +177,13 @@ class Outbox:
             self.lost += 1
         kind = type(fault).__name__
         why = str(fault) if isinstance(fault, LinkError) else f"{kind}: {fault}"
-        times = self._brake.passes(kind, time.monotonic_ns())
+        times = self._throttle.passes(kind, time.monotonic_ns())
         if times is not None:
             _log.warning("contact events lost", why=why, times=times)
 
     def _slow(self, now_ns: int, took_ns: int) -> None:
         self.slow += 1
-        times = self._brake.passes("slow", now_ns)
+        times = self._throttle.passes("slow", now_ns)
         if times is not None:
             _log.warning(
                 "subscribers that hang held up contact events",

@@ -1,26 +1,76 @@
 """What is around the service: its router, other services, and samples on keys that nobody reads.
 
+Two services on one network give every event twice, and are never wanted; nothing on the wire
+stops them, so each listens for the status of others and says that they are there.
+
 Looked at once a second by the worker, which must not wait: why a router is lost is found out on a
 thread of its own, for a look-up of a name or a host that is off can take seconds.
 """
 
 from __future__ import annotations
 
+import secrets
 import threading
+from collections import deque
 from typing import Final
 
 import structlog
 
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Declared, Link
-from adaptive_contact.service.meters import Brake
-from adaptive_contact.service.rivals import Rivals
+from adaptive_contact.service.logs import LogThrottle
 from adaptive_contact.service.settings import shown
-from adaptive_contact.service.traffic import Received
-from adaptive_contact.wire import meant_key, namespace_of
-
-__all__ = ["Strays", "Surroundings"]
+from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
+from adaptive_contact.wire import MAX_PAYLOAD_BYTES, decode, meant_key, namespace_of
 
 _log = structlog.get_logger()
+
+# A service speaks once a second.
+_GONE_AFTER_NS: Final = 3_000_000_000
+_REMEMBERED: Final = 8
+
+
+class PeerServices:
+    """Listens for other services.
+
+    Args:
+        link: open.
+
+    Attributes:
+        instance: our own mark, to be told in our own status.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.instance = secrets.token_hex(4)
+        self._heard: deque[Received] = deque(maxlen=4 * _REMEMBERED)
+        self._seen: dict[str, tuple[int, ServiceStatus]] = {}
+        link.subscribe(SERVICE_STATUS, self._hear)
+
+    def _hear(self, received: Received) -> None:
+        if len(received.payload) <= MAX_PAYLOAD_BYTES:  # no service says more, and these are kept
+            self._heard.append(received)
+
+    def note(self, now_ns: int) -> str | None:
+        """One line where another service is there, otherwise None; ``now_ns`` is monotonic."""
+        for _ in range(len(self._heard)):
+            received = self._heard.popleft()
+            status = decode(received.payload, ServiceStatus, received.encoding)
+            if isinstance(status, ServiceStatus) and status.instance != self.instance:
+                self._seen.pop(status.instance, None)
+                self._seen[status.instance] = (received.arrival_ns, status)
+                if len(self._seen) > _REMEMBERED:  # somebody makes them up
+                    del self._seen[next(iter(self._seen))]
+        self._seen = {
+            mark: seen for mark, seen in self._seen.items() if now_ns - seen[0] < _GONE_AFTER_NS
+        }
+        if not self._seen:
+            return None
+        _, other = next(reversed(self._seen.values()))
+        return (
+            f"another service runs here for robot {other.robot[:32]} (up {other.uptime_s:.0f} s): "
+            "every event comes twice; stop one of them, or give each robot a --namespace"
+        )
+
 
 _LOOK_NS: Final = 1_000_000_000
 # Keys that look like those of samples.  Others, such as a camera's pictures, are not asked for.
@@ -28,7 +78,7 @@ _LIKE_SERVO: Final = ("**/$*ervo$*", "**/servo/*")
 _MOST_STRAYS: Final = 8
 
 
-class Strays:
+class UnreadKeys:
     """Looks for misspelt keys while a described leg has no samples, and only then.
 
     A leg that has samples needs no help, and a second subscription to all of them would cost.
@@ -41,7 +91,7 @@ class Strays:
         self._link = link
         self._listening: list[Declared] = []
         self._found: dict[str, str] = {}  # filled on Zenoh's thread
-        self._brake = Brake()
+        self._throttle = LogThrottle()
 
     def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
         """Give each key that nobody reads, with what was probably meant.
@@ -59,7 +109,7 @@ class Strays:
             self._found = {}
         found = dict(self._found)
         for key, question in found.items():
-            if self._brake.passes(key, now_ns) is not None:
+            if self._throttle.passes(key, now_ns) is not None:
                 _log.warning("a key is read by nobody", key=key, question=question)
         return found
 
@@ -74,7 +124,7 @@ class Strays:
             self._found[key] = f"is {namespace} the robot's --namespace?"
 
 
-class Surroundings:
+class NetworkHealth:
     """Watches them, and logs what changes.
 
     Args:
@@ -88,8 +138,8 @@ class Surroundings:
     def __init__(self, link: Link, now_ns: int) -> None:
         self.note: str | None = None
         self._link = link
-        self._rivals = Rivals(link)
-        self._brake = Brake()
+        self._rivals = PeerServices(link)
+        self._throttle = LogThrottle()
         self._due_ns = now_ns
         self._joined = link.is_connected()  # a router runs before it is let in, a client does not
         self._connected = True
@@ -105,18 +155,20 @@ class Surroundings:
             return
         self._due_ns = now_ns + _LOOK_NS
         rival = self._rivals.note(now_ns)
-        if rival is not None and self._brake.passes("rival", now_ns) is not None:
+        if rival is not None and self._throttle.passes("rival", now_ns) is not None:
             _log.warning("not alone", why=rival)
         connected = self._link.is_connected()
         where = " or ".join(map(shown, self._link.joins))
         apart = None if connected else f"no router joined at {where}; trying on"
         full = self._full()
-        if full is not None and self._brake.passes("full", now_ns) is not None:
+        if full is not None and self._throttle.passes("full", now_ns) is not None:
             _log.warning("no room for another session", why=full)
         self.note = "; ".join(filter(None, (rival, apart, full))) or None
         if connected and not self._connected:
             _log.info("router is back" if self._joined else "router joined")
-        if not connected and (self._brake.passes("router", now_ns) is not None or self._connected):
+        if not connected and (
+            self._throttle.passes("router", now_ns) is not None or self._connected
+        ):
             threading.Thread(target=self._say_why, name="why", daemon=True).start()
         self._connected = connected
         self._joined |= connected

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
-from adaptive_contact.service.traffic import Received
+from adaptive_contact.service.interfaces import Received
 from adaptive_contact.wire import (
     MAX_SAMPLE_BYTES,
     Reject,
@@ -22,8 +22,6 @@ from adaptive_contact.wire import (
     decode,
     leg_of_key,
 )
-
-__all__ = ["MAX_LEGS", "QUEUE_SAMPLES", "Intake", "Raw", "Round", "read"]
 
 # At 50 Hz this is 1.3 s of one leg: a worker that is further behind has failed anyway, and old
 # samples are worth less than new ones.
@@ -52,7 +50,7 @@ class Raw:
 
 
 @dataclass(slots=True)
-class Round(Generic[R]):
+class Batch(Generic[R]):
     """What the worker takes in one go.
 
     Attributes:
@@ -73,7 +71,7 @@ class Round(Generic[R]):
         return bool(self.samples or self.overflow or self.strangers or self.requests)
 
 
-class Intake(Generic[R]):
+class SampleQueue(Generic[R]):
     """Bounded queues, filled on Zenoh's threads and emptied by one worker.
 
     Args:
@@ -130,7 +128,7 @@ class Intake(Generic[R]):
             self._awake.notify()
         return True
 
-    def take(self, timeout_s: float, *, query: bool = True) -> Round[R]:
+    def take(self, timeout_s: float, *, query: bool = True) -> Batch[R]:
         """Take what waits, or wait for it.
 
         Args:
@@ -143,7 +141,7 @@ class Intake(Generic[R]):
         with self._awake:
             if timeout_s > 0 and not self._waiting(query):
                 self._awake.wait(timeout_s)
-            round_: Round[R] = Round(
+            round_: Batch[R] = Batch(
                 {leg: queue.popleft() for leg, queue in self._queues.items() if queue},
                 self._overflow,
                 self._strangers,
@@ -170,7 +168,7 @@ class Intake(Generic[R]):
 
 
 def read(raw: Raw) -> ServoSample | Rejected:
-    """Decode a payload that waited; the worker's side of :meth:`Intake.offer`."""
+    """Decode a payload that waited; the worker's side of :meth:`SampleQueue.offer`."""
     if raw.size > len(raw.payload):
         return Rejected(Reject.TOO_LARGE, f"{raw.size} bytes, at most {MAX_SAMPLE_BYTES}")
     return decode(raw.payload, ServoSample, raw.encoding)

@@ -20,21 +20,11 @@ from adaptive_contact.bridge.handshake import (
     scan,
     scan_again,
 )
-from adaptive_contact.bridge.law import read_slope
+from adaptive_contact.bridge.modes import read_slope
 from adaptive_contact.bridge.packets import MAX_ID
 from adaptive_contact.bridge.tables import ServoModel, model_of_number
 from adaptive_contact.errors import BusError, ConfigurationError
 from adaptive_contact.robot import Leg, Port, Robot, ServoBus, ServoLaw
-
-__all__ = [
-    "Found",
-    "Wanted",
-    "describe",
-    "find_servos",
-    "group",
-    "steepness",
-    "wanted_legs",
-]
 
 _PROTOCOLS: Final[tuple[Literal[1, 2], ...]] = (1, 2)
 # Servos are numbered one after the other: so far beyond the last heard, all are asked again.
@@ -384,10 +374,7 @@ def _quantum(models: Sequence[ServoModel]) -> float:
 
 
 def _joint_names(joints: int) -> tuple[str, ...]:
-    usual: Mapping[int, tuple[str, ...]] = {
-        2: ("hip", "knee"),
-        3: ("coxa", "femur", "tibia"),
-    }
+    usual: Mapping[int, tuple[str, ...]] = {2: ("hip", "knee"), 3: ("coxa", "femur", "tibia")}
     return usual.get(joints, tuple(f"joint{i + 1}" for i in range(joints)))
 
 

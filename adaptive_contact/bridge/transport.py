@@ -1,15 +1,14 @@
-"""What a bridge tells of itself: ``robot/bridge/{port}/status``, once a second."""
+"""The edges to the network: where samples and statuses go, and where commands come from."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import Final
+from collections.abc import Mapping
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from adaptive_contact.wire import BridgeStatus, Quantiles, ServoCounts
-
-__all__ = ["BridgeStatus", "Pulse", "Quantiles", "ServoCounts", "quantiles"]
+from adaptive_contact.wire import BridgeStatus, Command, Quantiles, Rejected, ServoSample, decode
 
 # Cycles looked back on, ten seconds at 50 Hz.
 _CYCLES: Final = 500
@@ -70,3 +69,57 @@ class Pulse:
     def rate_hz(self, now_ns: int) -> float:
         """Cycles in the last second."""
         return float(sum(1 for t in self._published if now_ns - t <= 1_000_000_000))
+
+
+class Outlet(Protocol):
+    """What a bridge publishes; Zenoh in the product, a list in tests."""
+
+    def samples(self, samples: Mapping[str, ServoSample]) -> None:
+        """One control tick's samples, by leg."""
+
+    def status(self, status: BridgeStatus) -> None:
+        """How the port is."""
+
+    def say(self, line: str) -> None:
+        """One line for a person: something happened."""
+
+
+class Post(NamedTuple):
+    """A command as it came: its bytes, encoding, and monotonic time of arrival."""
+
+    payload: bytes
+    encoding: str
+    arrival_ns: int
+
+
+class Mailbox:
+    """The newest command of every leg.
+
+    Written on a thread of the network, read by the cycle: each is one dictionary operation, so
+    that neither waits for the other.
+    """
+
+    def __init__(self) -> None:
+        self._newest: dict[str, Post] = {}
+        self.rejected = 0
+        self.last_reject: str | None = None
+
+    def put(self, leg: str, payload: bytes, encoding: str, arrival_ns: int) -> None:
+        """Keep a command until :meth:`take`, or until a newer one comes."""
+        self._newest[leg] = Post(payload, encoding, arrival_ns)
+
+    def take(self, leg: str) -> tuple[Command, int] | None:
+        """The newest command since the last call and its time of arrival, or None."""
+        post = self._newest.pop(leg, None)
+        if post is None:
+            return None
+        command = decode(post.payload, Command, post.encoding)
+        if isinstance(command, Rejected):
+            self.refuse(f"leg '{leg}': {command.detail}")
+            return None
+        return command, post.arrival_ns
+
+    def refuse(self, why: str) -> None:
+        """Count a command that cannot be used."""
+        self.rejected += 1
+        self.last_reject = why

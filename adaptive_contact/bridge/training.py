@@ -1,0 +1,231 @@
+r"""Movements to learn a leg from: free swings between random poses, gentle at both ends.
+
+A leg goes from a low pose to a high one and back, over and over, each leg at its own pace.  Poses
+are drawn around the one it was found in, within an amplitude and the joints' limits; between them
+the joints follow the minimum-jerk profile :math:`s(\tau) = 10\tau^3 - 15\tau^4 + 6\tau^5`, whose
+speed is 0 at both ends.  After each descent it rests for a few ticks, which ends the swing.
+
+Reference:
+    T. Flash, N. Hogan, "The coordination of arm movements", J. Neurosci. 5, 1985.
+
+Samples straight off the bus, without a network: for checking and learning a new robot.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.bridge.loop import PortLoop
+from adaptive_contact.bridge.plan import PortPlan
+from adaptive_contact.bridge.transport import Mailbox
+from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
+from adaptive_contact.priority import take_priority
+from adaptive_contact.robot import Leg
+from adaptive_contact.wire import MSGPACK, BridgeStatus, Command, ServoSample, encode
+
+Array = NDArray[np.float64]
+
+REST_TICKS: Final = 4
+# Now and then a leg is held until its servos rest, so that gravity shows which way is down.
+HELD_TICKS, HELD_SWINGS = 25, 8
+# A swing rises at least so much, or it is not told from standing, m.
+_RISE_M: Final = 0.025
+# Ticks of an ascent and of a descent.
+_TICKS: Final = (9, 18)
+# Limits are kept off by this share of the range between them.
+_MARGIN: Final = 0.05
+_TRIES: Final = 400
+
+
+def free_swings(
+    leg: Leg,
+    start_rad: Sequence[float],
+    rng: np.random.Generator,
+    *,
+    amplitude_rad: float,
+    max_step_rad: float,
+) -> Iterator[list[float]]:
+    """Goals of one leg, tick by tick, without end.
+
+    Args:
+        leg: with a geometry; its limits are kept.
+        start_rad: (J,) where it is now.
+        rng: of the poses and paces.
+        amplitude_rad: how far from there a joint may go.
+        max_step_rad: largest step of a joint in a tick.
+
+    Raises:
+        ConfigurationError: its lengths are not known, or it cannot lift its foot that way.
+    """
+    if leg.chain is None:
+        raise ConfigurationError(
+            f"leg '{leg.id}' has no lengths_m or origins_m, so its swings cannot be found; measure "
+            "its links and fill them in"
+        )
+    home = np.array(start_rad, dtype=np.float64)
+    lower, upper = home - amplitude_rad, home + amplitude_rad
+    if leg.limits is not None:
+        low, high = np.array(leg.limits.lower_rad), np.array(leg.limits.upper_rad)
+        margin = _MARGIN * (high - low)
+        # A joint that is found outside its limits may stay, and go no further out.
+        lower = np.maximum(lower, np.minimum(low + margin, home))
+        upper = np.minimum(upper, np.maximum(high - margin, home))
+    return _goals(leg, home, lower, upper, rng, max_step_rad)
+
+
+def _goals(
+    leg: Leg, home: Array, lower: Array, upper: Array, rng: np.random.Generator, max_step_rad: float
+) -> Iterator[list[float]]:
+    here = home
+    for swing in itertools.count(1):
+        low, high = _pair(leg, lower, upper, rng)
+        for target in (high, low):
+            yield from _move(here, target, rng, max_step_rad)
+            here = target
+        rest = REST_TICKS if swing % HELD_SWINGS else HELD_TICKS
+        yield from ([float(x) for x in here] for _ in range(rest))
+
+
+def _pair(leg: Leg, lower: Array, upper: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    assert leg.chain is not None
+    for _ in range(_TRIES):
+        one, other = rng.uniform(lower, upper), rng.uniform(lower, upper)
+        heights = leg.chain.foot(np.stack([one, other]))[:, 2]
+        if abs(heights[1] - heights[0]) >= _RISE_M:
+            return (one, other) if heights[1] > heights[0] else (other, one)
+    raise ConfigurationError(
+        f"leg '{leg.id}' cannot lift its foot by {100 * _RISE_M:.1f} cm from where it is; give a "
+        "larger --amplitude, or move it away from its limits"
+    )
+
+
+def _move(
+    start: Array, end: Array, rng: np.random.Generator, max_step_rad: float
+) -> Iterator[list[float]]:
+    # The profile's top speed is 15/8 of its mean.
+    least = int(np.ceil(1.875 * np.abs(end - start).max() / max_step_rad))
+    ticks = max(int(rng.integers(_TICKS[0], _TICKS[1] + 1)), least)
+    share = np.arange(1, ticks + 1) / ticks
+    smooth = share**3 * (10 - 15 * share + 6 * share**2)
+    for row in start + smooth[:, None] * (end - start):
+        yield row.tolist()
+
+
+# Goals of a leg, one per tick, given the first sample of it.
+Script = Callable[[ServoSample], Iterator[list[float]]]
+_END_S: Final = 5.0
+_LOOK_S: Final = 0.1
+
+
+class _Basket:
+    """Outlet of one port: keeps samples, and answers them with goals."""
+
+    def __init__(self, scripts: Mapping[str, Script], say: Callable[[str], None]) -> None:
+        self.kept: dict[str, list[ServoSample]] = {}
+        self.mailbox = Mailbox()
+        self.error: AdaptiveContactError | None = None
+        self._scripts = scripts
+        self._running: dict[str, Iterator[list[float]]] = {}
+        self._say = say
+
+    def samples(self, samples: Mapping[str, ServoSample]) -> None:
+        """Keep a tick's samples; each asks for its leg's next goal."""
+        for leg, sample in samples.items():
+            self.kept.setdefault(leg, []).append(sample)
+            if leg in self._scripts and self.error is None:
+                self._answer(leg, sample)
+
+    def status(self, status: BridgeStatus) -> None:
+        """Nobody waits for it: what happens is said."""
+
+    def say(self, line: str) -> None:
+        self._say(line)
+
+    def _answer(self, leg: str, sample: ServoSample) -> None:
+        try:
+            if leg not in self._running:
+                self._running[leg] = self._scripts[leg](sample)
+            goal = next(self._running[leg])
+        except AdaptiveContactError as error:
+            self.error = error  # raised on the thread that waits
+            return
+        payload = encode(Command(desired=goal))
+        self.mailbox.put(leg, payload, MSGPACK, time.monotonic_ns())
+
+
+def collect(
+    plans: Sequence[PortPlan],
+    seconds: float,
+    *,
+    scripts: Mapping[str, Script] | None = None,
+    realtime: bool = False,
+    stop: threading.Event | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    look: Callable[[dict[str, list[ServoSample]]], None] = lambda _: None,
+) -> dict[str, list[ServoSample]]:
+    """Run all ports for some time, a thread each.
+
+    Args:
+        plans: the ports; handshakes have been made.
+        seconds: how long.
+        scripts: goals by leg; with them the servos are driven, without them nothing is written.
+        realtime: let the ports' threads run before all ordinary ones.
+        stop: ends it early when set.
+        say: told of what happens.
+        look: shown what there is so far, ten times a second; not to be changed.
+
+    Returns:
+        Samples by leg, in order.
+
+    Raises:
+        AdaptiveContactError: a port cannot be opened, or a leg cannot do what its script says.
+    """
+    mode = "observe" if scripts is None else "drive"
+    end, halt = stop or threading.Event(), threading.Event()
+    baskets = [_Basket(scripts or {}, say) for _ in plans]
+    run = time.time_ns() // 1_000_000
+
+    def work(plan: PortPlan, basket: _Basket) -> None:
+        refused = take_priority() if realtime else None
+        if refused is not None:
+            say(refused)
+        try:
+            loop = PortLoop(
+                plan, "drive" if mode == "drive" else "observe", basket, basket.mailbox, run
+            )
+            loop.run(halt)
+        except AdaptiveContactError as error:
+            basket.error = error
+
+    threads = [
+        threading.Thread(target=work, args=pair, name=f"port-{pair[0].name}", daemon=True)
+        for pair in zip(plans, baskets, strict=True)
+    ]
+    began = time.monotonic()
+    for thread in threads:
+        thread.start()
+    try:
+        while time.monotonic() - began < seconds and not end.wait(_LOOK_S):
+            look(_all(baskets))
+            if any(basket.error is not None for basket in baskets):
+                break
+    finally:
+        halt.set()
+        for thread in threads:
+            thread.join(_END_S)
+    for basket in baskets:
+        if basket.error is not None:
+            raise basket.error
+    return _all(baskets)
+
+
+def _all(baskets: Sequence[_Basket]) -> dict[str, list[ServoSample]]:
+    # Copies first: the ports' threads go on adding.
+    return {leg: rows for basket in baskets for leg, rows in [*basket.kept.items()]}
