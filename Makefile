@@ -9,6 +9,7 @@ SEED   ?= 1
 MINUTES ?= 30
 KILLS ?= 100
 LEGS ?= 64
+DATA ?= recordings
 BRIDGE_MINUTES ?= 10
 REV ?= HEAD
 # Of `make same`: AGAINST another revision, a TOLERANCE, recordings to EXPECT differences in, ONLY
@@ -27,7 +28,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills many lock wheel clean rerun same same-faults
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills many unseen lock wheel clean rerun same same-faults
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -71,6 +72,9 @@ check: env  ## ruff, types, import contracts
 
 same: env  ## revision REV against the working tree on recorded runs, bit by bit (or TOLERANCE=1e-9)
 	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
+
+unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
+	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)
 
 many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
 	PYTHONPATH=tests $(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \

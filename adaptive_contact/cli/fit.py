@@ -15,7 +15,7 @@ from adaptive_contact.errors import ConfigurationError, RecordingError
 
 if TYPE_CHECKING:
     from adaptive_contact.fit.recordings import LegGatherer
-    from adaptive_contact.fit.train import Training
+    from adaptive_contact.fit.train import LegFigures, Training
     from adaptive_contact.robot import Robot
     from adaptive_contact.service.findings import Finding
     from adaptive_contact.wire import Rejected, ServoSample
@@ -83,6 +83,8 @@ def fit(
                 f"{known.touched} of {known.swings} swings; {known.outliers} ticks are left out: "
                 "record free swings, or with truth, to learn from all of them"
             )
+        if known.strength is not None:
+            say_note(undetermined(leg_id, known))
     ticks = min(tail.ticks for tail in training.baseline.tails)
     if ticks < MANY_TICKS:
         say_note(
@@ -95,6 +97,20 @@ def fit(
     for line in verdict(robot, training):
         say(line, err=json)
     say(f"baseline written to {out}", err=True)
+
+
+def undetermined(leg: str, known: LegFigures) -> str:
+    """Say that a recording does not determine all terms, and what that means."""
+    line = (
+        f"leg '{leg}': its motions are too few, or too alike, to determine all terms; what is "
+        "known of any leg stands in for the rest"
+    )
+    if known.lone:
+        line += (
+            f"; {known.lone} ticks move as no other motion does, and are judged by ten times the "
+            "noise and more instead of raising the thresholds of all"
+        )
+    return line + ": record more motions, at every speed that the leg will have"
 
 
 def gather(recordings: list[Path], robot: Robot, *, refuse: bool = True) -> dict[str, LegGatherer]:

@@ -20,7 +20,7 @@ from adaptive_contact.model.factor import Factor
 if TYPE_CHECKING:
     from pysindy.optimizers import STLSQ
 
-__all__ = ["Fit", "FitSettings", "FitStatus", "fit_sparse"]
+__all__ = ["Fit", "FitSettings", "FitStatus", "Prior", "fit_sparse"]
 
 Array = NDArray[np.float64]
 
@@ -41,6 +41,20 @@ class FitStatus(enum.StrEnum):
 
 
 @dataclasses.dataclass(frozen=True)
+class Prior:
+    """Holds what is known of the coefficients before the data.
+
+    Attributes:
+        mean: (p, J) what they are believed to be.
+        rows: (p, J) how firmly: like so many rows of the term's typical size, 0 for not at all,
+            inf for a term that is left out.
+    """
+
+    mean: Array
+    rows: Array
+
+
+@dataclasses.dataclass(frozen=True)
 class FitSettings:
     """Holds the settings of one sparse fit.
 
@@ -50,12 +64,14 @@ class FitSettings:
         ridge: ridge term per row, in the same scaled units.
         unit: (J,) what a prediction is measured in, rad; the noise floor makes λ dimensionless.
         iterations: STLSQ's limit.
+        prior: what is known of the coefficients; they are fitted from nothing without.
     """
 
     threshold: float = 0.0
     ridge: float = 1e-9
     unit: tuple[float, ...] | None = None
     iterations: int = 20
+    prior: Prior | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,22 +134,46 @@ def fit_sparse(factor: Factor, settings: FitSettings) -> Fit:
     scale = factor.scale()
     unit = np.ones(joints) if settings.unit is None else np.asarray(settings.unit)
     root = np.sqrt(factor.rows)
-    scaled = _stlsq(r / scale / root, qty / unit / root, settings)
+    if settings.prior is None:
+        scaled = _stlsq(r / scale / root, qty / unit / root, settings)
+        systems = [(r, qty[:, joint]) for joint in range(joints)]
+    else:  # of every joint its own, as what is known of it is
+        systems = [_with_prior(r, qty, scale, settings.prior, joint) for joint in range(joints)]
+        scaled = np.concatenate(
+            [
+                _stlsq(theta / scale / root, target[:, None] / unit[joint] / root, settings)
+                for joint, (theta, target) in enumerate(systems)
+            ],
+            axis=1,
+        )
     support = scaled != 0.0
+    if settings.prior is not None:  # a column of zeros has a coefficient of rounding errors
+        support &= np.isfinite(settings.prior.rows)
     coefficients = np.zeros((p, joints))
-    for joint in range(joints):
+    for joint, (theta, target) in enumerate(systems):
         kept = support[:, joint]
         if kept.any():
             # The unbiased refit, by a rank-revealing solver: a constant or repeated column gets
             # the minimum-norm answer instead of noise.
             solution = scipy.linalg.lstsq(
-                r[:, kept] / scale[kept], qty[:, joint], cond=RANK_CUTOFF, check_finite=False
+                theta[:, kept] / scale[kept], target, cond=RANK_CUTOFF, check_finite=False
             )[0]
             coefficients[kept, joint] = solution / scale[kept]
     status = FitStatus.OK if support.any(axis=0).all() else FitStatus.EMPTIED
     return Fit(
         status, coefficients, support, factor.rms(coefficients), factor.rows, factor.condition()
     )
+
+
+def _with_prior(
+    r: Array, qty: Array, scale: Array, prior: Prior, joint: int
+) -> tuple[Array, Array]:
+    """Rows of one joint, with those that its prior stands for below them."""
+    rows = prior.rows[:, joint]
+    used = np.isfinite(rows)
+    weight = np.sqrt(np.where(used, rows, 0.0)) * scale
+    theta = np.concatenate([r * used, np.diag(weight)])
+    return theta, np.concatenate([qty[:, joint], weight * prior.mean[:, joint]])
 
 
 def _stlsq(theta: Array, target: Array, settings: FitSettings) -> Array:

@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import IdentificationError, TooLittleDataError
+from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
 from adaptive_contact.fit.outliers import inliers, untouched
 from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
-from adaptive_contact.model.factor import Factor
 from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
 from adaptive_contact.model.noise import MIN_TICKS, WINDOWS, context, fit_noise, lagged
 from adaptive_contact.model.tail import fit_tail
-from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS, directions
@@ -38,6 +37,8 @@ Ints = NDArray[np.int64]
 FOLDS: Final = 5
 # Swings of one fold in a row, so that neighbours, which share posture and drift, stay together.
 FOLD_SWINGS: Final = 10
+# Where there are too few swings for that: each is a fold, or part of it.
+MOST_FOLDS: Final = 10
 # λ in units of the residual's own root mean square: a term that moves the prediction by less
 # than a fiftieth of the noise cannot be told from nothing; one that moves it by its whole is law.
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
@@ -45,8 +46,6 @@ SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 FEW_TICKS: Final = 200
 # Ticks in a row over which a slow leg is judged.
 SPANS: Final = (2, 4, 8, 16)
-# The sparsest model whose held-out error is within this of the best is taken.
-TOLERANCE: Final = 1.005
 # Without truth: the last ticks of a swing may hold the touch that ended it.
 LAST_TICKS: Final = 6
 
@@ -88,6 +87,10 @@ class LegFigures:
         condition: of the scaled regressors.
         spans: ticks in a row to the root mean square, (J,) rad, of held-out errors and of movements
             summed over so many.
+        strength: how firmly the fit holds on to what is known of any leg; None where the motions
+            determine all terms (:mod:`~adaptive_contact.fit.shrinkage`).
+        lone: ticks in which a motion went beyond all others, so that thresholds there are ten times
+            the noise and more.
     """
 
     rows: int
@@ -102,6 +105,8 @@ class LegFigures:
     library_size: int
     condition: float
     spans: dict[int, tuple[Array, Array]]
+    strength: float | None = None
+    lone: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +131,7 @@ class _Rows:
     theta: Array  # (n, p)
     target: Array  # (n, J)
     where: Ints  # (n,) context
-    fold: Ints  # (n,)
+    swing: Ints  # (n,) number, from 1 over all stretches
     position: Ints  # (n,) tick, with gaps of at least 3 between swings
     judged: Mask  # (n,) what a detector would judge: not the first ticks of a swing
     swings: int
@@ -245,39 +250,32 @@ def learn_leg(
         theta=rows.theta[keep],
         target=rows.target[keep],
         where=rows.where[keep],
-        fold=rows.fold[keep],
+        swing=rows.swing[keep],
         position=rows.position[keep],
         judged=rows.judged[keep],
     )
-    folds = [_factor(rows, rows.fold == f) for f in range(FOLDS)]
-    whole = Factor.merged(folds, library.size, len(leg.joints))
+    held = HeldOut(rows.theta, rows.target, _folds(rows, neighbours=first))
     naive = _rms(rows.target)
     still: Mask = naive < quantum_rad  # the readings of such joints may be constant
     rounding = quantum_rad / 12**0.5
-    plain = _checked(leg, fit_sparse(whole, FitSettings()), still)
-    unit = tuple(np.maximum(plain.rms, rounding).tolist())
-    sweep = SWEEP if threshold is None else (threshold,)
-    errors: dict[float, Array] = {}
-    residuals: dict[float, Array] = {}
-    for value in sweep:
-        held_out = _held_out(rows, folds, FitSettings(threshold=value, unit=unit), still)
-        if held_out is not None:
-            residuals[value] = held_out
-            errors[value] = _rms(held_out)
-    if not errors:
+    plain = _checked(leg, fit_sparse(held.whole, FitSettings()), still)
+    manner = Manner(library, tuple(np.maximum(plain.rms, rounding).tolist()))
+    lambdas = SWEEP if threshold is None else (threshold,)
+    best = swept(held, manner, lambdas, still, rounding)
+    if best is None:
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    best = np.maximum(np.min(list(errors.values()), axis=0), rounding)
-    # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
-    # there for joints whose best lie apart.
-    near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
-    chosen = max(near, default=min(errors))
-    fit = _checked(leg, fit_sparse(whole, FitSettings(threshold=chosen, unit=unit)), still)
+    strength = None if first else strength_of(held, best, still, rounding)
+    if strength is not None:
+        best = swept(held, manner.holding(held, strength), lambdas, still, rounding) or best
+    manner = best.manner
+    fit = manner.fit(held.whole, best.threshold)
+    fit = _checked(leg, fit, still)
     model = LegModel(library, fit.coefficients)
 
     # Noise and statistic from the ticks, and the windows, that a detector would judge.
-    residual = residuals[chosen][rows.judged]
+    residual = best.certain[rows.judged]
     position, where = rows.position[rows.judged], rows.where[rows.judged]
     histories = _histories(residual, position)
     noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if first else MIN_TICKS)
@@ -289,17 +287,19 @@ def learn_leg(
         outliers=outliers,
         swings=rows.swings,
         touched=touched,
-        threshold=chosen,
-        sweep={v: tuple(e.tolist()) for v, e in errors.items()},
-        held_out_rms=tuple(errors[chosen].tolist()),
+        threshold=best.threshold,
+        sweep={v: tuple(e.tolist()) for v, e in best.errors.items()},
+        held_out_rms=tuple(best.errors[best.threshold].tolist()),
         naive_rms=tuple(naive.tolist()),
         terms=tuple(int(n) for n in model.support.sum(axis=0)),
         library_size=library.size,
         condition=fit.condition,
-        spans=_spans(residuals[chosen], rows),
+        strength=manner.strength,
+        lone=best.lone,
+        spans=_spans(best.residual, rows),
     )
-    scale = whole.scale()
-    known = LegBaseline(model, noise, scale, len(rows.target), Domain.of(whole, scale))
+    scale = held.whole.scale()
+    known = LegBaseline(model, noise, scale, len(rows.target), manner.domain(held.whole))
     return known, figures, values
 
 
@@ -314,7 +314,7 @@ def _check_enough(leg: Leg, library: Library, ticks: int) -> None:
 
 
 def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad: float) -> _Rows:
-    theta, target, where, fold, position, judged = [], [], [], [], [], []
+    theta, target, where, swing, position, judged = [], [], [], [], [], []
     swings = 0
     offset = 0
     for stretch in stretches:
@@ -324,7 +324,6 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
         for lag in range(library.window.length):
             sound &= stretch.sound[cut.tick - lag]
         rows = np.flatnonzero(sound & use[cut.tick] & use[cut.tick + 1])
-        # Swings are numbered through, so that folds stay even over stretches.
         number = swings + np.cumsum(np.diff(stretch.swing.astype(int), prepend=0) == 1)
         swings = int(number[-1]) if len(number) else swings
         heading = directions(stretch.desired, leg)
@@ -333,7 +332,7 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
         theta.append(library.evaluate(cut.measured[rows], cut.desired[rows], cut.preview[rows]))
         target.append(cut.increment[rows])
         where.append(context(stretch.desired[tick], before, heading[tick], quantum_rad))
-        fold.append(number[tick] // FOLD_SWINGS % FOLDS)
+        swing.append(number[tick])
         position.append(offset + tick)
         # The row of tick k predicts tick k + 1, which is what would be judged.
         judged.append(swing_ticks(stretch.swing)[tick + 1] > LIFT_OFF_TICKS)
@@ -341,13 +340,13 @@ def _rows(leg: Leg, library: Library, stretches: Sequence[Stretch], quantum_rad:
     joints = len(leg.joints)
     if not theta:
         theta, target = [np.empty((0, library.size))], [np.empty((0, joints))]
-        where = fold = position = [np.empty(0, dtype=np.int64)]
+        where = swing = position = [np.empty(0, dtype=np.int64)]
         judged = [np.empty(0, dtype=bool)]
     return _Rows(
         np.concatenate(theta),
         np.concatenate(target),
         np.concatenate(where),
-        np.concatenate(fold),
+        np.concatenate(swing),
         np.concatenate(position),
         np.concatenate(judged),
         swings,
@@ -376,39 +375,19 @@ def cautious(swing: Mask) -> Mask:
     return np.asarray(swing & (from_start > LIFT_OFF_TICKS) & (to_end > LAST_TICKS))
 
 
-def _factor(rows: _Rows, mask: Mask) -> Factor:
-    factor = Factor(rows.theta.shape[1], rows.target.shape[1])
-    factor.add(rows.theta[mask], rows.target[mask])
-    return factor
-
-
-def _held_out(
-    rows: _Rows, folds: Sequence[Factor], settings: FitSettings, still: Mask
-) -> Array | None:
-    """Residuals of every row by a model of the other folds; None if λ empties a joint that moves.
-
-    Each is divided by what that model can know there (:class:`Domain`).
-    """
-    residual = np.empty_like(rows.target)
-    p, joints = rows.theta.shape[1], rows.target.shape[1]
-    for f in range(len(folds)):
-        inside = rows.fold == f
-        if not inside.any():
-            continue
-        others = Factor.merged((o for i, o in enumerate(folds) if i != f), p, joints)
-        fit = fit_sparse(others, settings)
-        if not fit.usable(still):
-            # A short recording may lie in one fold; then there is nothing to hold out.
-            fit = fit_sparse(Factor.merged(folds, p, joints), settings)
-            if not fit.usable(still):
-                return None
-        theta = rows.theta[inside]
-        # In a short recording the swings held out hold motions that no other swing has: there the
-        # model of the others fails and the model of all does not, and neither noise nor tail may
-        # be read off it.
-        spread = np.sqrt(1.0 + Domain.of(others, others.scale()).leverage(theta))
-        residual[inside] = (rows.target[inside] - theta @ fit.coefficients) / spread[:, None]
-    return residual
+def _folds(rows: _Rows, *, neighbours: bool) -> Ints:
+    """(n,) fold of each row."""
+    if neighbours or rows.swings >= FOLDS * FOLD_SWINGS:
+        return np.asarray(rows.swing // FOLD_SWINGS % FOLDS)
+    # Few swings, and long: each for itself, cut where there are too few to hold some out.
+    part = rows.swing - 1
+    pieces = -(-MOST_FOLDS // max(rows.swings, 1))
+    if pieces > 1:
+        part = part * pieces
+        for swing in range(1, rows.swings + 1):
+            inside = np.flatnonzero(rows.swing == swing)
+            part[inside] += np.arange(len(inside)) * pieces // max(len(inside), 1)
+    return np.asarray(part % MOST_FOLDS)
 
 
 def _spans(residual: Array, rows: _Rows) -> dict[int, tuple[Array, Array]]:

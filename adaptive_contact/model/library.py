@@ -38,6 +38,7 @@ __all__ = [
     "ChangeLibrary",
     "Library",
     "LibraryName",
+    "TermGroup",
     "friction_terms",
     "leg_library",
     "soft_term",
@@ -56,6 +57,8 @@ FORETOLD_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
 SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
+# Forms of terms that grow with the command, however far it steps.
+_UNBOUNDED: Final = ("e_", "Δu_", "u_")
 
 
 class _ServoShape(NamedTuple):
@@ -70,6 +73,22 @@ class _ServoShape(NamedTuple):
     linear: Array
     clipped: slice
     curved: tuple[tuple[slice, np.ufunc], ...]
+
+
+class TermGroup(NamedTuple):
+    """Describes terms of one form, one of every joint, side by side.
+
+    Attributes:
+        form: name, with ``{}`` for the joint.
+        first: column of the first joint's.
+        bounded: a joint's range or its servo's law bound it; a command's step has no bound.
+        alike: joints of one kind of servo have like coefficients.
+    """
+
+    form: str
+    first: int
+    bounded: bool
+    alike: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,22 +262,44 @@ class Library:
             curved=((bounds[2], np.tanh), (bounds[3], np.cos), (bounds[4], np.sin)),
         )
 
-    def _servo_names(self) -> list[str]:
-        w, joints = self.window, self.joints
+    @cached_property
+    def groups(self) -> tuple[TermGroup, ...]:
+        """Terms that each joint has one of; none of a library whose terms mix joints."""
+        if self.name != "servo":
+            return ()
+        w, joints = self.window, len(self.joints)
         depth = min(w.past_measured, w.past_desired) + 1
-        names = ["1", *(f"θ_{j}" for j in joints)]
-        names += [f"v_{j}{_at(-lag)}" for lag in range(w.past_measured) for j in joints]
-        names += [f"e_{j}/s" for j in joints]
-        names += [f"Δu_{j}{_at(-lag)}" for lag in range(w.past_desired) for j in joints]
-        names += [f"sat(e_{j}{_at(-lag)}/s)" for lag in range(depth) for j in joints]
-        names += [f"sat(e⁻_{j}{_at(-lag)}/s)" for lag in range(depth - 1) for j in joints]
-        names += [f"sat(e_{j}/{f:g}s)" for f in SLOPE_FACTORS[1:] for j in joints]
+        forms = ["θ_{}"]
+        forms += [f"v_{{}}{_at(-lag)}" for lag in range(w.past_measured)]
+        forms += ["e_{}/s"]
+        forms += [f"Δu_{{}}{_at(-lag)}" for lag in range(w.past_desired)]
+        forms += [f"sat(e_{{}}{_at(-lag)}/s)" for lag in range(depth)]
+        forms += [f"sat(e⁻_{{}}{_at(-lag)}/s)" for lag in range(depth - 1)]
+        forms += [f"sat(e_{{}}/{f:g}s)" for f in SLOPE_FACTORS[1:]]
         if w.past_measured:
-            names += [f"sat((e_{j}-v_{j}/2)/s)" for j in joints]
-            names += [f"tanh(v_{j}/v₀)" for j in joints]
-        names += [f"{of} {angle.name}" for of in ("cos", "sin") for angle in self.gravity]
-        names += [f"u_{j}{_at(lead)}-u_{j}" for lead in range(1, w.preview + 1) for j in joints]
-        return names
+            forms += ["sat((e_{}-v_{}/2)/s)", "tanh(v_{}/v₀)"]
+        firsts = [1 + joints * i for i in range(len(forms))]
+        ahead = [f"u_{{}}{_at(lead)}-u_{{}}" for lead in range(1, w.preview + 1)]
+        behind = 1 + joints * len(forms) + 2 * len(self.gravity)
+        firsts += [behind + joints * i for i in range(len(ahead))]
+        return tuple(
+            TermGroup(form, first, not form.startswith(_UNBOUNDED), form != "θ_{}")
+            for form, first in zip(forms + ahead, firsts, strict=True)
+        )
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(p,) terms that tell how the leg moves; the others, where it stands."""
+        of_motion = np.zeros(self.size, dtype=bool)
+        for group in self.groups:
+            of_motion[group.first : group.first + len(self.joints)] = group.alike
+        return of_motion
+
+    def _servo_names(self) -> list[str]:
+        turned = [f"{of} {angle.name}" for of in ("cos", "sin") for angle in self.gravity]
+        behind = 1 + len(self.joints) * sum(not g.form.startswith("u_") for g in self.groups)
+        names = ["1", *(g.form.replace("{}", j) for g in self.groups for j in self.joints)]
+        return names[:behind] + turned + names[behind:]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -134,6 +134,7 @@ class _LegFile(msgspec.Struct, forbid_unknown_fields=True):
     covariance: list[list[list[list[float]]]]
     ticks: list[float]
     domain: list[str] | None = None  # rows of the upper triangle, each from its diagonal on
+    doubt: float | msgspec.UnsetType = msgspec.UNSET  # of terms that tell how the leg moves
 
 
 class _LibraryFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -315,6 +316,7 @@ def leg_library_of(
 
 def _leg_file(known: LegBaseline) -> _LegFile:
     library = known.model.library
+    doubt = None if known.domain is None else known.domain.doubt
     return _LegFile(
         joints=library.joints,
         axes=library.axes,
@@ -324,6 +326,7 @@ def _leg_file(known: LegBaseline) -> _LegFile:
         covariance=known.noise.covariance.tolist(),
         ticks=known.noise.ticks.tolist(),
         domain=None if known.domain is None else _rows_of(known.domain.triangle),
+        doubt=msgspec.UNSET if doubt is None else float(doubt.max()),
     )
 
 
@@ -331,7 +334,8 @@ def _rows_of(triangle: Array) -> list[str]:
     return [" ".join(f"{value:.4g}" for value in row[i:]) for i, row in enumerate(triangle)]
 
 
-def _domain(rows: list[str] | None, scale: Array) -> Domain | None:
+def _domain(entry: _LegFile, library: Library, scale: Array) -> Domain | None:
+    rows = entry.domain
     if rows is None:
         return None
     p = len(scale)
@@ -343,7 +347,9 @@ def _domain(rows: list[str] | None, scale: Array) -> Domain | None:
         raise IdentificationError(
             f"its domain is no triangle of {p} rows; fit a new one"
         ) from error
-    return Domain(triangle, scale)
+    if entry.doubt is msgspec.UNSET:
+        return Domain(triangle, scale)
+    return Domain(triangle, scale, doubt=np.where(library.moves, entry.doubt, 1.0))
 
 
 def _baseline(file: _File) -> Baseline:
@@ -383,7 +389,7 @@ def _leg(leg: str, entry: _LegFile, of: _LibraryFile) -> LegBaseline:
     if not (np.isfinite(scale).all() and (scale > 0).all()):
         raise IdentificationError(f"leg '{leg}': a scale is missing or not above 0")
     model, noise = LegModel(library, coefficients), NoiseModel(covariance, ticks)
-    return LegBaseline(model, noise, scale, entry.rows, _domain(entry.domain, scale))
+    return LegBaseline(model, noise, scale, entry.rows, _domain(entry, library, scale))
 
 
 def _array(values: object, shape: tuple[int, ...], what: str) -> Array:

@@ -1,0 +1,256 @@
+"""Chooses how to fit a leg by errors on rows held out.
+
+The rows are dealt into folds, and each fold is predicted by a model of the others.  λ is chosen so,
+and whether the fit holds on to what is known of any leg (:mod:`.shrinkage`): where the folds are
+motions of their own, the one thing that a model can be asked is what it says of the next motion.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptive_contact.fit.shrinkage import STRENGTHS, doubtful_domain, shrinkage
+from adaptive_contact.fit.sparse_regression import Fit, FitSettings, fit_sparse
+from adaptive_contact.model.factor import Factor
+from adaptive_contact.model.library import Library
+from adaptive_contact.model.training_domain import Domain
+
+__all__ = ["HeldOut", "Manner", "Sweep", "strength_of", "swept"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+# The sparsest model whose held-out error is within this of the best is taken.
+TOLERANCE: Final = 1.005
+# By what logarithm held-out errors must fall, where the prior is to be held on to: 0.13 to 0.9 on
+# half the motions of an arm, at most 0.055 on 65 swings of a walking hexapod (decision 43).
+LEAST_GAIN: Final = 0.1
+# Mean leverage of held-out rows from which on any gain will do, as what the other folds do not tell
+# is more than the noise: 20 to 800 on most of an arm's motions, 0.05 to 2.7 on those 65 swings,
+# 0.01 to 0.1 on ten minutes of walking.
+UNDETERMINED: Final = 10.0
+# Strengths that keep so much of the best one's gain are as good, and the firmest is the safest.
+KEPT_GAIN: Final = 0.9
+# Times the noise by which a tick is judged that is told to be like no other.
+LONE_SPREAD: Final = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Manner:
+    """Describes how a leg is fitted.
+
+    Attributes:
+        library: the terms to choose from.
+        unit: (J,) rad, of λ.
+        strength: how firmly it holds on to what is known of any leg; None for not at all.
+        doubt: times that the leverage of a motion counts, beyond that of a position.
+    """
+
+    library: Library
+    unit: tuple[float, ...]
+    strength: float | None = None
+    doubt: float = 1.0
+
+    def fit(self, factor: Factor, threshold: float) -> Fit:
+        """Fit some rows.
+
+        Args:
+            factor: of the rows.
+            threshold: λ.
+        """
+        prior = None if self.strength is None else shrinkage(factor, self.library, self.strength)
+        return fit_sparse(factor, FitSettings(threshold=threshold, unit=self.unit, prior=prior))
+
+    def domain(self, factor: Factor) -> Domain:
+        """Make the domain of a fit to some rows."""
+        if self.strength is None:
+            return Domain.of(factor, factor.scale())
+        prior = shrinkage(factor, self.library, self.strength)
+        return doubtful_domain(factor, self.library, prior, self.doubt)
+
+    def holding(self, held: HeldOut, strength: float) -> Manner:
+        """Return the manner that holds on to what is known of any leg.
+
+        A motion of the typical leverage is then judged by √2 of the noise, one that goes as far
+        beyond the others as a step among slow swings by as much more.
+        """
+        moving = dataclasses.replace(self, strength=strength).domain(held.whole)
+        moving = dataclasses.replace(moving, doubt=self.library.moves.astype(np.float64))
+        typical = float(np.median(moving.leverage(held.theta)))
+        doubt = max(1.0 / typical, 1.0) if typical > 0.0 else 1.0
+        return dataclasses.replace(self, strength=strength, doubt=doubt)
+
+
+class HeldOut:
+    """Holds rows dealt into folds, each to be predicted by a model of the others.
+
+    Args:
+        theta: (n, p) regressors.
+        target: (n, J) rad.
+        fold: (n,) numbers from 0.
+
+    Attributes:
+        whole: all rows.
+    """
+
+    def __init__(self, theta: Array, target: Array, fold: Ints) -> None:
+        self.theta, self.target = theta, target
+        p, joints = theta.shape[1], target.shape[1]
+        masks = [fold == f for f in range(int(fold.max(initial=0)) + 1)]
+        factors = []
+        for mask in masks:
+            factors.append(Factor(p, joints))
+            factors[-1].add(theta[mask], target[mask])
+        self.whole = Factor.merged(factors, p, joints)
+        self._parts: list[tuple[Mask, Factor]] = [
+            (mask, Factor.merged((o for k, o in enumerate(factors) if k != f), p, joints))
+            for f, mask in enumerate(masks)
+            if mask.any()
+        ]
+
+    def residual(self, manner: Manner, threshold: float, still: Mask) -> Array | None:
+        """Compute (n, J) of every row by a model of the others; None if a moving joint has none.
+
+        Args:
+            manner: of the fits.
+            threshold: λ.
+            still: (J,) joints that stand.
+        """
+        residual = np.empty_like(self.target)
+        for inside, others in self._parts:
+            fit = manner.fit(others, threshold)
+            if not fit.usable(still):
+                # A short recording may lie in one fold; then there is nothing to hold out.
+                fit = manner.fit(self.whole, threshold)
+                if not fit.usable(still):
+                    return None
+            residual[inside] = self.target[inside] - self.theta[inside] @ fit.coefficients
+        return residual
+
+    def spread(self, manner: Manner) -> Array:
+        """Compute (n,) by how much more than the noise a model of the others may err.
+
+        In a short recording the swings held out hold motions that no other swing has: there the
+        model of the others fails and the model of all does not, and neither noise nor tail may be
+        read off it.
+        """
+        spread = np.empty(len(self.target))
+        for inside, others in self._parts:
+            leverage = manner.domain(others).leverage(self.theta[inside])
+            spread[inside] = np.sqrt(1.0 + leverage)
+        return spread
+
+    def gain(self, before: Array, after: Array, least: float) -> float:
+        """Compute by what logarithm residuals fell, in the mean over folds and joints.
+
+        Args:
+            before: (n, J) residuals.
+            after: (n, J) others.
+            least: rad, error that is none.
+        """
+
+        def sizes(residual: Array) -> Array:
+            squares = [np.square(residual[inside]).mean(axis=0) for inside, _ in self._parts]
+            return 0.5 * np.log(np.array(squares) + least**2)
+
+        return float((sizes(before) - sizes(after)).mean())
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """Holds what came of fits with several λ.
+
+    Attributes:
+        manner: of the fits.
+        threshold: λ that was chosen.
+        errors: λ to (J,) held-out root mean square, over what could be known there.
+        residual: (n, J) held out, at the λ that was chosen, over what could be known there.
+        certain: (n, J) the same, over what may be expected there of a motion that is new.
+        lone: ticks in which that is ten times the noise and more, as no other motion is like them.
+    """
+
+    manner: Manner
+    threshold: float
+    errors: dict[float, Array]
+    residual: Array
+    certain: Array
+    lone: int = 0
+
+
+def swept(
+    held: HeldOut, manner: Manner, lambdas: Sequence[float], still: Mask, rounding: float
+) -> Sweep | None:
+    """Choose λ by held-out error.
+
+    Args:
+        held: the rows.
+        manner: of the fits.
+        lambdas: to choose from.
+        still: (J,) joints that stand.
+        rounding: rad, deviation of a reading.
+
+    Returns:
+        What came of it; None where every λ empties a joint that moves.
+    """
+    spread = held.spread(dataclasses.replace(manner, doubt=1.0))[:, None]
+    errors: dict[float, Array] = {}
+    residuals: dict[float, Array] = {}
+    for value in lambdas:
+        residual = held.residual(manner, value, still)
+        if residual is not None:
+            residuals[value] = residual / spread
+            errors[value] = np.sqrt(np.square(residuals[value]).mean(axis=0))
+    if not errors:
+        return None
+    best = np.maximum(np.min(list(errors.values()), axis=0), rounding)
+    # Of every joint: a mean would let one joint pay for the others' sparsity.  The smallest λ is
+    # there for joints whose best lie apart.
+    near = [v for v, e in errors.items() if (e <= TOLERANCE * best).all()]
+    chosen = max(near, default=min(errors))
+    if manner.strength is None:
+        return Sweep(manner, chosen, errors, residuals[chosen], residuals[chosen])
+    # Of motions that no other is like, each joint has another best λ: here the mean decides.
+    first = residuals[chosen]
+    gains = {v: held.gain(first, r, rounding) for v, r in residuals.items()}
+    least = max(gains.values()) - math.log(TOLERANCE)
+    chosen = max(value for value, gain in gains.items() if gain >= least)
+    residual = residuals[chosen]
+    expected = held.spread(manner)
+    certain = residual * spread / expected[:, None]
+    lone = int(np.count_nonzero(expected > LONE_SPREAD))
+    return Sweep(manner, chosen, errors, residual, certain, lone)
+
+
+def strength_of(held: HeldOut, plain: Sweep, still: Mask, rounding: float) -> float | None:
+    """Tell how firmly to hold on to what is known of any leg.
+
+    Args:
+        held: the rows.
+        plain: fits that do not.
+        still: (J,) joints that stand.
+        rounding: rad, deviation of a reading.
+
+    Returns:
+        A strength; None where the data tell enough.
+    """
+    if not plain.manner.library.groups:
+        return None  # of its terms nothing is known
+    without = held.residual(plain.manner, plain.threshold, still)
+    gains: dict[float, float] = {}
+    for strength in STRENGTHS:
+        manner = dataclasses.replace(plain.manner, strength=strength)
+        with_it = held.residual(manner, 0.0, still)
+        if without is not None and with_it is not None:
+            gains[strength] = held.gain(without, with_it, rounding)
+    best = max(gains.values(), default=0.0)
+    beyond = float((np.square(held.spread(plain.manner)) - 1.0).mean())
+    if best < (0.0 if beyond > UNDETERMINED else LEAST_GAIN):
+        return None
+    return max(strength for strength, gain in gains.items() if gain >= KEPT_GAIN * best)

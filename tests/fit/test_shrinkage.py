@@ -1,0 +1,344 @@
+"""Fits that hold on to what is known of any leg, against dense least squares on the raw rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from adaptive_contact.cli.fit import undetermined
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit import FitSettings, fit_sparse
+from adaptive_contact.fit.held_out import HeldOut, Manner, strength_of, swept
+from adaptive_contact.fit.shrinkage import LEAST, OTHERS, shrinkage
+from adaptive_contact.fit.sparse_regression import Prior
+from adaptive_contact.fit.train import Stretch, Training, learn
+from adaptive_contact.model import Domain, Factor, Library, Window
+from adaptive_contact.model.model_file import dump_baseline, load_baseline
+from adaptive_contact.model.training_domain import PRIOR_DEVIATIONS
+from adaptive_contact.model.window import stack
+from adaptive_contact.robot import parse_robot
+
+Array = NDArray[np.float64]
+
+QUANTUM = 0.0015
+ARM = f"""
+[robot]
+name = "arm"
+period_s = 0.02
+quantum_rad = {QUANTUM}
+[[leg]]
+id = "arm"
+joints = ["pan", "lift", "elbow"]
+"""
+LIBRARY = Library("servo", ("pan", "lift", "elbow"), ("yaw", "pitch", "pitch"))
+
+
+def factor_of(theta: Array, target: Array) -> Factor:
+    factor = Factor(theta.shape[1], target.shape[1])
+    factor.add(theta, target)
+    return factor
+
+
+# -- the prior of a fit ------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.integers(2, 9), st.integers(1, 3), st.integers(10, 40))
+def test_a_prior_counts_like_rows_of_the_terms_size(seed: int, p: int, joints: int, n: int) -> None:
+    """Minimises |y − Θβ|² + Σ rows · (scale · (β − mean))², without the terms that are left out."""
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(n, p)) * 10.0 ** rng.uniform(-2, 2, p)
+    target = rng.normal(size=(n, joints))
+    mean = rng.normal(size=(p, joints))
+    rows = 10.0 ** rng.uniform(-2, 3, (p, joints))
+    rows[rng.random((p, joints)) < 0.2] = np.inf
+    rows[0] = 1.0
+    fit = fit_sparse(factor_of(theta, target), FitSettings(ridge=0.0, prior=Prior(mean, rows)))
+    scale = np.sqrt(np.square(theta).mean(axis=0))
+    for joint in range(joints):
+        used = np.isfinite(rows[:, joint])
+        weight = np.diag(np.sqrt(rows[used, joint]) * scale[used])
+        stacked = np.concatenate([theta[:, used], weight])
+        aim = np.concatenate([target[:, joint], weight @ mean[used, joint]])
+        # In units of the columns: those of the raw rows differ by four orders.
+        expected = np.linalg.lstsq(stacked / scale[used], aim, rcond=None)[0] / scale[used]
+        found = fit.coefficients[:, joint]
+        assert (found[~used] == 0.0).all()
+        np.testing.assert_allclose(found[used] * scale[used], expected * scale[used], atol=1e-7)
+
+
+def test_a_prior_of_no_rows_changes_nothing() -> None:
+    rng = np.random.default_rng(3)
+    theta, target = rng.normal(size=(50, 6)), rng.normal(size=(50, 2))
+    factor = factor_of(theta, target)
+    none = Prior(np.ones((6, 2)), np.zeros((6, 2)))
+    plain = fit_sparse(factor, FitSettings(threshold=0.1)).coefficients
+    held = fit_sparse(factor, FitSettings(threshold=0.1, prior=none)).coefficients
+    np.testing.assert_allclose(held, plain, atol=1e-10)
+
+
+# -- what is known of any leg ------------------------------------------------------------------
+
+
+def test_groups_name_the_terms_and_tell_which_have_no_bound() -> None:
+    """A command ten times as far away moves a bounded term by no more than the law's slope."""
+    library = Library("servo", ("a", "b"), ("yaw", "pitch"), window=Window(preview=2))
+    seen = np.zeros(library.size, dtype=bool)
+    rng = np.random.default_rng(1)
+    w = library.window
+    measured = rng.normal(scale=0.01, size=(40, w.past_measured + 1, 2))
+    far = rng.normal(size=(40, w.past_desired + 1, 2)) * 1e4
+    ahead = rng.normal(size=(40, 2, 2)) * 1e4
+    near = library.evaluate(measured, far, ahead)
+    further = library.evaluate(measured, 10.0 * far, 10.0 * ahead)
+    for group in library.groups:
+        columns = slice(group.first, group.first + 2)
+        assert library.names[columns] == tuple(group.form.replace("{}", j) for j in ("a", "b"))
+        assert not seen[columns].any(), "a term of two groups"
+        seen[columns] = True
+        grown = np.abs(further[:, columns]).max() > 2.0 * np.abs(near[:, columns]).max()
+        assert grown == (not group.bounded), group.form
+    others = {name for name, known in zip(library.names, seen, strict=True) if not known}
+    assert others == {n for n in library.names if n == "1" or n[:3] in ("cos", "sin")}
+    assert Library("linear", ("a",), ("pitch",)).groups == ()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([0.01, 1.0]))
+def test_what_joints_share_is_one_fit_to_all_of_them(seed: int, strength: float) -> None:
+    """Against one dense system: shared coefficients, and gravity and position for each joint."""
+    rng = np.random.default_rng(seed)
+    n, joints = 200, 3
+    motion = np.cumsum(rng.normal(scale=0.05, size=(n, joints)), axis=0)
+    cut = stack(motion, motion + rng.normal(scale=0.1, size=(n, joints)), LIBRARY.window)
+    theta = LIBRARY.evaluate(cut.measured, cut.desired, cut.preview)
+    target = rng.normal(size=(len(theta), joints))
+    prior = shrinkage(factor_of(theta, target), LIBRARY, strength)
+
+    n = len(theta)
+    size = np.sqrt(np.square(theta).mean(axis=0))
+    bounded = [g for g in LIBRARY.groups if g.bounded]
+    alike = [[g.first + j for g in bounded if g.alike] for j in range(joints)]
+    place = next(g.first for g in bounded if not g.alike)
+    of_joints = {g.first + j for g in LIBRARY.groups for j in range(joints)}
+    common = [i for i in range(LIBRARY.size) if i not in of_joints]
+    shared, own = len(alike[0]), len(common) + 1
+    system, aim = [], []
+    for j in range(joints):
+        rest = [*common, place + j]
+        block = np.zeros((n + own, shared + joints * own))
+        block[:n, :shared] = theta[:, alike[j]]
+        mine = slice(shared + j * own, shared + (j + 1) * own)
+        block[:n, mine] = theta[:, rest]
+        block[n:, mine] = np.diag(np.sqrt(LEAST * n * size[rest] ** 2))
+        system.append(block)
+        aim.append(np.concatenate([target[:, j], np.zeros(own)]))
+    typical = np.sqrt(np.mean([size[columns] ** 2 for columns in alike], axis=0))
+    firm = np.zeros((shared, shared + joints * own))
+    firm[:, :shared] = np.diag(np.sqrt(LEAST * n * joints) * typical)
+    system.append(firm)
+    aim.append(np.zeros(shared))
+    whole = np.concatenate(system)
+    expected = np.linalg.lstsq(whole, np.concatenate(aim), rcond=None)[0][:shared]
+    for j in range(joints):
+        np.testing.assert_allclose(
+            prior.mean[alike[j], j] * typical, expected * typical, rtol=1e-4, atol=1e-7
+        )
+        others = np.ones(LIBRARY.size, dtype=bool)
+        others[alike[j]] = False
+        assert (prior.mean[others, j] == 0.0).all()
+        np.testing.assert_allclose(prior.rows[alike[j], j], strength * n)
+        np.testing.assert_allclose(prior.rows[[*common, place + j], j], LEAST * n)
+        neighbours = [i for k in range(joints) if k != j for i in alike[k]]
+        np.testing.assert_allclose(prior.rows[neighbours, j], OTHERS * strength * n)
+    unbounded = [g.first + j for g in LIBRARY.groups if not g.bounded for j in range(joints)]
+    assert unbounded
+    assert np.isinf(prior.rows[unbounded]).all()
+
+
+# -- what a fit does not know ------------------------------------------------------------------
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(2, 7), st.floats(1.0, 1e4))
+def test_doubt_counts_what_a_term_adds_to_those_before_it(
+    seed: int, rows: int, terms: int, doubt: float
+) -> None:
+    """h of the certain terms alone, and ``doubt`` times what all terms add to it."""
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(size=(rows, terms)) * 10.0 ** rng.uniform(-2, 2, terms)
+    new = rng.normal(size=(5, terms)) * np.abs(theta).mean(axis=0)
+    doubtful = rng.random(terms) < 0.5
+    scale = np.sqrt(np.square(theta).mean(axis=0))
+
+    def dense(columns: NDArray[np.bool_]) -> Array:
+        phi, asked = (x[:, columns] / scale[columns] for x in (theta, new))
+        information = phi.T @ phi + np.eye(int(columns.sum())) / PRIOR_DEVIATIONS**2
+        return np.einsum("ij,ji->i", asked, np.linalg.solve(information, asked.T))
+
+    certain, whole = dense(~doubtful), dense(np.ones(terms, dtype=bool))
+    plain = Domain.of(factor_of(theta, np.zeros((rows, 1))), scale)
+    domain = Domain(plain.triangle, scale, doubt=np.where(doubtful, doubt, 1.0))
+    expected = certain + doubt * (whole - certain)
+    np.testing.assert_allclose(
+        domain.leverage(new), expected, rtol=1e-5, atol=1e-8 * doubt * whole.max()
+    )
+    assert (domain.leverage(new) >= plain.leverage(new) * (1.0 - 1e-9)).all()
+
+
+@pytest.mark.parametrize("doubt", [np.ones(3), np.array([1.0, np.nan]), np.array([1.0, -1.0])])
+def test_doubts_that_are_none_are_refused(doubt: Array) -> None:
+    with pytest.raises(IdentificationError, match="expected 2 doubts of 0 and more"):
+        Domain(np.eye(2), np.ones(2), doubt=doubt)
+
+
+# -- stretches held out ------------------------------------------------------------------------
+
+
+def test_each_fold_is_predicted_by_a_fit_of_the_others() -> None:
+    rng = np.random.default_rng(5)
+    theta, target = rng.normal(size=(90, 7)), rng.normal(size=(90, 2))
+    fold = rng.integers(0, 4, 90)
+    library = Library("linear", ("a", "b"), ("yaw", "pitch"))
+    residual = HeldOut(theta, target, fold).residual(
+        Manner(library, (1.0, 1.0)), 0.0, np.zeros(2, dtype=bool)
+    )
+    assert residual is not None
+    for k in range(4):
+        inside = fold == k
+        beta = np.linalg.lstsq(theta[~inside], target[~inside], rcond=None)[0]
+        np.testing.assert_allclose(
+            residual[inside], target[inside] - theta[inside] @ beta, atol=1e-5
+        )
+
+
+def arm_motion(rng: np.random.Generator, n: int, kind: int, reach: float = 0.6) -> Stretch:
+    """Three saturating servos, late and with friction; each kind moves one joint the most."""
+    t = np.arange(n) * 0.02
+    size = np.where(np.arange(3) == kind % 3, reach, 0.05)
+    desired = size * np.sin(2.0 * np.pi * rng.uniform(0.1, 0.4, 3) * t[:, None])
+    return follow(rng, desired)
+
+
+def follow(rng: np.random.Generator, desired: Array) -> Stretch:
+    position = np.zeros_like(desired)
+    speed = np.zeros(3)
+    for k in range(len(desired) - 1):
+        drive = np.clip((desired[k] - position[k]) / 0.164, -1.0, 1.0)
+        speed = 0.6 * speed + 0.4 * 0.09 * drive
+        position[k + 1] = position[k] + speed
+    noise = rng.normal(scale=QUANTUM / 3.0, size=position.shape)
+    measured = np.round((position + noise) / QUANTUM) * QUANTUM
+    always = np.ones(len(desired), dtype=bool)
+    return Stretch(measured, desired, always, always, always)
+
+
+def trained(stretches: list[Stretch]) -> Training:
+    return learn(parse_robot(ARM, source="arm"), {"arm": stretches}, origin="test")
+
+
+def unseen_rms(training: Training, stretch: Stretch) -> Array:
+    model = training.baseline.legs["arm"].model
+    cut = stack(stretch.measured, stretch.desired, model.library.window)
+    theta = model.library.evaluate(cut.measured, cut.desired, cut.preview)
+    return np.sqrt(np.square(cut.increment - theta @ model.coefficients).mean(axis=0))
+
+
+def slow_motions(rng: np.random.Generator) -> list[Stretch]:
+    return [arm_motion(rng, 600, kind, 0.15) for kind in range(9)]
+
+
+def with_a_leap() -> list[Stretch]:
+    """Nine slow motions, and one in which the commands leap once, at a speed never seen else."""
+    rng = np.random.default_rng(21)
+    leap = 0.1 * np.sin(np.arange(600) / 30.0)[:, None] * np.ones(3)
+    leap[300:] += 1.5
+    return [*slow_motions(rng), follow(rng, leap)]
+
+
+@pytest.fixture(scope="module")
+def few() -> Training:
+    """What a fast motion does, a single leap tells."""
+    return trained(with_a_leap())
+
+
+@pytest.fixture(scope="module")
+def plain() -> Iterator[Training]:
+    """The same recording, by least squares alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("adaptive_contact.fit.train.strength_of", lambda *_: None)
+        yield trained(with_a_leap())
+
+
+def test_few_motions_hold_on_and_a_new_motion_is_predicted(few: Training, plain: Training) -> None:
+    rng = np.random.default_rng(12)
+    assert few.figures["arm"].strength is not None
+    assert plain.figures["arm"].strength is None
+    sides = np.sign(np.sin(np.arange(600)[:, None] / 40.0 + np.arange(3)))
+    fast = follow(rng, 0.5 + 0.7 * sides)
+    assert unseen_rms(few, fast).mean() < 0.5 * unseen_rms(plain, fast).mean()
+
+
+def test_a_baseline_keeps_its_doubt(few: Training, tmp_path: Path) -> None:
+    file = tmp_path / "baseline.json"
+    file.write_text(dump_baseline(few.baseline))
+    before, after = few.baseline.legs["arm"].domain, load_baseline(file).legs["arm"].domain
+    assert before is not None
+    assert after is not None
+    assert before.doubt is not None
+    assert after.doubt is not None
+    np.testing.assert_allclose(after.doubt, before.doubt)
+    rng = np.random.default_rng(2)
+    theta = rng.normal(size=(20, len(before.scale))) * before.scale
+    np.testing.assert_allclose(after.leverage(theta), before.leverage(theta), rtol=0.02)
+
+
+def test_motions_that_determine_all_terms_hold_on_to_nothing(tmp_path: Path) -> None:
+    rng = np.random.default_rng(13)
+    n = 6000
+    steps = np.repeat(rng.uniform(-0.8, 0.8, (n // 10, 3)), 10, axis=0)
+    training = trained([follow(rng, steps + rng.normal(scale=0.02, size=(n, 3)))])
+    assert training.figures["arm"].strength is None
+    file = tmp_path / "baseline.json"
+    file.write_text(dump_baseline(training.baseline))
+    assert b'"doubt"' not in file.read_bytes()
+
+
+def test_without_groups_nothing_is_known() -> None:
+    rng = np.random.default_rng(5)
+    library = Library("linear", ("a",), ("pitch",))
+    theta, target = rng.normal(size=(60, library.size)), rng.normal(size=(60, 1))
+    held = HeldOut(theta, target, np.arange(60) // 20)
+    still = np.zeros(1, dtype=bool)
+    plain = swept(held, Manner(library, (1.0,)), (0.0,), still, 0.001)
+    assert plain is not None
+    assert strength_of(held, plain, still, 0.001) is None
+
+
+# -- a few ticks at speeds that no other motion has --------------------------------------------
+
+
+def threshold_of(training: Training) -> float:
+    return max(tail.quantile(1e-6) for tail in training.baseline.tails)
+
+
+def test_a_few_ticks_like_no_other_raise_no_threshold_and_are_told(
+    few: Training, plain: Training
+) -> None:
+    """Errors of the leap are no noise of the slow motions."""
+    rng = np.random.default_rng(21)
+    without = trained([*slow_motions(rng), arm_motion(rng, 600, 0, 0.15)])
+    assert threshold_of(few) < 2.0 * threshold_of(without)
+    assert threshold_of(few) < threshold_of(plain)
+    known = few.figures["arm"]
+    assert 0 < known.lone < 0.05 * known.rows
+    said = undetermined("arm", known)
+    assert said.startswith("leg 'arm': its motions ")
+    assert f"{known.lone} ticks move as no other motion does" in said
+    assert said.endswith("record more motions, at every speed that the leg will have")
+    assert "\n" not in said
