@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from adaptive_contact.bridge.training import free_swings
-from adaptive_contact.cli import _robot_learning as command
+from adaptive_contact.cli import _options
 from adaptive_contact.cli import main as cli
 from adaptive_contact.errors import AdaptiveContactError, ConfigurationError
 from adaptive_contact.model.model_file import load_baseline
@@ -86,7 +86,7 @@ def learn_live(
             return subscribe(self, key, counted)
 
         monkeypatch.setattr(Link, "subscribe", counting)
-        monkeypatch.setattr(command, "stoppable", lambda: stop)
+        monkeypatch.setattr(_options, "stoppable", lambda: stop)
         publishers = {leg: router.publisher(servo_key(leg), reliable=True) for leg in dict(samples)}
 
         def publish() -> None:

@@ -247,7 +247,7 @@ def test_what_the_wire_itself_shows() -> None:
 @pytest.fixture
 def run_live(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable]:
     """The command, beside a source that publishes all samples; ends when they are taken in."""
-    from adaptive_contact.cli import _robot_check as command
+    from adaptive_contact.cli import _options
 
     if not cli.app.registered_groups:
         cli._register()
@@ -266,7 +266,7 @@ def run_live(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable
                 stop.set()
 
         monkeypatch.setattr(LiveCheck, "take", counted)
-        monkeypatch.setattr(command, "stoppable", lambda: stop)
+        monkeypatch.setattr(_options, "stoppable", lambda: stop)
         publishers = {leg: router.publisher(servo_key(leg), reliable=True) for leg in dict(samples)}
 
         def publish() -> None:
