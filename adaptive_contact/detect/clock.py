@@ -25,6 +25,9 @@ MEAN_STEPS: Final = 30
 # A model's velocities are per tick: at a rate further off than this it predicts another leg.
 MOST_OFF: Final = 0.10
 STEADY_OFF: Final = 0.05
+# Standard errors by which the mean of a loop whose delays add up is beyond the limit before it
+# counts; in half an hour of ticks chance gives 3.5.
+RATE_SURE: Final = 2.0
 # A step longer than so many periods is a whole tick that came late, where ticks are known to.
 LATE_PERIODS: Final = 1.6
 # A step this many times too long is a pause of the source, counted by `seq` or not.
@@ -106,14 +109,20 @@ def judge_rate(leg, ring):
     """Compare the mean of as many steps as their spread asks for with the period."""
     steps = RATE_STEPS
     if leg.spread:
+        # Errors of stamps cancel in a mean.  Delays of a loop that slips add up: a few of them in a
+        # row are not another rate.
         wanted = RATE_ERRORS * math.sqrt(leg.spread) / MOST_OFF
-        steps = max(RATE_STEPS, min(math.ceil(wanted), MOST_RATE_STEPS))
+        most = leg.late == 1 or wanted > MOST_RATE_STEPS
+        steps = MOST_RATE_STEPS if most else max(RATE_STEPS, math.ceil(wanted))
     leg.told_by = steps + 1
     if min(leg.ring_n, RING) <= steps:
         return
     first, last = (leg.ring_n - 1 - steps) % RING, (leg.ring_n - 1) % RING
     leg.found_ns = (ring[last, 0] - ring[first, 0]) / (ring[last, 1] - ring[first, 1])
     limit = STEADY_OFF if leg.rate_off else MOST_OFF
+    if leg.late == 1:
+        sure = 0.0 if leg.rate_off else RATE_SURE * math.sqrt(leg.spread / steps)
+        limit = MOST_OFF + sure
     by = leg.found_ns / leg.period_ns - 1.0
     off = abs(by) > limit
     if off and steps < MEAN_STEPS:

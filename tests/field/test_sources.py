@@ -1,0 +1,19 @@
+"""Loops that slip, in walks; more sources by ``python -m field.sources``."""
+
+from __future__ import annotations
+
+from adaptive_contact.robot import shipped_robot
+
+from . import sources as s
+
+SECONDS = 30.0
+
+
+def test_a_loop_whose_delays_add_up_finds_its_touches() -> None:
+    """It is 6 % slower in the mean, within what a model bears, and in some moments by far more."""
+    played = s.late_loop(*s.walk_of(5, SECONDS), s.LOOPS["one in 4 slips 0.25"])
+    total = s.play(played, shipped_robot()).total
+    assert total.counted.touches > 90
+    assert total.counted.recall is not None
+    assert total.counted.recall >= 0.95
+    assert total.false_alarms <= 2
