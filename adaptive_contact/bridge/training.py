@@ -121,6 +121,7 @@ def _move(
 # Goals of a leg, one per tick, given the first sample of it.
 Script = Callable[[ServoSample], Iterator[list[float]]]
 _END_S: Final = 5.0
+_FIRST_S: Final = 5.0  # for the first sample; ports wake their servos in a tenth of it
 _LOOK_S: Final = 0.1
 
 
@@ -174,7 +175,7 @@ def collect(
 
     Args:
         plans: the ports; handshakes have been made.
-        seconds: how long.
+        seconds: how long, from the first sample.
         scripts: goals by leg; with them the servos are driven, without them nothing is written.
         realtime: let the ports' threads run before all ordinary ones.
         stop: ends it early when set.
@@ -208,12 +209,16 @@ def collect(
         threading.Thread(target=work, args=pair, name=f"port-{pair[0].name}", daemon=True)
         for pair in zip(plans, baskets, strict=True)
     ]
-    began = time.monotonic()
+    until = time.monotonic() + _FIRST_S + seconds
     for thread in threads:
         thread.start()
     try:
-        while time.monotonic() - began < seconds and not end.wait(_LOOK_S):
-            look(_all(baskets))
+        swinging = False
+        while time.monotonic() < until and not end.wait(_LOOK_S):
+            kept = _all(baskets)
+            look(kept)
+            if not swinging and any(kept.values()):
+                swinging, until = True, time.monotonic() + seconds
             if any(basket.error is not None for basket in baskets):
                 break
     finally:

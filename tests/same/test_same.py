@@ -168,6 +168,9 @@ def test_two_processes_give_the_same_to_the_last_bit(
     assert compare(*outcomes).same
 
 
+# Its processes compile the tick of a tree that nobody has run: minutes on a busy machine.
+pytestmark = pytest.mark.timeout(900)
+
 QUICK = ("sign of the onset's share", "ticks before an onset", "forgetting")
 
 
