@@ -26,19 +26,20 @@ import io
 import math
 import tempfile
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as PILImage
-from PIL import ImageDraw
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.files import write_file
 from adaptive_contact_sim.elements import Elements
 from adaptive_contact_sim.scene import OBSTACLES, PARKED_M
 from adaptive_contact_sim.simulation import Simulation
+
+if TYPE_CHECKING:  # an extra, which a film asks for by name (_need_pillow)
+    from PIL import ImageDraw
 
 __all__ = ["EnginePainter", "Film", "Moment", "Stage", "StickPainter", "painter"]
 
@@ -162,6 +163,9 @@ class StickPainter:
 
     def paint(self, stage: Stage) -> Pixels:
         """Draw what is set up."""
+        from PIL import Image as PILImage
+        from PIL import ImageDraw
+
         width, height = self._size
         big = (width * _OVERSAMPLE, height * _OVERSAMPLE)
         picture = PILImage.new("RGB", big, _SKY)
@@ -291,8 +295,6 @@ def painter(stage: Stage, width: int, height: int) -> tuple[Painter, str | None]
     try:
         return EnginePainter(stage, width, height), None
     except ConfigurationError as error:
-        from adaptive_contact_sim.picture import StickPainter
-
         return StickPainter(stage, width, height), str(error)
 
 
