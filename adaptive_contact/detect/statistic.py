@@ -1,4 +1,4 @@
-"""The residual of a tick against its variance, compiled."""
+"""Computes the statistic of a tick: its residuals against their variance, compiled."""
 
 from __future__ import annotations
 
