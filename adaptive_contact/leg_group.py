@@ -17,7 +17,7 @@ import numpy as np
 from adaptive_contact.compiled import note_cached
 from adaptive_contact.detect.flags import DECIDED, RELEASE_PENDING
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
-from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
 from adaptive_contact.model.library import Library, with_changes
 from adaptive_contact.robot import Leg
 from adaptive_contact.wire import ContactEvent, ServoSample
@@ -211,4 +211,5 @@ def compile_ahead() -> None:
     coefficients, scale = np.zeros(every.shape), np.ones(library.size)
     recursion = RecursiveLeastSquares(coefficients, every, scale, np.ones(len(joints)))
     recursion.update(np.zeros(library.size), np.zeros(len(joints)))
+    moves_at_most(recursion.coefficients, scale, 1.0)
     note_cached()

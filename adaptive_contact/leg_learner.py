@@ -381,14 +381,16 @@ class ContactLearner:
 
     def _watch(self, flags: int) -> None:
         """Keep the sample for the watches of signs and offsets, and of leg ids."""
-        sample, (batch, row) = self._sample, self.place.at
+        sample, angles = self._sample, self.place.angles
         assert sample is not None
-        measured, desired = batch.measured[row].tolist(), batch.desired[row].tolist()
+        ended = False
         for track in self._watching:
             if flags & RESTARTED:
                 track.restart()
-            track.take(measured, desired, sample.t_ns, sample.seq, sample.phase)
-        self._watching = tuple(track for track in self._watching if track.wants)
+            track.take(angles, sample.t_ns, sample.seq, sample.phase)
+            ended = ended or not track.wants
+        if ended:
+            self._watching = tuple(track for track in self._watching if track.wants)
 
     def _hand_over(self, flags: int) -> None:
         """Label what this tick's flags say of the swing, and pass it to the adapter."""

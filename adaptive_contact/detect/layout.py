@@ -31,7 +31,7 @@ f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 # The vectors of one leg, by kind; lengths are numbers, or J joints, p terms, w places of a window.
 VECTORS: Final[dict[Any, dict[str, int | str]]] = {
     f8: {
-        "measured": "J",  # the sample, rad
+        "measured": "J",  # the sample, rad; both side by side at the start, see `angles`
         "desired": "J",
         "seam": "J",  # the command before, to unwrap by
         "command": "J",  # in force, and the one before

@@ -100,6 +100,7 @@ class LegBatch:
         self.vectors, self.places, views = vectors(rows, lengths)
         for name, view in views.items():
             setattr(self, name, view)
+        self.angles = self.vectors[0][:, : 2 * joints]
         self.unit[:] = 1.0
         for name in _OF_SAMPLES:  # to write to one costs a quarter of what it does by leg
             setattr(self, name, legs_[name])
@@ -137,6 +138,24 @@ class LegBatch:
                 legs_[row]["size"] = leg.chain.size
                 self.links[row], self.turns[row] = tabulate(leg.chain)
 
+        self._gather()
+
+    def _gather(self) -> None:
+        """Gather what the two halves of a tick take: a tick has no time to look up fifty names."""
+        floats, ints, bools = self.vectors
+        self._judged = (
+            records(self.legs), floats, ints, bools, self.places, self.preview_in, self.ring,
+            self.echo_commands, self.echo_runs, self.parts, self.links, self.path, self.lags,
+            self.preview, self.history, self.thetas, *self.table, self.xi0, self.coefficients,
+            self.whiten, self.index, self.per_scale, self.root, self.domain, records(self.rows),
+            self.row_thetas, self.row_targets, self.row_asides, self.free_ring, self.some,
+            self.room, self.now, self.sums,
+        )  # fmt: skip
+        self._finished = (
+            records(self.legs), floats, self.places, self.preview_in, self.lags,
+            self.preview, *self.table, self.xi0, self.coefficients, self.sums,
+        )  # fmt: skip
+
     @property
     def flags(self) -> list[int]:
         """Flags of the last tick of each leg."""
@@ -145,23 +164,12 @@ class LegBatch:
 
     def judge(self) -> int:
         """Run the first half of a tick; returns the flags of all legs, in one."""
-        floats, ints, bools = self.vectors
-        found: int = judge_tick(
-            records(self.legs), floats, ints, bools, self.places, self.preview_in, self.ring,
-            self.echo_commands, self.echo_runs, self.parts, self.links, self.path, self.lags,
-            self.preview, self.history, self.thetas, *self.table, self.xi0, self.coefficients,
-            self.whiten, self.index, self.per_scale, self.root, self.domain, records(self.rows),
-            self.row_thetas, self.row_targets, self.row_asides, self.free_ring, self.some,
-            self.room, self.now, self.sums,
-        )  # fmt: skip
+        found: int = judge_tick(*self._judged)
         return found
 
     def finish(self) -> None:
         """Run the second half of a tick."""
-        most = finish_tick(
-            records(self.legs), self.vectors[0], self.places, self.preview_in, self.lags,
-            self.preview, *self.table, self.xi0, self.coefficients, self.sums,
-        )  # fmt: skip
+        most = finish_tick(*self._finished)
         if most + 2 > self.rows.shape[1]:
             self.grow()
 
@@ -203,6 +211,7 @@ class LegBatch:
         for name in _OF_ROWS:
             kept = getattr(self, name)
             setattr(self, name, np.concatenate([kept, np.zeros_like(kept)], axis=1))
+        self._gather()
 
     def forget_past(self, row: int) -> None:
         """Forget a row's past under its last model, as another begins."""
@@ -241,18 +250,19 @@ class LegPlace:
         batch: that has them.
         row: of the leg.
         leg: its scalars.
+        angles: (2 J,) rad, measured and desired, of the sample in hand.
     """
 
-    __slots__ = ("_judged_by", "batch", "leg", "row")
+    __slots__ = ("_judged_by", "angles", "batch", "leg", "row")
 
     def __init__(self, batch: LegBatch, row: int = 0) -> None:
-        self.batch, self.row, self.leg = batch, row, batch.legs[row]
         self._judged_by: FreeMotion | None = None
+        self._locate(batch, row)
 
     def move(self, batch: LegBatch, row: int) -> None:
         """Move the arrays to a row of another batch."""
         batch.adopt(row, self.batch, self.row)
-        self.batch, self.row, self.leg = batch, row, batch.legs[row]
+        self._locate(batch, row)
 
     def take(self, sample: ServoSample, *, lost: int, restart: bool) -> None:
         """Put an accepted sample in, for the next tick to judge."""
@@ -260,7 +270,7 @@ class LegPlace:
         batch.accepted[row], batch.restart[row], batch.lost[row] = True, restart, lost
         batch.t_ns[row], batch.seq[row] = sample.t_ns, sample.seq
         batch.phase[row] = _PHASES[sample.phase]
-        batch.measured[row], batch.desired[row] = sample.measured, sample.desired
+        self.angles[:] = sample.measured + sample.desired
         missing = sample.valid is not None and not all(sample.valid)
         batch.has_valid[row] = missing
         if missing:
@@ -269,11 +279,6 @@ class LegPlace:
             ahead = sample.preview or ()
             count = batch.preview_n[row] = min(len(ahead), batch.preview)
             batch.preview_in[row, :count] = ahead[:count] if count else 0.0
-
-    @property
-    def at(self) -> tuple[LegBatch, int]:
-        """The batch and the row."""
-        return self.batch, self.row
 
     def sample(self, taken: ServoSample) -> ServoSample:
         """Return the sample that was taken, with its angles in one turn."""
@@ -340,6 +345,10 @@ class LegPlace:
         if free.coefficients is not None:
             batch.coefficients[row] = free.coefficients
         self._judged_by = free
+
+    def _locate(self, batch: LegBatch, row: int) -> None:
+        self.batch, self.row, self.leg = batch, row, batch.legs[row]
+        self.angles = batch.angles[row]
 
     @property
     def free_rms(self) -> list[float]:

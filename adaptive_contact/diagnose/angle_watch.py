@@ -80,10 +80,8 @@ class MotionTrack:
         """Whether the finding makes heights of the foot wrong."""
         return self.finding is not None and self.finding.grave
 
-    def take(
-        self, measured: list[float], desired: list[float], t_ns: int, seq: int, phase: Phase | None
-    ) -> None:
-        """Take in an accepted sample, (J,) rad in the frame of the description."""
+    def take(self, angles: Array, t_ns: int, seq: int, phase: Phase | None) -> None:
+        """Take in an accepted sample: (2 J,) rad as described, measured and desired."""
         if self.settled:
             return
         kept = self._kept
@@ -91,7 +89,7 @@ class MotionTrack:
             kept.drop(KEPT // 2)
         if not kept:
             self._first_seq = seq
-        kept.add(measured, desired, t_ns, seq - self._first_seq, phase)
+        kept.add(angles, t_ns, seq - self._first_seq, phase)
         self.total += 1
 
     def restart(self) -> None:

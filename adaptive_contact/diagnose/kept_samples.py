@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +29,9 @@ class KeptSamples:
     def __len__(self) -> int:
         return len(self._times)
 
-    def add(
-        self, measured: Iterable[float], desired: Iterable[float], t_ns: int, seq: int,
-        phase: Phase | None,
-    ) -> None:  # fmt: skip
-        """Keep one more, (J,) rad each."""
-        self._angles.extend(measured)
-        self._angles.extend(desired)
+    def add(self, angles: Array, t_ns: int, seq: int, phase: Phase | None) -> None:
+        """Keep one more: (2 J,) rad, measured and desired."""
+        self._angles.frombytes(angles.tobytes())
         self._times.append(t_ns)
         self._seq.append(seq)
         self._phases.append(-1 if phase is None else phase == "swing")

@@ -242,15 +242,13 @@ class IdTrack:
         self._period_ns = period_ns
         self._ahead = 0
 
-    def take(
-        self, measured: list[float], desired: list[float], t_ns: int, seq: int, phase: Phase | None
-    ) -> None:
-        """Take in an accepted sample, (J,) rad in the frame of the description."""
+    def take(self, angles: Array, t_ns: int, seq: int, phase: Phase | None) -> None:
+        """Take in an accepted sample: (2 J,) rad as described, measured and desired."""
         if not self.wants:
             return
         if not self._kept:  # legs need not count alike
             self._ahead = round(t_ns / self._period_ns) - seq
-        self._kept.add(measured, desired, t_ns, seq + self._ahead, phase)
+        self._kept.add(angles, t_ns, seq + self._ahead, phase)
 
     @property
     def count(self) -> int:
@@ -296,7 +294,8 @@ def judge_recorded_ids(
     for leg, of_leg in samples.items():
         track = tracks[leg] = IdTrack(len(robot.leg(leg).joints), round(robot.period_s * 1e9))
         for sample in of_leg[:KEPT]:
-            track.take(sample.measured, sample.desired, sample.t_ns, sample.seq, sample.phase)
+            angles = np.array(sample.measured + sample.desired)
+            track.take(angles, sample.t_ns, sample.seq, sample.phase)
     rows = {leg: track.rows for leg, track in tracks.items() if track.count}
     for leg, owner in judge_ids(robot, None, rows).items():
         tracks[leg].owner = owner

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.learn.noise_tracker import NoiseTracker
-from adaptive_contact.learn.rls import RecursiveLeastSquares
+from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
 from adaptive_contact.model.free_motion import Covariance
@@ -73,8 +73,7 @@ class ActiveModel:
         self._provisional = provisional
         self._on_fall = on_fall
         self._noise = known.noise.rms
-        self._scale = known.scale
-        self._scale_column = known.scale[:, None]
+        self._scale = np.array(known.scale)
         self._model = known.model
         self._coefficients = known.model.coefficients
         self._moved = False  # the recursion has, since they were made
@@ -205,13 +204,15 @@ class ActiveModel:
 
     def plausible(self, coefficients: Array) -> bool:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
-        return bool(np.abs(coefficients * self._scale_column).max() <= self._most_rad)
+        # Copies, as compiled code takes an array that may not be written to for another kind.
+        own = np.array(coefficients, order="C")
+        return bool(moves_at_most(own, self._scale, self._most_rad))
 
     def _take_coefficients(self) -> None:
         """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
         coefficients = self._rls.coefficients
-        if self.plausible(coefficients):
+        if moves_at_most(coefficients, self._scale, self._most_rad):
             self._coefficients = coefficients
             return
         good = self._good or _Good(self.baseline, self._recursion(self.baseline), inflated=False)

@@ -79,15 +79,13 @@ class RecursiveLeastSquares:
         self._full = coefficients.copy()
         counts = support.sum(axis=0)
         size = int(counts.max(initial=0))
+        self._counts = counts
         self._held = np.arange(size) < counts[:, None]  # (J, n); the rest is filling
         self._index = np.zeros((len(noise), size), dtype=np.int64)  # places in a row of regressors
         self._index[self._held] = np.nonzero(support.T)[1]
         self._per_scale = np.where(self._held, 1.0 / scale[self._index], 0.0)
         # Where they sit in the matrix of coefficients.
         self._places = (self._index[self._held], np.nonzero(self._held)[0])
-        rows, columns = self._places
-        self._flat_places = rows * len(noise) + columns
-        self._moving = np.flatnonzero(self._held)
         # Inside, everything is in units of the noise: no division is left for a row.
         self._per_noise = 1.0 / self.noise
         self._to_raw = self._per_scale * self.noise[:, None]
@@ -100,10 +98,9 @@ class RecursiveLeastSquares:
     @property
     def coefficients(self) -> Array:
         """(p, J) coefficients at present."""
-        # By flat indices: two such calls take half the time of pairs and masks.
-        raw = (self._xi * self._to_raw).take(self._moving)
-        self._full.reshape(-1)[self._flat_places] = raw
-        return self._full.copy()
+        full = self._full = self._full.copy()
+        write_raw(self._xi, self._to_raw, self._index, self._counts, full)
+        return full
 
     @property
     def covariance(self) -> Array:
@@ -198,12 +195,12 @@ class RecursiveLeastSquares:
             noise.
         """
         settings = self.settings
-        learn_row(
+        sound = learn_row(
             theta, target, self._index, self._per_scale, self._per_noise, self._xi, self._s,
             settings.forgetting, settings.huber, self._innovations, self._room,
         )  # fmt: skip
         innovations: list[float] = self._innovations.tolist()
-        if all(map(math.isfinite, innovations)):
+        if sound:
             self.rows += 1
             if self.rows % 64 == 0:
                 self._bound()
@@ -265,7 +262,7 @@ class RecursiveLeastSquares:
 def learn_row(
     theta, target, index, per_scale, per_noise, xi, s, forgetting, huber, innovations, room
 ):  # fmt: skip
-    """Learn one row, in place; one whose innovations are not finite leaves all as it is.
+    """Learn one row, in place; False for one that is left out, its innovations not being finite.
 
     Of (p,) theta, each joint's n terms stand at (J, n) ``index``; ``xi`` is (J, n), their
     coefficients in units of scale and noise, ``s`` (J, n, n) the roots of their covariances.
@@ -282,7 +279,7 @@ def learn_row(
         innovations[j] = innovation
         sound &= math.isfinite(innovation)
     if not sound:
-        return
+        return False
     for j in range(joints):
         phi, v, sv = room[0, j], room[1, j], room[2, j]
         v[:] = 0.0
@@ -310,3 +307,22 @@ def learn_row(
             at = sv[k] * rate
             for c in range(size):
                 s[j, k, c] += at * v[c]
+    return True
+
+
+@compiled
+def write_raw(xi, to_raw, index, counts, full):
+    """Write (J, n) coefficients in raw units to their places in (p, J) ``full``."""
+    for j in range(len(counts)):
+        for k in range(counts[j]):
+            full[index[j, k], j] = xi[j, k] * to_raw[j, k]
+
+
+@compiled
+def moves_at_most(coefficients, scale, most):
+    """Tell whether no term of (p, J) coefficients moves a typical tick by more; false for NaN."""
+    for i in range(coefficients.shape[0]):
+        for j in range(coefficients.shape[1]):
+            if not abs(coefficients[i, j] * scale[i]) <= most:
+                return False
+    return True

@@ -117,7 +117,7 @@ def test_a_watch_names_a_swap_when_two_judgements_agree(ahead: int) -> None:
                 desired=angles,
                 phase="stance",
             )
-            track.take(sample.measured, sample.desired, sample.t_ns, sample.seq, sample.phase)
+            track.take(np.array(angles + angles), sample.t_ns, sample.seq, sample.phase)
         watch.look()
         said.append([name for name, track in tracks.items() if track.note is not None])
     assert said[900] == []  # after one judgement
