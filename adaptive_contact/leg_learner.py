@@ -288,6 +288,8 @@ class ContactLearner:
             )  # fmt: skip
         if flags & DECIDED:
             contact = bool(leg["contact"])
+            if contact:
+                self._labels.touch(int(leg["onset_ns"]))
             if contact or leg["reported"]:  # else the end of one that was withheld
                 event = self._report.event(
                     sample, contact=contact, onset_ns=int(leg["onset_ns"]),

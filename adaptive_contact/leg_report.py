@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from typing import Any, Final
 
@@ -14,7 +13,6 @@ from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import MotionTrack
 from adaptive_contact.diagnose.leg_ids import IdTrack
 from adaptive_contact.learn.adapter import Adapter
-from adaptive_contact.learn.drift import UNFIT_LEVEL
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.robot import Leg
@@ -179,12 +177,12 @@ class LegReport:
     @property
     def withholds(self) -> bool:
         """Whether contacts are not reported, as the leg is ambiguous."""
-        return self._withholds_at(self._labels.lift_nis)
+        return self._withholds_at(fits=self._labels.fits)
 
     def publish_withholding(self) -> None:
         """Tell the tick whether contacts are reported, and in a swing that begins with it."""
         leg = self._place.leg
-        leg["withholds"], leg["withholds_begun"] = self.withholds, self._withholds_at(math.inf)
+        leg["withholds"], leg["withholds_begun"] = self.withholds, self._withholds_at(fits=False)
 
     @property
     def misread(self) -> bool:
@@ -220,7 +218,7 @@ class LegReport:
         """Whether samples say nothing of the leg: what is high and low, or where it is, is lost."""
         return self.misread or bool(self._place.leg["cause"])
 
-    def _withholds_at(self, lift_nis: float) -> bool:
+    def _withholds_at(self, *, fits: bool) -> bool:
         if self._void:
             return True
         if self._when_ambiguous is WhenAmbiguous.PUBLISH:
@@ -228,9 +226,9 @@ class LegReport:
         doubt = self.doubt
         if doubt is None or self._when_ambiguous is WhenAmbiguous.STRICT:
             return doubt is not None
-        # A foot that comes short of its command in lifts that fit the model is slow, not held.
-        fits = doubt == "held" and lift_nis <= UNFIT_LEVEL
-        return not fits and doubt != "unsettled"
+        # A foot that comes short of its command, and moved as the model says until it touched or
+        # to its top, is slow, or meets something in its way.
+        return doubt != "unsettled" and not (doubt == "held" and fits)
 
     @property
     def _status(self) -> Status:

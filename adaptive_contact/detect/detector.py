@@ -58,7 +58,13 @@ from adaptive_contact.detect.swing import (
     height_gradient,
     place_foot,
 )
-from adaptive_contact.detect.swing_rows import begin_labels, break_off, enter_row, note_hole
+from adaptive_contact.detect.swing_rows import (
+    begin_labels,
+    break_off,
+    enter_row,
+    note_fit,
+    note_hole,
+)
 
 
 @compiled
@@ -351,6 +357,8 @@ def judge_tick(
             leg, history[i], whiten[i], room[2], limits, limits_awaited, scores, sums, room[3],
             against,
         )  # fmt: skip
+        if leg.usable and not leg.bad:
+            note_fit(leg, leg.distance * leg.variance_scale / joints)
         # Free, loaded, or contact.
         past_lift = descending(leg, lengths_ticks)
         topped = leg.topped and not leg.broken if leg.gated else not leg.broken

@@ -191,6 +191,9 @@ LEG: Final = np.dtype(
         ("broken", b1),  # the swing cannot be labelled
         ("top_seen", b1),  # the top was flagged
         ("touching", b1),  # the first ticks of a contact are kept
+        ("fit_n", i4),  # ticks in a row up to now that fit the model
+        ("fit_before", i4),  # and of the row before
+        ("misfit_ns", i8),  # the tick that ended it
         ("resolved_first", i4),  # first row of the descent that was resolved
         ("resolved_last", i4),  # and one after the last
         ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing

@@ -109,6 +109,11 @@ class SwingJudge:
         return self._leg.chain is None or float(self._place.leg["rise"]) > self._lifted_m
 
     @property
+    def moved(self) -> bool:
+        """Whether the foot has come far enough to show that it follows its command."""
+        return float(self._place.leg["moved"]) > self._least_way_m
+
+    @property
     def had_lifted(self) -> bool:
         """The same of the swing that has ended last."""
         return self._leg.chain is None or float(self._place.leg["resolved_rise"]) > self._lifted_m

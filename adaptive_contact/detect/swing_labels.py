@@ -11,7 +11,6 @@ ticks before the onset is learned, too.
 from __future__ import annotations
 
 import functools
-import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Final
@@ -28,6 +27,7 @@ from adaptive_contact.model.labelled_swing import (
     Touch,
 )
 from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.model.rollout import rollout
 
 __all__ = ["SwingLabels", "confirmed_before", "confirmed_of", "let_go_rows"]
@@ -65,8 +65,8 @@ class SwingLabels:
 
     Attributes:
         landings: how late touches come.
-        lift_nis: mean of the lift of the swing in hand, as of its rows; infinite while there is
-            none.
+        fits: whether the leg has moved as its model says in the swing in hand: in its lift, or
+            before a contact.
     """
 
     def __init__(self, place: LegPlace, swing: SwingJudge) -> None:
@@ -78,7 +78,7 @@ class SwingLabels:
         self._regions = _Regions()
         self._touch: list[Touch] = []  # the first ticks of a contact in hand
         self._travel_judged = False
-        self.lift_nis = math.inf
+        self.fits = False
         self._rollout: Rollout | None = None  # from where the leg was before the swing
         self._unobserved = 0  # whole swings since a lift was labelled
 
@@ -144,6 +144,18 @@ class SwingLabels:
             LabelledSwing(Label.END, early=self._swing.touched_early()),
         ]
 
+    def touch(self, onset_ns: int) -> None:
+        """Note whether the ticks before a contact fit the model, where the foot came some way.
+
+        A foot that stops against something after it has moved as predicted is not one whose
+        readings are frozen or turned around, or which was held from the start.
+        """
+        leg = self._place.leg
+        row = int(leg["fit_n"])
+        if not row and int(leg["misfit_ns"]) >= onset_ns - int(leg["period_ns"]):
+            row = int(leg["fit_before"])
+        self.fits |= row >= MIN_LIFT_ROWS and self._swing.moved
+
     def alarm(self) -> list[LabelledSwing]:
         """Label what a contact that has just begun confirms, and keep its first tick."""
         leg = self._place.leg
@@ -163,7 +175,7 @@ class SwingLabels:
 
     def _begin_swing(self) -> None:
         self._travel_judged = False
-        self.lift_nis = math.inf
+        self.fits = False
         self._rollout = None
         # By the model as it was first known: what was learned since may be of what holds the foot.
         batch, row = self._place.batch, self._place.row
@@ -185,7 +197,7 @@ class SwingLabels:
         rows = let_go_rows(self._rows(0, int(leg["lift_n"])))
         if rows is None:
             return found
-        self.lift_nis = sum(row.nis for row in rows) / len(rows)
+        self.fits |= sum(row.nis for row in rows) <= UNFIT_LEVEL * len(rows)
         if swing.lifted and not (swing.obstructed or leg["suspected"]):
             self._unobserved = 0
             self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())

@@ -13,6 +13,7 @@ import numpy as np
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.flags import BROKE_OFF, ENTERED
 from adaptive_contact.detect.swing import height_gradient
+from adaptive_contact.model.noise import UNFIT_LEVEL
 
 # Without calm, the first tick of a lift taken for free: a foot pressed in the stance before has let
 # go by the 7th tick of the command (measured in pose, 62 of 62 cases).
@@ -27,6 +28,16 @@ def begin_labels(leg):
     leg.hole_ns = -1
     leg.lift_n = leg.row_n = leg.commanded_n = 0
     leg.topped = leg.closed = leg.broken = leg.top_seen = False
+    leg.fit_n = leg.fit_before = 0
+
+
+@compiled
+def note_fit(leg, level):
+    """Count ticks in a row that fit the model; ``level`` is a tick's NIS."""
+    if level <= UNFIT_LEVEL:
+        leg.fit_n += 1
+    elif leg.fit_n:
+        leg.fit_before, leg.fit_n, leg.misfit_ns = leg.fit_n, 0, leg.at_ns
 
 
 @compiled

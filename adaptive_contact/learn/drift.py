@@ -20,13 +20,13 @@ import numpy as np
 from scipy.special import chdtri  # scipy.stats takes half a second to import
 
 from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.wire import Doubt, DriftLevel, Status
 
 __all__ = [
     "LEVEL_RANGE",
     "PATIENCE_SWINGS",
     "SETTLED_LEVEL",
-    "UNFIT_LEVEL",
     "DriftMonitor",
     "LiftAssessment",
 ]
@@ -62,10 +62,9 @@ FAR_LEVEL: Final = 100.0
 # It is free again after so many lifts in a row without a sign of that: where little way is asked,
 # a foot on a leash comes all of it.
 RELEASE_SWINGS: Final = 3
-# A baseline whose very first lifts are all further off than this (five times the noise) is of
-# another leg; a leg that merely changed overnight is followed instead.  With lifts that fitted by
-# chance it takes longer: nine in ten, for as long as a leg is given to settle.
-UNFIT_LEVEL: Final = 25.0
+# A baseline whose very first lifts are all off by more than `UNFIT_LEVEL` is of another leg; a leg
+# that merely changed overnight is followed instead.  With lifts that fitted by chance it takes
+# longer: nine in ten, for as long as a leg is given to settle.
 UNFIT_LIFTS: Final = 3
 UNFIT_SHARE: Final = 0.9
 

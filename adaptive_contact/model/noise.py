@@ -33,6 +33,9 @@ SPEED_EDGES_QUANTA: Final = (1.0, 4.0, 12.0)
 CONTEXTS: Final = 2 * (len(SPEED_EDGES_QUANTA) + 1)
 # A context's covariance weighs like this many ticks of its direction's.
 SHRINK_TICKS: Final = 200.0
+# A leg whose normalised innovation squared is above this, five times the noise, does not move as
+# its model says.
+UNFIT_LEVEL: Final = 25.0
 # Fewer free ticks than this do not make a covariance worth a threshold.
 MIN_TICKS: Final = 300
 
