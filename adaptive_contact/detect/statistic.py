@@ -58,7 +58,8 @@ def statistic(leg, history, whiten, shrink, limits, awaited, scores, sums, gradi
     A foot about to stand has arrived, and what it is predicted to do says nothing of where the
     ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
     the foot's height.  A window that lies after the turn to stance has the thresholds ``awaited``:
-    one that reaches back into the swing would apply them to ticks judged before.
+    one that reaches back into the swing would apply them to motion judged before.  The first
+    residual after the turn is of the swing, too: it is of the way to that sample.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -85,7 +86,7 @@ def statistic(leg, history, whiten, shrink, limits, awaited, scores, sums, gradi
         if width + 1 > leg.usable:
             scores[width] = np.nan
         else:
-            limit = awaited[width] if width < leg.after else limits[width]
+            limit = awaited[width] if width + 1 < leg.after else limits[width]
             scores[width] = square / limit if product < 0.0 else 0.0
     return distance
 

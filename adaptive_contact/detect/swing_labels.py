@@ -258,7 +258,8 @@ class SwingLabels:
         thetas = batch.thetas[row, : int(leg["thetas_n"])]
         target = place.residuals + place.increments
         limits = batch.limits[row].copy()
-        limits[: leg["after"]] = batch.limits_awaited[row, : leg["after"]]
+        waited = max(int(leg["after"]) - 1, 0)
+        limits[:waited] = batch.limits_awaited[row, :waited]
         return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
 

@@ -110,7 +110,7 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
             whiten = recent.whiten[int(leg["context"])][w - 1]
             z = whiten @ residual[:w].sum(axis=0)
             up = float(z @ whiten @ gradient) > 0.0
-            limit = (recent.awaited if w <= after else recent.thresholds)[w - 1]
+            limit = (recent.awaited if w < after else recent.thresholds)[w - 1]
             expected = float(z @ z) / limit if up else 0.0
             assert scores[w - 1] == pytest.approx(expected, rel=1e-9)
             told[up] += 1
