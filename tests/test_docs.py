@@ -30,6 +30,9 @@ _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`]+)`")
 _LINK = re.compile(r"\]\(<?([^)\s>]+)>?\)")
 _FILE = re.compile(r"(?<![\w/.*<-])((?:[\w-]+/)*[\w-]+\.py)\b")
+_FOLDER = re.compile(
+    r"`((?:tests|docs|examples|packaging|sim|models|adaptive_contact)(?:/[\w-]+)+)/?`"
+)
 _MEMBER = re.compile(r"(?<![\w.])([A-Z]\w+)\.([a-z_]\w*)")
 _ROLE = re.compile(r":(?:mod|func|class|meth|data|attr|exc):`~?([^`]+)`")
 _SHELLS = ("", "bash", "console", "sh", "shell")
@@ -155,11 +158,13 @@ def module_file(dotted: str) -> tuple[Path | None, list[str]]:
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_files_and_members_named_exist(page: Path) -> None:
-    """Each ``path/file.py``, and each ``Class.member`` of a class of ours."""
+    """Each ``path/file.py`` and ``path/folder``, and each ``Class.member`` of a class of ours."""
     text = page.read_text(encoding="utf-8")
     files = [source.relative_to(ROOT).as_posix() for source in SOURCES]
     for name in _FILE.findall(text):
         assert any(f"/{file}".endswith(f"/{name}") for file in files), f"{name}: no such file"
+    for name in _FOLDER.findall(text):
+        assert (ROOT / name).exists(), f"{name}: no such folder"
     members: dict[str, set[str]] = {}
     for source in SOURCES:
         for name, of in defined(source)[1].items():
