@@ -6,6 +6,7 @@ import ast
 import contextlib
 import re
 import shlex
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -172,6 +173,18 @@ def test_files_and_members_named_exist(page: Path) -> None:
     for name, member in _MEMBER.findall(text):
         if member not in ("py", "csv"):  # not a file
             assert name not in members or member in members[name], f"{name} has no {member}"
+
+
+def test_extras_named_exist() -> None:
+    there = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    named = {
+        extra: page.name
+        for page in PAGES
+        for extras in re.findall(r"'(?:\.|adaptive-contact)\[([\w,-]+)\]'", page.read_text("utf-8"))
+        for extra in extras.split(",")
+    }
+    assert {"sim", "plot", "dynamixel"} <= set(named)
+    assert named.keys() <= there["optional-dependencies"].keys(), named
 
 
 def test_references_in_docstrings_lead_somewhere() -> None:

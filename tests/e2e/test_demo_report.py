@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -174,6 +176,17 @@ def test_no_words_lie_on_others_wherever_the_drift_is(
             assert not boxes[one].overlaps(boxes[other]), (share, one, other)
         for words, box in boxes.items():
             assert 0 <= box.x0 < box.x1 <= figure.bbox.width, (share, words)
+
+
+def test_it_takes_no_more_than_the_readme_installs() -> None:
+    """The extras ``sim`` and ``plot``; pages and tables of the studies want more."""
+    code = """
+import sys
+for name in ("jinja2", "distributed", "pyarrow", "rosbags", "foxglove", "dynamixel_sdk"):
+    sys.modules[name] = None
+import adaptive_contact.cli.demo.report, adaptive_contact.cli.demo.run
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
 def test_only_all_is_a_hundred_percent() -> None:

@@ -40,11 +40,11 @@ def run_demo(
     from adaptive_contact.cli.demo.report import draw
 
     _make(settings)
+    began_s = time.monotonic()
     # Here and not in the service, whose start has a time limit: it takes minutes on a busy machine.
     compile_tick()
     if stop.is_set():
         raise StoppedError
-    began_s = time.monotonic()
     robot = settings.simulated.description
     take = conduct(settings, robot, display(console, settings), stop, page)
     verdict = judge(settings.recording, robot, take.drift_ns, settings.leg)
