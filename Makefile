@@ -103,7 +103,7 @@ soak: env  ## MINUTES of walking with drifts, refits, two router kills, one serv
 fuzz: env  ## ten million broken payloads through the codec and the sample checks
 	$(BIN)/python tests/service/fuzz.py 10000000 $(SEED)
 
-rerun: env  ## an export through rerun's own command line, which is installed into out/rerun
+rerun: env  ## an export through rerun's command line, and examples/show_in_rerun.py; rerun goes into out/rerun
 	$(PYTHON) -m venv out/rerun/venv
 	out/rerun/venv/bin/python -m pip install --quiet rerun-sdk
 	$(BIN)/python -m adaptive_contact sim walk --offline --speed max --seconds 10 --record out/rerun/walk.mcap
@@ -113,6 +113,11 @@ rerun: env  ## an export through rerun's own command line, which is installed in
 	out/rerun/venv/bin/rerun rrd print out/rerun/walk.rrd > out/rerun/walk.txt
 	grep -q 'adaptive_contact.ServoSample:message' out/rerun/walk.txt
 	grep -q 'adaptive_contact.ContactTruth:message' out/rerun/walk.txt
+	PYTHONPATH=.:$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_paths()["purelib"])') \
+	  out/rerun/venv/bin/python examples/show_in_rerun.py out/rerun/walk.mcap --save out/rerun/script.rrd
+	out/rerun/venv/bin/rerun rrd print out/rerun/script.rrd > out/rerun/script.txt
+	grep -q '/rf/measured' out/rerun/script.txt
+	grep -q '/rf/truth' out/rerun/script.txt
 
 wheel: env  ## the wheel, in dist
 	$(BIN)/python -m build --wheel --no-isolation

@@ -174,15 +174,20 @@ def _owned(folder: Path) -> Path | None:
 
 
 def _digest() -> str:
-    """Of what the machine code is made from and for: sources, numba, Python, processor."""
-    made = [getattr(numba, "__version__", None), sys.version]
+    """Of what the machine code is made from and for: sources, numba, Python, processor.
+
+    And of where the sources lie and when they were written, by which numba tells them apart: of
+    the same sources in another place nothing has been compiled.
+    """
+    here = Path(__file__).parent
+    made = [getattr(numba, "__version__", None), sys.version, here]
     if numba is not None:
         from llvmlite import binding
 
         made += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
     found = hashlib.sha256(" ".join(map(str, made)).encode())
-    here = Path(__file__).parent
     sources = [path for package in _SOURCES for path in sorted((here / package).glob("*.py"))]
     for source in [Path(__file__), *sources]:
+        found.update(f"{source.name} {source.stat().st_mtime_ns} ".encode())
         found.update(source.read_bytes())
     return found.hexdigest()[:16]

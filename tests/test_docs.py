@@ -6,6 +6,7 @@ import ast
 import contextlib
 import re
 import shlex
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +31,9 @@ _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`]+)`")
 _LINK = re.compile(r"\]\(<?([^)\s>]+)>?\)")
 _FILE = re.compile(r"(?<![\w/.*<-])((?:[\w-]+/)*[\w-]+\.py)\b")
+_FOLDER = re.compile(
+    r"`((?:tests|docs|examples|packaging|sim|models|adaptive_contact)(?:/[\w-]+)+)/?`"
+)
 _MEMBER = re.compile(r"(?<![\w.])([A-Z]\w+)\.([a-z_]\w*)")
 _ROLE = re.compile(r":(?:mod|func|class|meth|data|attr|exc):`~?([^`]+)`")
 _SHELLS = ("", "bash", "console", "sh", "shell")
@@ -155,11 +159,13 @@ def module_file(dotted: str) -> tuple[Path | None, list[str]]:
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_files_and_members_named_exist(page: Path) -> None:
-    """Each ``path/file.py``, and each ``Class.member`` of a class of ours."""
+    """Each ``path/file.py`` and ``path/folder``, and each ``Class.member`` of a class of ours."""
     text = page.read_text(encoding="utf-8")
     files = [source.relative_to(ROOT).as_posix() for source in SOURCES]
     for name in _FILE.findall(text):
         assert any(f"/{file}".endswith(f"/{name}") for file in files), f"{name}: no such file"
+    for name in _FOLDER.findall(text):
+        assert (ROOT / name).exists(), f"{name}: no such folder"
     members: dict[str, set[str]] = {}
     for source in SOURCES:
         for name, of in defined(source)[1].items():
@@ -167,6 +173,18 @@ def test_files_and_members_named_exist(page: Path) -> None:
     for name, member in _MEMBER.findall(text):
         if member not in ("py", "csv"):  # not a file
             assert name not in members or member in members[name], f"{name} has no {member}"
+
+
+def test_extras_named_exist() -> None:
+    there = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    named = {
+        extra: page.name
+        for page in PAGES
+        for extras in re.findall(r"'(?:\.|adaptive-contact)\[([\w,-]+)\]'", page.read_text("utf-8"))
+        for extra in extras.split(",")
+    }
+    assert {"sim", "plot", "dynamixel"} <= set(named)
+    assert named.keys() <= there["optional-dependencies"].keys(), named
 
 
 def test_references_in_docstrings_lead_somewhere() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -98,6 +99,28 @@ print(len(list(found.rglob("*.nbc"))) > 3)
         pytest.skip("nothing is compiled here")
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.split() == ["False", "True", "True"]
+
+
+def test_another_installation_of_the_same_sources_is_not_compiled_yet(folder: Path) -> None:
+    """numba keeps machine code by the place and the time of its source: nothing of it is shared."""
+    package = Path(compiled.__file__).parent
+    code = "from adaptive_contact import compiled; print(compiled.cache_folder())"
+    python = [sys.executable, "-c", code]
+
+    def kept_in(site: Path) -> str:
+        env = {**os.environ, "PYTHONPATH": str(site)}
+        ran = subprocess.run(python, env=env, capture_output=True, text=True, check=True, cwd="/")
+        return ran.stdout
+
+    one, other = (folder / name for name in ("one", "other"))
+    for site in (one, other):
+        shutil.copytree(package, site / "adaptive_contact")
+    first = kept_in(one)
+    assert "compiled-" in first
+    assert kept_in(other) != first
+    assert kept_in(one) == first
+    os.utime(one / "adaptive_contact" / "detect" / "detector.py")  # installed again
+    assert kept_in(one) != first
 
 
 _RUN = """

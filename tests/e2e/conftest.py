@@ -151,7 +151,9 @@ def _install(wheel: Path, folder: Path, *, without: tuple[str, ...] = ()) -> Env
     subprocess.run(install, check=True, timeout=120, env=_bare_variables())
     (site,) = (venv / "lib").glob("python*/site-packages")
     (site / "linked.pth").write_text(f"{packages}\n", encoding="utf-8")
-    return Environment(str(python), _bare_variables(), site)
+    # What it compiles is of no use to any other installation, so none of it stays.
+    cache = {"ADAPTIVE_CONTACT_CACHE": str(folder / "cache")}
+    return Environment(str(python), _bare_variables() | cache, site)
 
 
 @pytest.fixture(scope="session")

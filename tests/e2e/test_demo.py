@@ -17,7 +17,7 @@ from adaptive_contact.service.recording import read_recording
 
 pytestmark = pytest.mark.e2e
 
-WAIT_S = 60.0
+WAIT_S = 180.0  # the first start of an installation compiles, which takes long beside other work
 
 
 def gone(pid: int) -> bool:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,7 +26,9 @@ from adaptive_contact.wire import (
 pytest.importorskip("mujoco", reason="the extra 'sim' is not installed")
 pytest.importorskip("matplotlib", reason="the extra 'plot' is not installed")
 
-from adaptive_contact.cli.demo.report import draw
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from adaptive_contact.cli.demo.report import draw, drawn
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.cli.demo.summary import outcome_words, percent, touches_words
 from adaptive_contact.cli.demo.verdict import Verdict, judge
@@ -134,6 +140,53 @@ def test_a_service_that_never_comes_back(walk: Path, tmp_path: Path, robot: Robo
         "The service has not caught up by the end"
     )
     draw(tmp_path / "report.png", SETTINGS, verdict)
+
+
+def test_a_demo_with_few_swings_left_is_not_called_a_failure(
+    walk: Path, tmp_path: Path, robot: Robot
+) -> None:
+    path = tmp_path / "told.mcap"
+    late_ns = round((SECONDS - 8.0) * 1e9)
+    told(walk, path, robot)
+    verdict = judge(path, robot, late_ns, "rf")
+    assert 0 < verdict.service.swings_after < 10
+    lines = outcome_words(SETTINGS, verdict)
+    swings = verdict.service.swings_after
+    assert lines[1].startswith(f"The service, with only {swings} swings left to judge it by: ")
+    # Of a leg that no model has lost there is nothing to catch up with.
+    assert "no harm done" in outcome_words(SETTINGS, judge(path, robot, late_ns, "lm"))[0]
+
+
+def test_no_words_lie_on_others_wherever_the_drift_is(
+    walk: Path, tmp_path: Path, robot: Robot
+) -> None:
+    verdict = told(walk, tmp_path / "told.mcap", robot)
+    for share in (0.25, 0.42, 0.55, 0.7, 0.99):
+        drift_ns = round(share * SECONDS * 1e9)
+        figure = drawn(SETTINGS, dataclasses.replace(verdict, drift_ns=drift_ns))
+        FigureCanvasAgg(figure).draw()
+        axes = figure.axes[0]
+        legend = axes.get_legend()
+        assert legend is not None
+        shown = [*figure.texts, *axes.texts, axes.xaxis.label, *legend.get_texts()]
+        boxes = {words.get_text(): words.get_window_extent() for words in shown}
+        assert {"touch missed", "time, s"} < set(boxes)
+        assert any(words.endswith("60 g of mud") for words in boxes)
+        for one, other in itertools.combinations(boxes, 2):
+            assert not boxes[one].overlaps(boxes[other]), (share, one, other)
+        for words, box in boxes.items():
+            assert 0 <= box.x0 < box.x1 <= figure.bbox.width, (share, words)
+
+
+def test_it_takes_no_more_than_the_readme_installs() -> None:
+    """The extras ``sim`` and ``plot``; pages and tables of the studies want more."""
+    code = """
+import sys
+for name in ("jinja2", "distributed", "pyarrow", "rosbags", "foxglove", "dynamixel_sdk"):
+    sys.modules[name] = None
+import adaptive_contact.cli.demo.report, adaptive_contact.cli.demo.run
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
 def test_only_all_is_a_hundred_percent() -> None:

@@ -46,7 +46,7 @@ _STYLE: Final = {
 
 @styled(_STYLE, "the demo's report", "plot")
 def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
-    """Draw the report.
+    """Write the report.
 
     Args:
         path: a PNG file.
@@ -56,6 +56,12 @@ def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
     Raises:
         AdaptiveContactError: the file cannot be written.
     """
+    save(drawn(settings, verdict), path)
+
+
+@styled(_STYLE, "the demo's report", "plot")
+def drawn(settings: DemoSettings, verdict: Verdict) -> Figure:
+    """The report."""
     figure = new_figure(*_SIZE_IN, layout=None, facecolor="white")
     grid = figure.add_gridspec(
         2,
@@ -75,7 +81,7 @@ def draw(path: Path, settings: DemoSettings, verdict: Verdict) -> None:
     _recall(figure.add_subplot(grid[1, 1]), verdict)
     _alarms(figure.add_subplot(grid[1, 2]), verdict)
     _latency(figure.add_subplot(grid[1, 3]), verdict)
-    save(figure, path)
+    return figure
 
 
 def _title(figure: Figure, settings: DemoSettings, verdict: Verdict) -> None:
@@ -126,16 +132,17 @@ def _timeline(axes: Axes, settings: DemoSettings, verdict: Verdict) -> None:
     axes.set_yticks([-at for at in range(len(rows))], [label for _, _, label in rows])
     axes.set_ylim(-len(rows) + 0.45, 0.6)
     axes.set_xlim(0, right_s)
-    axes.set_xlabel("time, s", labelpad=2)
+    axes.set_xlabel("time, s", labelpad=2, loc="left")
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.scatter([], [], marker="s", s=60, color=_TRUE, label="on the ground (truth)")
     _found(axes, [], 0.0, "touch found")
     _missed(axes, [], 0.0, "touch missed")
     _false(axes, [], 0.0, "false alarm")
+    # Below: above the axes is the drift's label, which ends wherever the drift came.
     axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
+        loc="upper right",
+        bbox_to_anchor=(1.0, -0.055),
         ncols=4,
         frameon=False,
         borderaxespad=0.1,

@@ -7,6 +7,7 @@ import time
 
 from rich.console import Console
 
+from adaptive_contact.cli._compiling import compile_tick
 from adaptive_contact.cli.demo.conduct import StoppedError, conduct, display
 from adaptive_contact.cli.demo.settings import DemoSettings
 from adaptive_contact.cli.demo.summary import as_table, figures, write_summary
@@ -40,6 +41,10 @@ def run_demo(
 
     _make(settings)
     began_s = time.monotonic()
+    # Here and not in the service, whose start has a time limit: it takes minutes on a busy machine.
+    compile_tick()
+    if stop.is_set():
+        raise StoppedError
     robot = settings.simulated.description
     take = conduct(settings, robot, display(console, settings), stop, page)
     verdict = judge(settings.recording, robot, take.drift_ns, settings.leg)

@@ -46,7 +46,10 @@ def outcome_words(settings: DemoSettings, verdict: Verdict) -> tuple[str, ...]:
         return (f"{what}: no harm done, {_share(after)} touches found, {_alarms(after)}.",)
     old, own = frozen.after.legs[leg], service.after.legs[leg]
     rest = others(service.after, leg)
-    if service.recovery is None:
+    swings = service.swings_after
+    if service.recovery is None and swings < RECOVERY_SWINGS:
+        back = f"The service, with only {_swings(swings)} left to judge it by"
+    elif service.recovery is None:
         back = "The service has not caught up by the end"
     elif service.recovery == 0:
         back = "The service follows the leg at once"
@@ -66,6 +69,8 @@ def percent(share: float | None) -> str:
 def _hurt(judged: Judged, leg: str) -> bool:
     """Whether the drift did harm to a detector: it was not reliable from the drift on."""
     errors = judged.after.legs[leg].lost_swings
+    if judged.swings_after < RECOVERY_SWINGS:
+        return errors > 0
     return judged.recovery != 0 or errors > 2
 
 

@@ -70,6 +70,7 @@ class Judged:
         level: per leg.
         recovery: swings of the drifted leg from the drift on until ten in a row hold at most one
             error; 0 where nothing was lost, None where it did not happen.
+        swings_after: of the drifted leg, that began after the drift.
     """
 
     whole: Score
@@ -78,6 +79,7 @@ class Judged:
     outcomes: tuple[LegOutcome, ...]
     level: dict[str, Level]
     recovery: int | None
+    swings_after: int
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -147,6 +149,7 @@ def judge(path: Path, robot: Robot, drift_ns: int, drift_leg: str) -> Verdict:
             recovery=swings_to_recovery(
                 drifted.swings, drift_ns, window=RECOVERY_SWINGS, least_of_a_kind=0
             ),
+            swings_after=int((drifted.swings.start_ns >= drift_ns).sum()),
         )
 
     # Its residuals are not on the wire; its learners, fed the same samples, have the same.
