@@ -344,10 +344,10 @@ def judge_tick(
         against = leg.after > 0 and leg.has_lengths
         if against:
             height_gradient(last_measured, links[i], turns, room[3])
-        of_tick = limits_awaited if leg.after else limits
         leg.distance = statistic(
-            leg, history[i], whiten[i], room[2], of_tick, scores, sums, room[3], against
-        )
+            leg, history[i], whiten[i], room[2], limits, limits_awaited, scores, sums, room[3],
+            against,
+        )  # fmt: skip
         # Free, loaded, or contact.
         past_lift = descending(leg, lengths_ticks)
         topped = leg.topped and not leg.broken if leg.gated else not leg.broken
@@ -386,7 +386,7 @@ def judge_tick(
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
-                    history[i], leg.distance, scores[0] * of_tick[0], free, past_lift,
+                    history[i], leg.distance, scores[0] * limits[0], free, past_lift,
                     whiten[i], unit, last_measured, links[i], turns, room[0],
                     room[1],
                 )  # fmt: skip

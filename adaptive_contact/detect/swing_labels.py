@@ -243,8 +243,9 @@ class SwingLabels:
         whiten = batch.whiten[row, int(leg["context"])] / batch.unit[row] ** 0.5
         thetas = batch.thetas[row, : int(leg["thetas_n"])]
         target = place.residuals + place.increments
-        limits = batch.limits_awaited[row] if leg["after"] else batch.limits[row]
-        return Touch.of(thetas, target, whiten, limits.copy(), int(leg["usable"]))
+        limits = batch.limits[row].copy()
+        limits[: leg["after"]] = batch.limits_awaited[row, : leg["after"]]
+        return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
 
 def confirmed_before(
