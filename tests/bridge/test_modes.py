@@ -213,7 +213,9 @@ def test_a_servo_whose_answers_keep_coming_late_is_not_sent_to_its_cable(rig: Ca
     for second in range(20):
         said += news.lines(health, {3: second + 1})
     assert len(said) == 1
-    assert "servo 3 (l0 j2): its answers come too late; set timeout_ms higher in [port.p0]" in said[0]
+    assert (
+        "servo 3 (l0 j2): its answers come too late; set timeout_ms higher in [port.p0]" in said[0]
+    )
 
 
 def test_a_part_cut_short_spoils_a_fast_answer_and_is_no_reading() -> None:
