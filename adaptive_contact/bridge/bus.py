@@ -27,7 +27,10 @@ from adaptive_contact.bridge.packets import (
     ERROR_BITS,
     ERROR_NUMBERS,
     MAX_ID,
+    Codec,
     Instruction,
+    Protocol1,
+    Protocol2,
     split_fast_sync,
 )
 from adaptive_contact.bridge.port import SdkPort
@@ -46,6 +49,8 @@ _TRIES: Final = 4
 # What arrives is waited out for so long at the most, before something is asked again.
 _SETTLE_S: Final = 0.5
 _QUIET_MS: Final = 100.0
+# Answers that came too late are waited for longer: twice as long each time, up to this.
+MOST_PATIENT_MS: Final = 400.0
 _SETTLE_BYTES: Final = 256
 # Of so many reads, so many garbled ones are no accident.
 _LOOKS, _GARBLED = 5, 3
@@ -109,7 +114,8 @@ class Bus:
         port: its settings.
 
     Attributes:
-        late: answers that came after they were waited for, by servo.
+        late: answers that came after they were waited for, by servo; one that is dead has none,
+            however late those of others are.
     """
 
     def __init__(self, name: str, port: Port) -> None:
@@ -118,10 +124,12 @@ class Bus:
         self._fast = port.fast
         self._port = SdkPort(name, port)
         self._packets: Any = PacketHandler(float(port.protocol))
+        self._codec: Codec = Protocol1() if port.protocol == 1 else Protocol2()
         # Before 3.8 the SDK knows no fast sync read, and its calls take one argument less.
         self._knows_fast = "fast_option" in signature(self._packets.rxPacket).parameters
         self.late: Counter[int] = Counter()
         self._unanswered: set[int] = set()
+        self._late_known = 0
 
     @property
     def device(self) -> str:
@@ -231,11 +239,20 @@ class Bus:
         Servos that are alike answer to a ping bit for bit the same, at the same moment; what they
         measure differs, and on the wire their answers then garble each other, again and again.
         """
-        faults = [self._ask(servo, block).fault for _ in range(_LOOKS)]
+        faults = [answer.fault for answer in self.ask_often(servo, block)]
         return faults.count(Fault.CORRUPT) < _GARBLED
 
-    def settle(self) -> None:
-        """Wait until nothing arrives any more; what does was late.
+    def ask_often(self, servo: int, block: Block) -> list[Reading]:
+        """Ask a servo for registers some times in a row."""
+        return [self._ask(servo, block) for _ in range(_LOOKS)]
+
+    def settle(self, quiet_ms: float = _QUIET_MS) -> None:
+        """Wait until nothing arrives any more, outside the cycle.
+
+        Where answers have come too late since the last time, it waits longer for all from now on.
+
+        Args:
+            quiet_ms: how long nothing has to arrive.
 
         Raises:
             PortLostError: the port is gone.
@@ -244,12 +261,15 @@ class Bus:
         def work() -> None:
             end = time.monotonic() + _SETTLE_S
             while time.monotonic() < end:
-                self._port.setPacketTimeoutMillis(_QUIET_MS)
+                self._port.setPacketTimeoutMillis(quiet_ms)
                 if not self._port.readPort(_SETTLE_BYTES):
                     return
                 self._count_late()
 
         self._guarded(work)
+        late, self._late_known = self._late_known, self.late.total()
+        if self._late_known > late:
+            self.timeout_ms = max(self.timeout_ms, min(2.0 * self.timeout_ms, MOST_PATIENT_MS))
 
     def confirmed(self, servo: int, block: Block) -> bytes | None:
         """Bytes of registers that stay as they are: two answers in a row agree on them.
@@ -368,14 +388,29 @@ class Bus:
 
     def _drain(self) -> None:
         """Throw away what arrived too late, and count whose it was."""
-        before = self._port.discarded
         self._port.clearPort()
-        if self._port.discarded > before:
-            self._count_late()
+        self._count_late()
 
-    def _count_late(self) -> None:
-        self.late.update(self._unanswered)
-        self._unanswered.clear()
+    def _count_late(self, answered: int | None = None) -> None:
+        """Count unanswered questions whose answers have arrived since.
+
+        Args:
+            answered: a servo one of whose answers came in time.
+        """
+        arrived = self._port.arrived
+        if not self._unanswered:
+            arrived.clear()
+            return
+        # The beginning of a packet stays until the rest of it has come.
+        frames, _ = self._codec.parse(arrived)
+        senders = [
+            frame.id for frame in frames if self.protocol == 1 or frame.code == Instruction.STATUS
+        ]
+        if answered in senders:
+            senders.remove(answered)
+        for servo in self._unanswered.intersection(senders):
+            self.late[servo] += 1
+            self._unanswered.discard(servo)
 
     def _note(self, servo: int, *, answered: bool) -> None:
         (self._unanswered.discard if answered else self._unanswered.add)(servo)
@@ -391,10 +426,8 @@ class Bus:
             packet = [0, 0, servo, 2, Instruction.PING, 0]
         else:
             packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
-        before = self._port.received
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
-        if self._port.received - before > len(answer or ()):
-            self._count_late()
+        self._count_late(servo if result == COMM_SUCCESS else None)
         self._note(servo, answered=result != _TIMEOUT)
         told = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
         number = told[0] + (told[1] << 8) if len(told) >= MODEL_NUMBER.size else None
@@ -407,7 +440,7 @@ class Bus:
 
     def _read_one(self, servo: int, block: Block) -> Reading:
         self._drain()
-        at_s, before = time.monotonic(), self._port.received
+        at_s = time.monotonic()
         place = block.address, block.size
         if self.protocol == 1:
             packet = [0, 0, servo, 4, Instruction.READ, *place, 0]
@@ -415,8 +448,7 @@ class Bus:
             wide = [byte for value in place for byte in (value & 0xFF, value >> 8)]
             packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *wide, 0, 0]
         answer, result, error = self._packets.txRxPacket(self._port, packet)
-        if self._port.received - before > len(answer or ()):
-            self._count_late()  # another's answer came in between
+        self._count_late(servo if result == COMM_SUCCESS else None)
         self._note(servo, answered=result != _TIMEOUT)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)

@@ -17,7 +17,7 @@ from typing import Final, Literal
 
 import msgspec
 
-from adaptive_contact.bridge.bus import MODEL_NUMBER, Bus, Pong
+from adaptive_contact.bridge.bus import MODEL_NUMBER, MOST_PATIENT_MS, Bus, Pong
 from adaptive_contact.bridge.drive import remedy, standing
 from adaptive_contact.bridge.modes import setting
 from adaptive_contact.bridge.packets import MAX_ID
@@ -54,6 +54,8 @@ BUSY: Final = (
 _MOST_DELAY_US: Final = 100
 _US_PER_DELAY: Final = 2
 _MORE_TRIES: Final = 3
+# Where answers come late: from the first patience to the last by doubling, and one more.
+_LATE_TRIES: Final = 6
 _PATIENT_MS: Final = 25.0
 _LEAST_CROWD: Final = 2
 
@@ -252,8 +254,8 @@ def _again(bus: Bus, servo: int, before: Pong | None) -> Pong | None:
     What came in between may have been a late answer to another question.
     """
     worst = before
-    for _ in range(_MORE_TRIES):
-        if before is not None:
+    for _ in range(_LATE_TRIES if bus.late else _MORE_TRIES):
+        if worst is not None or bus.late:
             bus.settle()
         pong = bus.ping(servo)
         if pong is not None:
@@ -284,7 +286,9 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         ignored = set(plan.port.ignore)
         asked = ALL_IDS if full else expected
         found = scan(bus, [servo for servo in asked if servo not in ignored])
-        if found:  # a bus where nobody answers is asked once
+        if not found:
+            bus.settle(MOST_PATIENT_MS)  # were they late?
+        if found or bus.late:  # a bus where nobody answers is asked once
             found = scan_again(bus, found, expected)
         mute = [s for s, pong in found.items() if s in expected and not pong.reads]
         for servo in mute if configure else ():
@@ -308,6 +312,9 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         if unread:
             findings.errors.append(_unread(plan, bus, unread))
         _delays(plan, bus, present, configure, findings)
+        slow = _slow(plan, bus, present) if bus.late else []
+        if len(slow) >= crowd(len(plan.joints)):
+            findings.advice.append(_too_late(plan, len(slow)))
         advice = latency_advice(bus.device)
         if advice is not None:
             findings.advice.append(f"port {plan.name}: {advice}")
@@ -322,11 +329,29 @@ def _unread(plan: PortPlan, bus: Bus, servos: Sequence[int]) -> str:
     """What to say of servos that are there, and whose registers cannot be read reliably."""
     ids = ", ".join(map(str, servos))
     if _many_late(plan, bus, servos):
-        return f"port {plan.name}: answers of {len(servos)} servos come too late: {BUSY}"
+        return _too_late(plan, len(servos))
     return (
         f"port {plan.name}: the settings of servo {ids} cannot be read twice alike; the line is "
         "disturbed: check its plugs and cable, and try again"
     )
+
+
+def _too_late(plan: PortPlan, count: int) -> str:
+    return f"port {plan.name}: answers of {count} servos come too late: {BUSY}"
+
+
+def _slow(plan: PortPlan, bus: Bus, joints: Sequence[JointPlan]) -> list[int]:
+    """Servos that never answer within the port's time, however quiet the line and the computer."""
+    slow = []
+    for joint in joints:
+        taken_s = (
+            answer.till_s - answer.at_s
+            for answer in bus.ask_often(joint.servo, joint.model.measured)
+            if answer.data is not None
+        )
+        if min(taken_s, default=0.0) > plan.port.timeout_ms / 1000.0:
+            slow.append(joint.servo)
+    return slow
 
 
 def _many_late(plan: PortPlan, bus: Bus, servos: Sequence[int]) -> bool:
@@ -343,6 +368,9 @@ def _compare(
     findings: Findings,
 ) -> None:
     where = f"port {plan.name} ({bus.device})"
+    if bus.timeout_ms >= MOST_PATIENT_MS and _many_late(plan, bus, list(expected)):
+        findings.errors.append(_too_late(plan, len(expected)))
+        return
     legs = {joint.servo: leg.id for leg in plan.legs for joint in leg.joints}
     astray = [servo for ids in elsewhere.values() for servo in ids]
     if not found and not _many_late(plan, bus, list(expected)):
@@ -359,7 +387,7 @@ def _compare(
     ]
     missing = [servo for servo in expected if servo not in found and servo not in astray]
     if _many_late(plan, bus, missing):
-        findings.errors.append(f"{where}: answers of {len(missing)} servos come too late: {BUSY}")
+        findings.errors.append(_too_late(plan, len(missing)))
     elif missing:
         told = ", ".join(f"{s} ({legs[s]} {expected[s].name})" for s in missing)
         findings.errors.append(

@@ -191,6 +191,15 @@ _TOLD: Final = {"overload", "overheating", "voltage", "electrical_shock", "encod
 _BACK_LOOKS: Final = 2
 # Looks without a crowd of late servos after which a computer is no longer too busy.
 _CALM_LOOKS: Final = 10
+# On a computer that is too busy, a servo is named after so many looks without any answer of it, not
+# even a late one; else after one.  It is asked five times a look at the least, at 50 Hz.
+_MUTE_LOOKS: Final = 3
+# A servo whose answers keep coming too late, where few do, is named after so many looks.
+_LATE_LOOKS: Final = 3
+_LATE: Final = (
+    "its answers come too late; set timeout_ms higher in [port.{port}], and see 'Timing' in "
+    "docs/bridge.md"
+)
 # Goals found changed since the last look, of one servo, that are another program's: a servo that
 # has been switched off and on changes one.
 _FOREIGN: Final = 3
@@ -211,6 +220,9 @@ class News:
         self._busy = False
         self._calm = 0
         self._late: dict[int, int] = {}
+        self._mute: Counter[int] = Counter()
+        self._belated: Counter[int] = Counter()
+        self._told_late: set[int] = set()
         self._foreign: dict[int, int] = {}
         self._shared = False
         self._shut: set[int] = set()
@@ -227,8 +239,7 @@ class News:
         """
         said: list[str] = []
         silent = {servo for servo, record in health.items() if record.silent}
-        if not self._crowded(said, silent, dict(late or {})):
-            self._silences(said, silent)
+        self._silences(said, silent, self._crowded(said, dict(late or {})))
         by_words: dict[str, list[int]] = {}
         for servo, record in health.items():
             now = frozenset(record.alarms & _TOLD)
@@ -247,8 +258,12 @@ class News:
         self._strangers(said, health)
         return said
 
-    def _crowded(self, said: list[str], silent: set[int], late: dict[int, int]) -> bool:
-        """Whether so many answers come late that no servo is to be blamed; said once."""
+    def _crowded(self, said: list[str], late: dict[int, int]) -> set[int]:
+        """Find out whether so many answers come late that the computer is to blame; said once.
+
+        Returns:
+            Servos of which late answers have come since the last look.
+        """
         now_late = {servo for servo, count in late.items() if count > self._late.get(servo, 0)}
         self._late = late
         many = crowd(len(self._names))
@@ -265,20 +280,35 @@ class News:
             if self._calm >= _CALM_LOOKS:
                 self._busy = False
                 said.append(f"port {self._plan.name}: answers come in time again")
-        return self._busy
+        return now_late
 
-    def _silences(self, said: list[str], silent: set[int]) -> None:
-        self._say(said, sorted(silent - self._silent), "no answer; check its cable and power")
+    def _silences(self, said: list[str], silent: set[int], now_late: set[int]) -> None:
+        """Say who has fallen silent, and who answers again.
+
+        A servo whose answers come too late is neither broken nor unplugged: it is not named while
+        the computer is too busy.  One of which nothing comes is, however busy the computer.
+        """
+        mute, belated = silent - now_late, silent & now_late
+        for servo in self._names:
+            self._belated[servo] = self._belated[servo] + 1 if servo in belated else 0
+            self._mute[servo] = self._mute[servo] + 1 if servo in mute else 0
+        looks = _MUTE_LOOKS if self._busy else 1
+        dead = {servo for servo, count in self._mute.items() if count >= looks}
+        self._say(said, sorted(dead - self._silent), "no answer; check its cable and power")
+        if not self._busy:
+            slow = {servo for servo, count in self._belated.items() if count >= _LATE_LOOKS}
+            self._say(said, sorted(slow - self._told_late), _LATE.format(port=self._plan.name))
+            self._told_late |= slow
         back = []
-        for servo in sorted(self._silent - silent):
+        for servo in sorted(self._silent - mute):
             self._answered[servo] = self._answered.get(servo, 0) + 1
             if self._answered[servo] >= _BACK_LOOKS:
                 back.append(servo)
         for servo in [*self._answered]:
-            if servo in silent or servo in back:
+            if servo in mute or servo in back:
                 del self._answered[servo]
         self._say(said, back, "answers again")
-        self._silent = (self._silent | silent) - set(back)
+        self._silent = (self._silent | dead) - set(back)
 
     def _strangers(self, said: list[str], health: Mapping[int, ServoHealth]) -> None:
         """Say once that another program writes goals, which this one writes too."""

@@ -65,7 +65,8 @@ class SdkPort(PortHandler):
     Attributes:
         latest_s: monotonic time at which any wait for an answer ends.
         received: bytes read so far.
-        discarded: bytes thrown away before a question: they came unasked, or too late.
+        arrived: bytes read, or thrown away before a question because they came unasked or too
+            late; whoever looks at them takes them out.
         byte_s: how long a byte takes on the wire.
     """
 
@@ -78,7 +79,8 @@ class SdkPort(PortHandler):
         self.byte_s = _BITS_PER_BYTE / port.baud
         self._deadline = 0.0
         self.latest_s = math.inf
-        self.received = self.discarded = 0
+        self.received = 0
+        self.arrived = bytearray()
         self._closed_to_others = False
         self._fd = -1
 
@@ -161,7 +163,7 @@ class SdkPort(PortHandler):
         # busy computer may wait itself: a cycle of 84 ms was seen.
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._fd, _FLUSH_BYTES):
-                self.discarded += len(data)
+                self.arrived += data
 
     def readPort(self, length: int) -> bytes:
         """Read up to ``length`` bytes, sleeping until one is there or time is up."""
@@ -175,6 +177,7 @@ class SdkPort(PortHandler):
         if not data:
             raise OSError(errno.EIO, "hung up")
         self.received += len(data)
+        self.arrived += data
         return data
 
     def writePort(self, packet: list[int]) -> int:

@@ -212,6 +212,21 @@ def test_a_late_answer_is_not_taken_for_another_servos(rig: Callable) -> None:
     bus.close()
 
 
+@pytest.mark.parametrize("kind", [AX, XL], ids=["AX", "XL"])
+def test_a_late_answer_is_counted_for_the_servo_that_gave_it(rig: Callable, kind: dict) -> None:
+    """A dead one has none, whatever comes late of others: it would pass for the computer's."""
+    r = rig(**kind)
+    bus, joints = opened(r), r.plans[0].joints
+    r.fault("late:id=2,ms=130", "silent:id=5")
+    block, deadline = joints[0].model.motion, time.monotonic() + 30
+    while bus.late[2] < 3 and time.monotonic() < deadline:
+        for servo in (5, 2, 4):
+            bus.read([servo], block)
+    assert bus.late[2] >= 3
+    assert bus.late[5] == 0
+    bus.close()
+
+
 def test_a_hang_up_is_one_error_and_the_port_comes_back(rig: Callable) -> None:
     r = rig(**AX)
     bus, joints = opened(r), r.plans[0].joints
@@ -337,7 +352,7 @@ def test_a_new_id_and_baud_rate_hold_at_once(
     import dynamixel_sdk as sdk
 
     # The SDK's own port waits for twice this, in ms: enough on a busy machine, too.
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 50)
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 1000)
 
     r = rig(**kind)
     registers = r.plans[0].joints[0].model.registers

@@ -140,11 +140,24 @@ def test_late_answers_accuse_no_servo(rig: Callable, kind: dict) -> None:
 
 
 def test_when_all_answers_are_late_the_computer_is_named_once(rig: Callable) -> None:
-    r = rig(**AX)
-    r.fault("late:ms=60")
+    r = rig(**AX, legs=1)
+    r.fault("late:ms=450")
     errors = check_ports(r.plans, full=False).errors
     assert len(errors) == 1
     assert "this computer is too busy" in errors[0]
+
+
+@pytest.mark.parametrize("kind", [AX, XM])
+def test_late_answers_are_waited_for_longer_and_named(rig: Callable, kind: dict) -> None:
+    """Of servos that do answer, what is wrong is found all the same."""
+    r = rig(**kind, legs=1)
+    r.fault("late:ms=30")
+    findings = check_ports(r.plans, full=False)
+    assert findings.errors == []
+    assert sum("this computer is too busy" in line for line in findings.advice) == 1
+    r.fault("late:ms=30", "silent:id=2")
+    [line] = check_ports(r.plans, full=False).errors
+    assert "missing servo 2 (l0 j1); check cable, power, id and baud rate" in line
 
 
 def test_a_crowd_of_late_servos_is_one_line_and_a_single_one_is_named(rig: Callable) -> None:
@@ -167,6 +180,42 @@ def test_a_crowd_of_late_servos_is_one_line_and_a_single_one_is_named(rig: Calla
     health[1].misses = 3
     [line] = news.lines(health, late)
     assert "servo 1 (l0 j0): no answer; check its cable and power" in line
+
+
+def test_a_dead_servo_is_named_on_a_busy_computer_too(rig: Callable) -> None:
+    """The answers of all others come too late, now and then; of the dead one comes nothing."""
+    plan = rig(**AX).plans[0]
+    health = {joint.servo: ServoHealth() for joint in plan.joints}
+    news, late = News(plan), Counter[int]()
+    said: list[str] = []
+
+    def look(second: int, dead: bool) -> None:
+        for servo, record in health.items():
+            late[servo] += not (dead and servo == 2)
+            record.misses = 3 if dead and servo == 2 else 3 * (second % 2)
+        said.extend(news.lines(health, late))
+
+    for second in range(10):
+        look(second, dead=True)
+    busy, silent = said
+    assert "too busy" in busy
+    assert silent == "port p0: servo 2 (l0 j1): no answer; check its cable and power"
+    for second in range(10):
+        look(second, dead=False)
+    assert said[2:] == ["port p0: servo 2 (l0 j1): answers again"]
+
+
+def test_a_servo_whose_answers_keep_coming_late_is_not_sent_to_its_cable(rig: Callable) -> None:
+    plan = rig(**AX).plans[0]
+    health = {joint.servo: ServoHealth() for joint in plan.joints}
+    health[3].misses = 3
+    news, said = News(plan), []
+    for second in range(20):
+        said += news.lines(health, {3: second + 1})
+    assert len(said) == 1
+    assert (
+        "servo 3 (l0 j2): its answers come too late; set timeout_ms higher in [port.p0]" in said[0]
+    )
 
 
 def test_a_part_cut_short_spoils_a_fast_answer_and_is_no_reading() -> None:
