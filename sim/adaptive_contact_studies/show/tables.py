@@ -1,28 +1,10 @@
-"""Tables and numbers as text."""
+"""Numbers as text."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
-__all__ = ["Section", "Table", "interval", "number", "per_joint", "percent", "skipped"]
-
-
-class Table(NamedTuple):
-    """A table of texts."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-
-class Section(NamedTuple):
-    """A section: title, text (with ``**`` and backticks), tables, names of pictures."""
-
-    title: str
-    text: str
-    tables: Sequence[Table]
-    pictures: Sequence[str]
+__all__ = ["interval", "number", "per_joint", "percent", "signed"]
 
 
 def number(value: float | None, digits: int = 2) -> str:
@@ -33,6 +15,11 @@ def number(value: float | None, digits: int = 2) -> str:
 def percent(share: float | None, digits: int = 1) -> str:
     """A share in per cent."""
     return "-" if share is None else f"{100 * share:.{digits}f} %"
+
+
+def signed(share: float | None, digits: int = 1) -> str:
+    """A change in per cent, with its sign."""
+    return "-" if share is None else f"{100 * share:+.{digits}f} %"
 
 
 def interval(ends: Sequence[float | None]) -> str:
@@ -50,12 +37,3 @@ def per_joint(
     return " ".join(
         "-" if v is None else v if isinstance(v, str) else format(v, form) for v in values
     )
-
-
-def skipped(rows: Sequence[Mapping[str, Any]]) -> str:
-    """What was left out, as a sentence."""
-    if not rows:
-        return ""
-    shown = "; ".join(f"{row['file']}: {row['reason']}" for row in rows[:8])
-    more = f"; and {len(rows) - 8} more" if len(rows) > 8 else ""
-    return f" Left out: {shown}{more}."
