@@ -12,9 +12,11 @@ import contextlib
 import functools
 import hashlib
 import os
+import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -22,20 +24,19 @@ from typing import Any, Final
 import numpy as np
 
 numba: Any
+_config: Any  # numba's settings are made at import, and have no types
 try:
     import numba
-    from numba.core import config as _numba_config
+    from numba.core import config as _config
 except ImportError:  # there is none for this computer: pyproject.toml names those it is for
-    numba = None
-    _numba_config = None  # type: ignore[assignment]  # a module above
-
-_config: Any = _numba_config  # its settings are made at import, and have no types
+    numba = _config = None
 
 # Names a folder for what is compiled; empty for none.
 CACHE_VARIABLE: Final = "ADAPTIVE_CONTACT_CACHE"
 # What a change of any of them makes void.
 _SOURCES: Final = ("detect", "learn", "model", "robot")
-_WHOLE: Final = "whole"  # empty; there once all of a tick has been compiled
+_WHOLE: Final = "whole"  # empty; there once all of a tick has been compiled, touched by each start
+_UNUSED_S: Final = 90 * 86400.0  # what earlier versions compiled is removed after so long
 
 
 def compiles() -> bool:
@@ -80,11 +81,17 @@ def is_cached() -> bool:
 
 
 def note_cached() -> None:
-    """Leave word in the cache that all of a tick is in it."""
+    """Mark the cache as whole and in use; remove those of versions that no longer start."""
     folder = cache_folder()
-    if folder is not None and compiles():
-        with contextlib.suppress(OSError):  # the next start compiles ahead again, from the cache
-            (folder / _WHOLE).touch()
+    if folder is None or not compiles():
+        return
+    with contextlib.suppress(OSError):  # the next start compiles ahead again, from the cache
+        (folder / _WHOLE).touch()
+        for other in folder.parent.glob("compiled-*"):
+            used = other / _WHOLE
+            last_s = (used if used.exists() else other).stat().st_mtime
+            if time.time() - last_s > _UNUSED_S:
+                shutil.rmtree(other, ignore_errors=True)
 
 
 def records(scalars: Any) -> Any:
@@ -170,7 +177,7 @@ def _digest() -> str:
     """Of what the machine code is made from and for: sources, numba, Python, processor."""
     made = [getattr(numba, "__version__", None), sys.version]
     if numba is not None:
-        from llvmlite import binding  # type: ignore[import-untyped]
+        from llvmlite import binding
 
         made += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
     found = hashlib.sha256(" ".join(map(str, made)).encode())

@@ -1,7 +1,8 @@
 """Takes several learners one tick further, the arithmetic of all legs in one compiled call.
 
-This is what makes six legs cost little more than one.  A tick has two halves: what its samples say
-of contacts, and what no event needs to wait for: learning, and the prediction of the next.
+This is what makes six legs cost little more than one.  A tick has two halves.  The first,
+:meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
+learns from the tick and predicts the next; no event waits for it.
 
 Whatever a step of one leg raises resets that leg and no other: each step is in a `try` of its own.
 """
@@ -41,19 +42,19 @@ class Member(Protocol):
     place: LegPlace
 
     def take(self, sample: ServoSample) -> bool:
-        """Put a sample into the arrays; False if it is refused."""
+        """Put a sample into the leg's row of the arrays; False if it is refused."""
 
     def event_of(self, flags: int) -> ContactEvent | None:
         """Make the event of a judged tick, if there is one."""
 
     def finish(self, flags: int) -> bool:
-        """Learn what the tick leaves to be learned; True if another model is to take over."""
+        """Learn from a judged tick; True if another model is to be taken up."""
 
-    def settle(self) -> None:
-        """Take up a model that has become ready."""
+    def take_up_model(self) -> None:
+        """Put the model of another adapter in force, such as that of a cold start."""
 
     def reset_after_fault(self, fault: Exception) -> None:
-        """Go back to what was saved, after a step of its own raised."""
+        """Restore what was last saved, after a step of this leg raised."""
 
 
 def check_sample(sample: object) -> None:
@@ -113,7 +114,7 @@ class LegGroup:
         """
         if self._open and any(samples[i] is not None for i in self._open):
             self.finish()
-        self._settle()
+        self._regroup()
         events: list[ContactEvent | None] = [None] * len(self.learners)
         here: list[int] = []
         for batch, _ in self._batches:
@@ -161,21 +162,21 @@ class LegGroup:
                 batch.finish()
             for learner in taking_over:
                 try:
-                    learner.settle()
+                    learner.take_up_model()
                 except Exception as fault:  # of any kind: it is this leg's alone
                     self._fault(learner, fault)
             self._open.clear()
-        self._settle()
+        self._regroup()
 
     def _fault(self, learner: Member, fault: Exception) -> None:
-        """A step of one leg raised, which must not end the others' service; raised if none asks."""
+        """Reset the leg whose step raised, so that the others go on; raise without ``on_fault``."""
         if self._on_fault is None:
             raise fault
         learner.reset_after_fault(fault)
         self._on_fault(learner.leg.id, fault)
 
-    def _settle(self) -> None:
-        """Bring learners of equal libraries into one batch each, where some are not."""
+    def _regroup(self) -> None:
+        """Put learners of equal libraries into one batch, where a leg's batch is another now."""
         for learner, home in zip(self.learners, self._homes, strict=True):
             if learner.place.batch is not home:
                 break

@@ -3,8 +3,9 @@
 The only file that knows both detection and learning.  :class:`ContactLearner` passes labelled
 swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
 (:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A
-:class:`~adaptive_contact.leg_group.LegGroup` takes several one tick further, so that six cost
-little more than one.  Recursive updates and refits come after the event.
+:class:`~adaptive_contact.leg_group.LegGroup` takes several learners one tick further: it calls
+:meth:`~ContactLearner.take`, then the compiled tick, then :meth:`~ContactLearner.event_of` where
+there is an event, and later :meth:`~ContactLearner.finish`, which learns.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ __all__ = ["ContactLearner"]
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
 _NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
-# What a tick may leave to be handed on.
+# Flags with which a tick has something for the labels or the learning.
 _MOVES: Final = (
     RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF | SOURCE
 )
@@ -131,7 +132,7 @@ class ContactLearner:
         self._ids = None if ids is None else ids.track(self.leg)
         self._misread = False  # the leg's angles are not counted as described
         self._faulty = False  # samples say nothing of the leg
-        # Who keeps samples still.
+        # Those that still collect samples.
         self._watching: tuple[MotionTrack | IdTrack, ...] = tuple(
             track for track in (self._track, self._ids) if track is not None
         )
@@ -142,8 +143,8 @@ class ContactLearner:
             self.leg, self.place, self._lifecycle, self._guard, self._swing, self._labels,
             self._track, self._ids, WhenAmbiguous(when_ambiguous),
         )  # fmt: skip
-        self._assessed = False  # what this tick found, for its event
-        self._begun = 0  # what the arrays hold of what is known
+        self._assessed = False  # this tick's lift or begin was assessed before its event
+        self._begun = 0  # `Lifecycle.begun` of the adapter that the arrays are of
         self._begin()
 
     # -- public --------------------------------------------------------------------------------
@@ -298,14 +299,14 @@ class ContactLearner:
         """Pass the tick's labelled swings to the learning, and publish the new free motion.
 
         Returns:
-            Whether another model is to take over (:meth:`settle`).
+            Whether another model is to be put in force (:meth:`take_up_model`).
         """
         lifecycle = self._lifecycle
         adapter = lifecycle.adapter
         if self._watching:
             self._watch(flags)
-        # A tick may take back by which variance the swing is judged; elsewhere a row that was
-        # entered only waits, and so it is with most ticks.
+        # In most ticks a row was entered that only waits for its swing: nothing to assess.  While
+        # the monitor watches a suspected lift, each tick may change the variance scale.
         assessed = flags and (
             flags != ENTERED or adapter is None or adapter.monitor.watches or not adapter.gated
         )
@@ -332,13 +333,13 @@ class ContactLearner:
                 self._begin()
                 return False
             self._report.publish_withholding()
-        elif not (moved and self.place.leg["ticks"]):  # no tick of a stance judges by it
+        elif not (moved and self.place.leg["ticks"]):  # a stance is not judged: it can wait
             return False
         self._publish()
         return False
 
-    def settle(self) -> None:
-        """Put a new model in force from the next tick on."""
+    def take_up_model(self) -> None:
+        """Put the model of another adapter in force, from the next tick on."""
         self._begin()
 
     # -- private -------------------------------------------------------------------------------
@@ -352,7 +353,7 @@ class ContactLearner:
         )  # fmt: skip
 
     def _begin(self) -> None:
-        """Begin with the present model: forget the past under the one before."""
+        """Begin with the model of the lifecycle: clear the arrays of the past under another."""
         self._report.collect_counts()
         lifecycle, place = self._lifecycle, self.place
         if lifecycle.library != place.batch.library:
@@ -371,7 +372,7 @@ class ContactLearner:
         self._publish(wanted=True)
 
     def _publish(self, *, wanted: bool = False) -> None:
-        """Put what is known of free motion into force, for the next tick to judge by."""
+        """Pass the adapter's ``FreeMotion`` to the arrays; the next tick is judged by it."""
         adapter = self._lifecycle.adapter
         assert adapter is not None
         free = adapter.free_motion(wanted=wanted or self._swing.ticks > 0)
@@ -379,7 +380,7 @@ class ContactLearner:
         self.place.leg["sure"] = adapter.status == "valid" and not free.changed
 
     def _watch(self, flags: int) -> None:
-        """Keep the sample for those who watch how angles are counted, and whose they are."""
+        """Keep the sample for the watches of signs and offsets, and of leg ids."""
         sample, (batch, row) = self._sample, self.place.at
         assert sample is not None
         measured, desired = batch.measured[row].tolist(), batch.desired[row].tolist()
@@ -390,7 +391,7 @@ class ContactLearner:
         self._watching = tuple(track for track in self._watching if track.wants)
 
     def _hand_over(self, flags: int) -> None:
-        """Let the adapter have what this tick has found."""
+        """Label what this tick's flags say of the swing, and pass it to the adapter."""
         adapter = self._lifecycle.adapter
         if flags & RESTARTED:
             self._swing.restart()
@@ -408,17 +409,19 @@ class ContactLearner:
             self._retract()
 
     def _assess(self, flags: int) -> None:
+        """Label a swing that begins or a lift past its top; once per tick."""
         self._learn(self._labels.assess(flags))
         self._assessed = True
 
     def _learn(self, parts: Sequence[LabelledSwing]) -> None:
+        """Pass labelled parts of a swing to the adapter."""
         adapter = self._lifecycle.adapter
         if adapter is not None:
             for part in parts:
                 adapter.learn(part)
 
     def _collect(self, flags: int) -> None:
-        """A sample for a first model."""
+        """Pass the sample to the cold start, which fits a first model to such samples."""
         leg, sample = self.place.leg, self._sample
         assert sample is not None
         rate = self._report.rate
@@ -437,7 +440,7 @@ class ContactLearner:
         self.place.leg["misread"] = self._misread
 
     def _let_go(self) -> None:
-        """Forget whether the leg touches: it cannot be known any more."""
+        """Forget whether the leg touches: it is not known any more."""
         leg = self.place.leg
         leg["release_pending"] |= leg["reported"]
         leg["contact"], leg["loaded"], leg["calm"] = False, True, 0
@@ -445,7 +448,7 @@ class ContactLearner:
     def _retract(self) -> None:
         """Retract what was learned from a faulty source."""
         leg, lifecycle = self.place.leg, self._lifecycle
-        # It may have begun in the swing before, too late in it to be found.
+        # The fault may have begun in the swing before, too late in it to be detected.
         if lifecycle.adapter is not None:
             lifecycle.adapter.retract(int(leg["began_ns"]))
         if lifecycle.cold is not None:

@@ -48,7 +48,7 @@ class _Servo:
 
     Attributes:
         joint: it is of.
-        waker: whether it may be moved.
+        waker: says whether it may be moved.
         steps: position, as it was last read.
         goal: in force, steps.
         fresh: it has answered in this tick.
@@ -305,7 +305,7 @@ class Cycle:
         return correction is not None and not stale
 
     def _write(self, now_ns: int) -> None:
-        """Limit the newest commands and write them, to servos that :mod:`.wake` lets be moved."""
+        """Limit the newest commands and write them, to servos that may be moved."""
         for leg in self.plan.legs:
             self._take_command(leg, self._drivers[leg.id])
         legs = [leg for leg in self.plan.legs if self._drivers[leg.id].is_asked(now_ns)]

@@ -207,7 +207,7 @@ def standing(model: ServoModel, block: Block, data: bytes) -> Standing:
 
     Args:
         model: the kind of servo.
-        block: what was read; it includes :attr:`.ServoModel.state`.
+        block: what was read; it includes :attr:`~adaptive_contact.bridge.tables.ServoModel.state`.
         data: its bytes.
     """
 

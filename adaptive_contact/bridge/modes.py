@@ -116,7 +116,7 @@ def setting(model: ServoModel, data: Sequence[bytes]) -> Setting:
 
     Args:
         model: the kind of servo.
-        data: the bytes of each of :attr:`.ServoModel.settings`.
+        data: the bytes of each of :attr:`~adaptive_contact.bridge.tables.ServoModel.settings`.
     """
     values = {
         name: block.part(part, register)

@@ -179,9 +179,14 @@ def _print(report: LiveReport, console: Console, *, moves: bool) -> None:
 def _told(report: LiveReport) -> list[str]:
     """What the motion has shown, and what it cannot."""
     lines = []
-    if report.confirmed:
+    sure = [leg for leg in report.confirmed if leg not in report.by_hand]
+    if sure:
+        lines.append(f"signs, order and zeros: as the motion says, leg {' '.join(sure)}")
+    signs = [leg for leg in report.confirmed if leg in report.by_hand]
+    if signs:
         lines.append(
-            f"signs, order and zeros: as the motion says, leg {' '.join(report.confirmed)}"
+            f"signs: as the motion says, leg {' '.join(signs)}; order and zeros of such a chain no "
+            "motion confirms: move joints by hand, and compare"
         )
     waiting = [leg for leg in report.open if leg not in report.by_hand]
     if waiting:
@@ -192,9 +197,9 @@ def _told(report: LiveReport) -> list[str]:
     by_hand = [leg for leg in report.open if leg in report.by_hand]
     if by_hand:
         lines.append(
-            f"signs, order and zeros of leg {' '.join(by_hand)}: no motion confirms them, as the "
-            "mirror image of such a chain may walk as well (docs/robot.md); move joints by hand, "
-            "and compare"
+            f"signs, order and zeros of leg {' '.join(by_hand)}: not confirmed by the motion, as "
+            "the mirror image of such a chain may walk as well (docs/robot.md); move joints by "
+            "hand, and compare"
         )
     for sign, where in (
         (-1, "below their commands: so it is where they hang"),

@@ -14,8 +14,9 @@ Only commands are used for 1 and 2: they have no noise, and no drift of a servo 
 finding needs facts that a right description contradicts *and* another choice that explains them;
 all else is no finding: a wrong accusation is worse than silence.
 
-Of a chain that is not straight (yaws, then pitches, links along x) only the second fact is judged:
-its mirror image often walks as well, so that rigid feet would confirm wrong signs.
+Of chains that are not straight (yaws, then pitches, links along x) the mirror image often walks as
+well.  Of these only signs are judged by rigid feet, and what walks as well is named or kept quiet
+(``mirrors.py``).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from typing import Final
 
 import numpy as np
 
+from adaptive_contact.conventions.mirrors import Chosen, choose_signs
 from adaptive_contact.conventions.motion import LegMotion, control_ticks
 from adaptive_contact.conventions.rigid import Reading
 from adaptive_contact.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
@@ -147,16 +149,21 @@ def judge_motion(robot: Robot, motions: Mapping[str, LegMotion]) -> Verdict:
     legs = [leg for leg in legs if len(leg.flips) > 1]
     if not legs:
         return Verdict()
-    straight = [leg for leg in legs if leg.chain.is_straight]
-    chosen = choose(straight, robot.period_s) if straight and _mounts_told(robot) else {}
+    chosen: dict[str, Chosen] = {}
+    if _mounts_told(robot):
+        straight = [leg for leg in legs if leg.chain.is_straight]
+        bent = [leg for leg in legs if not leg.chain.is_straight]
+        told = choose(straight, robot.period_s) if straight else {}
+        chosen = {leg: Chosen(pattern) for leg, pattern in told.items()}
+        chosen |= choose_signs(bent, robot.period_s)
     findings, fits = [], []
     for leg in legs:
-        pattern = chosen.get(leg.leg.id)
-        if pattern == 0:
+        choice = chosen.get(leg.leg.id)
+        if choice is not None and choice.pattern == 0:
             fits.append(leg.leg.id)
             continue
-        if pattern is not None:
-            findings.append(_finding(leg, pattern))
+        if choice is not None:
+            findings.append(_finding(leg, choice))
             continue
         alone = leg.alone()
         if alone is not None:
@@ -201,16 +208,16 @@ def _mounts_told(robot: Robot) -> bool:
     return sum(leg.mount != Mount() for leg in robot.legs) >= 2
 
 
-def _finding(leg: LegChoices, pattern: int) -> ConventionFinding:
+def _finding(leg: LegChoices, choice: Chosen) -> ConventionFinding:
     """What a pattern that is not the described one means, with what to write."""
-    reading = leg.readings[pattern]
+    reading, *others = (leg.readings[k] for k in (choice.pattern, *choice.others))
     plain = Reading.plain(len(leg.leg.joints))
     if reading.order != plain.order:
         return _order_finding(leg.leg, reading)
     if any(reading.offsets_rad):
         return _zero_finding(leg, reading)
     told = _UPSIDE_DOWN if leg.upside_down(0) else _AGAINST
-    return _sign_finding(leg.leg, reading.directions, told)
+    return _sign_finding(leg.leg, reading.directions, told, [other.directions for other in others])
 
 
 def _finding_alone(leg: LegChoices, alone: Alone) -> ConventionFinding:

@@ -144,6 +144,10 @@ class LegChoices:
         rises = self.rises(pattern)
         return self.below(pattern) < 0.5 or (rises is not None and rises < 0.5)
 
+    def may_move(self, pattern: int) -> bool:
+        """Whether a leg that walks may move so, within its limits."""
+        return self.sane(pattern) and self._within(pattern)
+
     def upside_down(self, pattern: int) -> bool:
         """Whether a leg that walks moves the other way round."""
         rises = self.rises(pattern)

@@ -60,7 +60,7 @@ MOST_ORDERED: Final = 4
 MOST_CHOICES: Final = 300_000
 
 
-class _Pairs:
+class Pairs:
     """rho² of pairs of legs, by the patterns of both, as it is asked for.
 
     Args:
@@ -73,14 +73,14 @@ class _Pairs:
         self._standing: dict[tuple[int, int], tuple[Array, NDArray[np.int64]]] = {}
         self._known: dict[tuple[int, int, int, int], tuple[float, float]] = {}
 
-    def cost(self, chosen: Sequence[int], i: int) -> float:
+    def cost(self, chosen: Sequence[int], i: int, least_partners: int = 2) -> float:
         """rho² of a leg with the others, weighed by how often they stand together.
 
-        Infinite where it stands with less than two.
+        Infinite where it stands with too few.
         """
         found = [self._pair(i, j, chosen[i], k) for j, k in enumerate(chosen) if j != i]
         told = [(weight, ratio) for weight, ratio in found if weight > 0]
-        if len(told) < 2:
+        if len(told) < least_partners:
             return np.inf
         return sum(w * r for w, r in told) / sum(w for w, _ in told)
 
@@ -154,7 +154,7 @@ def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
     described = [0] * len(legs)
     ticks = max(round(LAG_S / period_s), 1)
     for lag in (ticks, SLOW_LAGS * ticks):
-        pairs = _Pairs(legs, lag)
+        pairs = Pairs(legs, lag)
         if all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
             break
     if not all(np.isfinite(pairs.cost(described, i)) for i in range(len(legs))):
@@ -165,7 +165,7 @@ def choose(legs: Sequence[LegChoices], period_s: float) -> dict[str, int]:
     return _choose_signs(legs, pairs) or others.orders() or others.one_leg() or others.zeros()
 
 
-def _choose_signs(legs: Sequence[LegChoices], pairs: _Pairs) -> dict[str, int]:
+def _choose_signs(legs: Sequence[LegChoices], pairs: Pairs) -> dict[str, int]:
     """Signs that explain the motion, by leg."""
     sane = [[k for k in range(len(leg.flips)) if leg.sane(k)] for leg in legs]
     if not all(sane) or math.prod(map(len, sane)) > MOST_CHOICES:

@@ -1,4 +1,4 @@
-"""From scores to contacts, compiled: a leg is loaded, free or in contact.
+"""Decides from test ratios whether a leg is loaded, free or in contact, compiled.
 
 The phase gates and never causes: outside a swing nothing is decided.  A swing begins *loaded*:
 after a pressed stance the foot comes off the ground 100 ms and more after its command does.  It is
@@ -37,7 +37,15 @@ def release(leg, t_ns, score):
 
 @compiled
 def swing_tick(leg, score, distance, onset_ns, past_lift):
-    """Update loaded, free or contact by a tick's test ratio; NaN changes nothing."""
+    """Update loaded, free or contact by a tick's test ratio; NaN changes nothing.
+
+    Args:
+        leg: its scalars.
+        score: test ratio of the tick, the largest over the windows.
+        distance: squared length of the last whitened residual over the threshold, for calm.
+        onset_ns: of the contact, if it begins here.
+        past_lift: the descent has begun, after a lift that was seen: free even if not calm.
+    """
     if score != score:
         return
     leg.calm = leg.calm + 1 if distance < CALM_SCORE else 0

@@ -1,8 +1,8 @@
 """Computes one tick of several legs, compiled: from samples to events, and to predictions.
 
-:func:`judge_tick` is the first half: nothing an event waits for is left out of it, and nothing
-else is in it.  :func:`finish_tick` is the second: commands, and the predictions of the next tick.
-Between the two, Python takes what the first half has flagged.
+:func:`judge_tick` is the first half: all that an event needs, and nothing else.
+:func:`finish_tick` is the second: commands, and the predictions of the next tick.  Between the two,
+Python takes what the first half has flagged.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def restart_leg(leg, command, before, desired, doubts):
 def follow_source(
     leg, measured, valid, has_valid, commands, runs, off, echoing, doubts
 ):  # fmt: skip
-    """Stop judging a leg of which its source says nothing, or go on."""
+    """Stop judging a leg whose source copies its commands or swaps its phases, or go on."""
     if leg.ticks == 1:
         begin_echo(runs)
     if leg.ticks or leg.echoes:
@@ -147,9 +147,12 @@ def judge_tick(
 
     Arguments are arrays of a :class:`~adaptive_contact.detect.leg_batch.LegBatch`, a row per leg;
     ``legs`` are the scalars of :mod:`adaptive_contact.detect.layout`, ``floats``, ``ints`` and
-    ``bools`` its vectors.  Scratch that passes between steps: ``room[6]`` the repaired reading,
-    ``room[2]`` the reciprocal deviations of this tick, ``room[3]`` the gradient of the foot's
-    height.
+    ``bools`` its vectors, ``kind`` to ``law`` a
+    :class:`~adaptive_contact.detect.regressors.TermTable`.  The last four are scratch: ``some``
+    holds masks of joints, ``now`` a place of the foot, ``sums`` what a statistic or a prediction
+    adds up, and ``room`` vectors.  Three of these pass between steps: ``room[6]`` the repaired
+    reading, ``room[2]`` the reciprocal deviations of this tick, ``room[3]`` the gradient of the
+    foot's height.
     """
     legs, rows, floats, ints, bools = (
         borrow(legs), borrow(rows), borrow(floats), borrow(ints), borrow(bools),
@@ -344,10 +347,10 @@ def judge_tick(
         against = leg.after > 0 and leg.has_lengths
         if against:
             height_gradient(last_measured, links[i], turns, room[3])
-        of_tick = limits_awaited if leg.after else limits
         leg.distance = statistic(
-            leg, history[i], whiten[i], room[2], of_tick, scores, sums, room[3], against
-        )
+            leg, history[i], whiten[i], room[2], limits, limits_awaited, scores, sums, room[3],
+            against,
+        )  # fmt: skip
         # Free, loaded, or contact.
         past_lift = descending(leg, lengths_ticks)
         topped = leg.topped and not leg.broken if leg.gated else not leg.broken
@@ -386,7 +389,7 @@ def judge_tick(
             if not (leg.bad or leg.after):  # after the turn, too soft a touch may be in it
                 enter_row(
                     leg, rows[i], row_thetas[i], row_targets[i], row_asides[i], thetas[i, 0],
-                    history[i], leg.distance, scores[0] * of_tick[0], free, past_lift,
+                    history[i], leg.distance, scores[0] * limits[0], free, past_lift,
                     whiten[i], unit, last_measured, links[i], turns, room[0],
                     room[1],
                 )  # fmt: skip
@@ -411,7 +414,10 @@ def bridge(
     leg, desired, missed, window, lags, preview, history, increment, theta, thetas, reach, believed,
     last, doubts, stale, refused, values, counts, table, xi0, coefficients, room, bools, floats,
 ):  # fmt: skip
-    """Fill a short gap by the model's own predictions, with commands interpolated."""
+    """Fill a short gap by the model's own predictions, with commands interpolated.
+
+    The last three are scratch of :func:`judge_tick`: ``sums``, ``some`` and ``room``.
+    """
     joints = len(desired)
     origin = floats[7]
     for j in range(joints):

@@ -22,7 +22,7 @@ MAX_STEP_RAD_S: Final = 25.0
 STALE_QUANTA: Final = 3.0
 FREE_QUANTA: Final = 2.0
 # What a joint can do in a tick is learned from it: a reading off its prediction by more than this
-# many times the largest movement ever seen or predicted, and so many steps, is none.  Ground
+# many times the largest movement ever seen or predicted, and so many steps, is bad.  Ground
 # that stops a joint dead leaves the prediction by one such movement at most.
 REACH: Final = 1.25
 REACH_QUANTA: Final = 4.0
@@ -306,7 +306,7 @@ def repair(
 
 @compiled
 def take(leg, reading, window, lags, history, increment):
-    """Shift a reading into the window, and what it leaves of the prediction into the history."""
+    """Shift a reading into the window, and its residual and prediction into the history."""
     joints = len(reading)
     for lag in range(DEPTH - 1, 0, -1):
         for j in range(joints):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.compiled import compiled
-from adaptive_contact.model.library import FORETOLD_KNEES_RAD_S, ChangeLibrary, Library
+from adaptive_contact.model.library import CHANGE_KNEES_RAD_S, ChangeLibrary, Library
 
 __all__ = ["TermTable", "predict", "regressors", "term_table"]
 
@@ -75,7 +75,7 @@ def term_table(library: Library) -> TermTable:
             terms += [(COS, [(i, 1.0)]) for i in range(size)]
             pairs = zip(*(of.tolist() for of in library._pairs), strict=True)
             terms += [(PRODUCT, [(i, 1.0), (j, 1.0)]) for i, j in pairs]
-    knees = [knee * library.period_s for knee in FORETOLD_KNEES_RAD_S]
+    knees = [knee * library.period_s for knee in CHANGE_KNEES_RAD_S]
     entries = [entry for _, of in terms for entry in of]
     changes = isinstance(library, ChangeLibrary)
     return TermTable(

@@ -1,4 +1,4 @@
-"""The residual of a tick against its variance, compiled."""
+"""Computes the statistic of a tick: its residuals against their variance, compiled."""
 
 from __future__ import annotations
 
@@ -52,12 +52,13 @@ def leverage(theta, reach):
 
 
 @compiled
-def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, against):
+def statistic(leg, history, whiten, shrink, limits, awaited, scores, sums, gradient, against):
     """Fill the (windows,) test ratios, NaN where a window reaches too far back.
 
     A foot about to stand has arrived, and what it is predicted to do says nothing of where the
     ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
-    the foot's height.
+    the foot's height.  A window that lies after the turn to stance has the thresholds ``awaited``:
+    one that reaches back into the swing would apply them to ticks judged before.
 
     Returns:
         The squared distance of the last residual from zero, whitened.
@@ -84,7 +85,8 @@ def statistic(leg, history, whiten, shrink, limits, scores, sums, gradient, agai
         if width + 1 > leg.usable:
             scores[width] = np.nan
         else:
-            scores[width] = square / limits[width] if product < 0.0 else 0.0
+            limit = awaited[width] if width < leg.after else limits[width]
+            scores[width] = square / limit if product < 0.0 else 0.0
     return distance
 
 

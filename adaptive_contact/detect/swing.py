@@ -57,7 +57,7 @@ ANY: Final = 2
 
 
 def tabulate(chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
-    """A leg's geometry for compiled code.
+    """Tabulate a leg's geometry for compiled code.
 
     Returns:
         (J, 6), the way from each joint to the next in m, and its axis; (J,) how it turns.
@@ -70,7 +70,7 @@ def tabulate(chain: Chain) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
 
 @compiled
 def turned(x, y, z, links, j, cos, sin):
-    """A vector, turned about the axis of joint j (Rodrigues)."""
+    """Rotate a vector about the axis of joint j (Rodrigues)."""
     a, b, c = links[j, 3], links[j, 4], links[j, 5]
     along = (a * x + b * y + c * z) * (1.0 - cos)
     return (
@@ -82,7 +82,7 @@ def turned(x, y, z, links, j, cos, sin):
 
 @compiled
 def place_any(angles, links):
-    """The foot of any chain in its leg's frame, m."""
+    """Compute the place of the foot of any chain in its leg's frame, m."""
     x = y = z = 0.0
     for j in range(len(angles) - 1, -1, -1):
         x, y, z = turned(

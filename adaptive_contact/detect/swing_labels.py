@@ -172,7 +172,7 @@ class SwingLabels:
             self._rollout = functools.partial(rollout, self._first, window)
 
     def _lift(self) -> list[LabelledSwing]:
-        """At the top: whether the foot has followed, and the rows of the lift if they are free."""
+        """Label a lift past its top: its travel, and its rows if they are free."""
         found: list[LabelledSwing] = []
         leg, swing = self._place.leg, self._swing
         if not self._travel_judged:
@@ -193,19 +193,20 @@ class SwingLabels:
         return found
 
     def _confirmed(self, rows: list[Row], *, lifted: bool) -> list[LabelledSwing]:
+        """Label rows of a descent as free, unless the foot had not come up or was obstructed."""
         if not rows or not lifted or self._swing.obstructed:
             return []
         return [LabelledSwing(Label.DESCENT, rows, self._region)]
 
     def _contact(self) -> list[LabelledSwing]:
-        """The first ticks of a contact, for candidate models to be tried on."""
+        """Label the first ticks of a contact, for candidate models to be tried on."""
         ticks, self._touch = self._touch, []
         leg = self._place.leg
         leg["touching"] = False
         return [LabelledSwing(Label.CONTACT, touch=ticks)] if ticks and leg["learning"] else []
 
     def _close(self, onset_ns: int, period_ns: int) -> list[Row]:
-        """Close the swing to its descent; the rows of it that are free all the same."""
+        """Close the swing at a contact; return the rows of its descent that are free."""
         batch, row, leg = self._place.batch, self._place.row, self._place.leg
         lift, commanded, count = (int(leg[name]) for name in ("lift_n", "commanded_n", "row_n"))
         hole_ns = int(leg["hole_ns"])
@@ -221,6 +222,7 @@ class SwingLabels:
         return rows
 
     def _rows(self, first: int, last: int) -> list[Row]:
+        """Copy rows of the swing out of the arrays."""
         batch, at = self._place.batch, self._place.row
         if first == last:
             return []
@@ -237,14 +239,15 @@ class SwingLabels:
         ]  # fmt: skip
 
     def _touch_tick(self) -> Touch:
-        """The last ticks, as they were judged."""
+        """Return the last three ticks, as they were judged."""
         place = self._place
         batch, row, leg = place.batch, place.row, place.leg
         whiten = batch.whiten[row, int(leg["context"])] / batch.unit[row] ** 0.5
         thetas = batch.thetas[row, : int(leg["thetas_n"])]
         target = place.residuals + place.increments
-        limits = batch.limits_awaited[row] if leg["after"] else batch.limits[row]
-        return Touch.of(thetas, target, whiten, limits.copy(), int(leg["usable"]))
+        limits = batch.limits[row].copy()
+        limits[: leg["after"]] = batch.limits_awaited[row, : leg["after"]]
+        return Touch.of(thetas, target, whiten, limits, int(leg["usable"]))
 
 
 def confirmed_before(
@@ -300,7 +303,7 @@ def let_go_rows(rows: list[Row]) -> list[Row] | None:
 
 
 def _not_pushed(rows: list[Row], last_ns: int) -> list[Row]:
-    """Of a leg that has changed: what no push from below accounts for, in the ticks it missed."""
+    """Select, of a leg that has changed, the ticks that no push from below accounts for."""
     found: list[Row] = []
     for row in rows:
         if row.t_ns > last_ns or row.push is None or row.push.sigma > PUSHED_SIGMA:
@@ -316,7 +319,7 @@ _COLUMNS: Final = (
 
 
 class _Regions:
-    """Coarse places in a leg's workspace: where the first joint points, how far the last bends.
+    """Divides a leg's workspace coarsely: where the first joint points, how far the last bends.
 
     Thirds and halves of what the last swings have seen of them, as many as the buffer holds, so
     that legs of any build have several and one wild command does not make them one for good.
@@ -326,14 +329,14 @@ class _Regions:
         self._seen: deque[tuple[float, float]] = deque(maxlen=SEGMENTS)
 
     def of(self, at: Sequence[float]) -> int:
-        """The region of a command, (J,) rad, 0 to 5."""
+        """Return the region, 0 to 5, of a command, (J,) rad."""
         self._seen.append((at[0], at[-1]))
         first, last = zip(*self._seen, strict=True)
         return 2 * _part(at[0], first, 3) + _part(at[-1], last, 2)
 
 
 def _part(value: float, seen: Sequence[float], parts: int) -> int:
-    """Which of so many equal parts of a range a value lies in."""
+    """Compute which of so many equal parts of a range a value lies in."""
     least = min(seen)
     width = max(seen) - least
     return 0 if width <= 0.0 else min(int(parts * (value - least) / width), parts - 1)

@@ -37,7 +37,7 @@ RETURN_SWINGS: Final = 3
 
 
 class _Good(NamedTuple):
-    """A model that fitted, with the recursion that went on from it."""
+    """Holds a model that fitted, with the recursion that went on from it."""
 
     model: LegModel
     rls: RecursiveLeastSquares
@@ -89,7 +89,7 @@ class ActiveModel:
     def model(self) -> LegModel:
         """Model in force; made on demand, as most rows are learned while the leg stands."""
         if self._moved:
-            self._settle()
+            self._take_coefficients()
         return self.as_made
 
     @property
@@ -102,7 +102,7 @@ class ActiveModel:
     def coefficients(self) -> Array:
         """(p, J) of the model in force; made on demand, as most rows are learned in stances."""
         if self._moved:
-            self._settle()
+            self._take_coefficients()
         return self._coefficients
 
     @property
@@ -180,9 +180,9 @@ class ActiveModel:
         """Take over a saved model and the packed square root of its covariance.
 
         Raises:
-            ImplausibleError: the two are none of a leg's; nothing is changed.
+            ImplausibleError: the two cannot be a leg's; nothing is changed.
         """
-        # A model that moves a typical tick by radians is none of a servo's.
+        # A model that moves a typical tick by radians cannot be a servo's.
         if not self.plausible(state.coefficients):
             raise ImplausibleError("its model is implausible")
         # A promoted model has a support of its own.
@@ -207,7 +207,7 @@ class ActiveModel:
         """Tell whether a model moves a typical tick by no more than a servo can; false for NaN."""
         return bool(np.abs(coefficients * self._scale_column).max() <= self._most_rad)
 
-    def _settle(self) -> None:
+    def _take_coefficients(self) -> None:
         """Take the recursion's coefficients over, or fall back where they are implausible."""
         self._moved = False
         coefficients = self._rls.coefficients
@@ -220,4 +220,5 @@ class ActiveModel:
         self._on_fall("the baseline" if self._good is None else "the last good model")
 
     def _put(self, model: LegModel) -> None:
+        """Set the model in force."""
         self._model, self._coefficients, self._moved = model, model.coefficients, False

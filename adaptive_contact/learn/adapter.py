@@ -116,7 +116,7 @@ class Adapter:
             leg, self._noise, self._scale, refitter, known.domain, self._active.plausible
         )
 
-    # -- what the detector asks -------------------------------------------------------------------
+    # -- what detection and status read -----------------------------------------------------------
 
     @property
     def model(self) -> LegModel:
@@ -217,14 +217,14 @@ class Adapter:
 
     def _lift(self, rows: list[Row], region: int, t_ns: int) -> None:
         """Assess the lift of a swing whose top has been passed."""
-        heard = self.monitor.assess_lift(rows, t_ns)
+        found = self.monitor.assess_lift(rows, t_ns)
         waiting, self._suspected = self._suspected, []
-        if heard.changed:
-            self._change(first=heard.first)
-        if heard.rows:
-            self._consider_baseline(heard.rows)
-            self._confirm(heard.rows, region)
-        if heard.changed:
+        if found.changed:
+            self._change(first=found.first)
+        if found.rows:
+            self._consider_baseline(found.rows)
+            self._confirm(found.rows, region)
+        if found.changed:
             self._confirm(waiting, region)
 
     def _descent(self, rows: list[Row], region: int) -> None:
@@ -314,7 +314,7 @@ class Adapter:
         return moved
 
     def _share(self, budget: int) -> int:
-        """Rows of a tick: a leg that is known can wait, one that has changed cannot.
+        """Return how many rows a tick learns: a known leg can wait, a changed one cannot.
 
         A swing brings some twenty rows and takes twice as many ticks; a queue that grows longer
         than a swing's is worked off at the full rate.
@@ -376,15 +376,15 @@ class Adapter:
         self._refresh()
 
     def _confirm(self, rows: list[Row], region: int) -> None:
+        """Take free rows: into the replay buffer, the noise tracker and the recursion's queue."""
         rows = [row for row in rows if row.cleared]
         self._learned_swing |= bool(rows)
         if self._evidence is not None and not self._evidence.complete:
             self._evidence.add(rows)
             self.monitor.kind = self._evidence.kind
         if self.monitor.status == "valid" and rows and rows[0].lift:
-            self._noise_tracker.count(
-                rows
-            )  # of a descent, soft ground may be among the last of them
+            # Lifts only: soft ground may be among the last rows of a descent.
+            self._noise_tracker.count(rows)
         self.confirmed_ns.extend(row.t_ns for row in rows)
         self.buffer.add(rows, region, self._era)
         if self.mode.recursive:
@@ -422,6 +422,7 @@ class Adapter:
             self._try(row, off.tolist(), self.model)
 
     def _try(self, row: Row, off: Sequence[float], model: LegModel) -> None:
+        """Compare the candidate with the model in force on a row; put it in force if it wins."""
         won = self._candidate.compare(row, off, model, known=self.monitor.status == "valid")
         if won is not None:
             self._active.replace(won)

@@ -290,7 +290,7 @@ class Candidate:
         }
 
     def restore(self, saved: object) -> None:
-        """Take over what was saved; what is none is left."""
+        """Take over what was saved; what does not fit is left out."""
         if not isinstance(saved, dict):
             return
         for name in self._counts:
@@ -313,7 +313,7 @@ class Candidate:
         self._off.clear()
 
     def _prior(self, model: LegModel) -> Factor:
-        """Rows on which the model in force is right, as far as was known before."""
+        """Make the rows that hold a refit to the model in force, as far as that was known."""
         prior = Factor(*model.coefficients.shape)
 
         def hold_on(theta: Array, stands_for: float) -> None:
@@ -328,5 +328,6 @@ class Candidate:
         return prior
 
     def _refuse(self, why: str) -> None:
+        """Count a refit that is not put in force, and keep the reason."""
         self._counts["refused"] += 1
         self._reason = f"refused: {why}"

@@ -52,7 +52,7 @@ MEMORY_TICKS: Final = 20_000.0
 AWAITED: Final = 70.0
 # Segments whose residuals are made in one tick: a hundred at once would take half a tick's time.
 SEGMENTS_PER_TICK: Final = 12
-# A tail this many times as frequent, or as wide, as the baseline's is none: the model is wrong,
+# A tail this many times as frequent, or as wide, as the baseline's is no tail: the model is wrong,
 # which the monitor has to say.
 MOST: Final = 4.0
 

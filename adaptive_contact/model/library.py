@@ -53,7 +53,7 @@ LibraryName = Literal["servo", "paper", "linear"]
 FRICTION_KNEE_RAD_S: Final = 0.5
 # Knees of friction against a predicted movement, rad per second: from the command that makes a
 # joint break away to its fastest movement.
-FORETOLD_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
+CHANGE_KNEES_RAD_S: Final = (0.3, 1.0, 3.0)
 # The library offers the control law at the described slope and at its neighbours, so that wear
 # or a wrong register value stays inside its span.
 SLOPE_FACTORS: Final = (1.0, 0.5, 2.0)
@@ -324,9 +324,9 @@ class ChangeLibrary(Library):
     first: Array = dataclasses.field(compare=False, repr=False, kw_only=True)
 
     @cached_property
-    def foretelling(self) -> Array:
+    def over_knees(self) -> Array:
         """(q, K J), first model's coefficients over each knee, for the friction terms."""
-        knees = [knee * self.period_s for knee in FORETOLD_KNEES_RAD_S]
+        knees = [knee * self.period_s for knee in CHANGE_KNEES_RAD_S]
         return np.concatenate([self.first / knee for knee in knees], axis=1)
 
     @cached_property
@@ -364,7 +364,7 @@ class ChangeLibrary(Library):
     def evaluate_flat(self, window: Array) -> Array:
         """Compute Θ; see :meth:`Library.evaluate_flat`."""
         theta, softer = self.parts(window)
-        changes = [np.tanh(theta @ self.foretelling)]
+        changes = [np.tanh(theta @ self.over_knees)]
         if self.knows_law:
             changes.append(softer @ self.softening)
         return np.concatenate([theta, *changes], axis=-1)
@@ -377,7 +377,7 @@ class ChangeLibrary(Library):
 
 def friction_terms(joint: str) -> tuple[str, ...]:
     """Return the names of a joint's friction terms against the first model's prediction."""
-    return tuple(f"tanh(δ_{joint}/{knee:g})" for knee in FORETOLD_KNEES_RAD_S)
+    return tuple(f"tanh(δ_{joint}/{knee:g})" for knee in CHANGE_KNEES_RAD_S)
 
 
 def soft_term(joint: str) -> str:

@@ -199,7 +199,7 @@ class Finding(NamedTuple):
     what: str
     remedy: str
     cause: str = ""
-    legs: list[str] = []  # noqa: RUF012 - of the class, and never changed
+    legs: Sequence[str] = ()
 
 
 def of_legs(legs: Iterable[str]) -> str:

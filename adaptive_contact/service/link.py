@@ -1,4 +1,4 @@
-"""The Zenoh session.  Only this module, :mod:`transport` and :mod:`transport` import zenoh.
+"""Opens the Zenoh session.  Only this module and :mod:`.transport` import zenoh.
 
 Delivery, as measured on 1.10.2: streams go with DROP and without express; contact events are
 rare and must arrive, so they go express with BLOCK, ahead of the streams, and the last one is

@@ -117,9 +117,10 @@ class LiveReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         legs: those of the description that send samples.
         moves: joints that were moved and came to rest, one line each.
-        confirmed: legs whose signs, order and zeros the motion confirms.
+        confirmed: legs whose signs, and those not ``by_hand`` whose order and zeros, the motion
+            confirms.
         open: legs of which the motion tells nothing.
-        by_hand: those of them that no motion confirms, as their chain is not straight.
+        by_hand: legs whose order and zeros no motion confirms, as their chain is not straight.
         flatness: of the feet, where all legs rest.
         findings: what is wrong, the worst first.
     """
@@ -260,7 +261,7 @@ class _LegCheck:
 
     @property
     def confirmable(self) -> bool:
-        """Whether a motion can confirm signs and zeros: not of a chain that is not straight."""
+        """Whether a motion can confirm order and zeros: not of a chain that is not straight."""
         return self.leg.chain is None or self.leg.chain.is_straight
 
     @property

@@ -1,7 +1,7 @@
-"""The live page: a small HTTP server and the page that it serves.  Imports no zenoh.
+"""Serves the live page: a small HTTP server and the page itself.  Imports no zenoh.
 
-:mod:`frames` turns what the service says into JSON, :mod:`server` gives it to browsers, and
-:mod:`page` runs both on threads of their own.
+:mod:`.frames` turns the service's messages into JSON, :mod:`.server` gives it to browsers, and
+:mod:`.page` runs both on threads of their own.
 """
 
 from __future__ import annotations

@@ -215,8 +215,8 @@ class ServoBank:
     """All servos of a robot: their condition, and buffers for the 1 kHz step.
 
     The views given are the engine's own arrays; :meth:`drive` writes ``torque``, :meth:`rub`
-    writes ``friction``.  Condition (wear, supply) is set through :meth:`set_condition`, which
-    rebuilds what depends on it.
+    writes ``friction``.  Condition (wear, supply) is set in its
+    arrays; :meth:`refresh` then rebuilds what depends on it.
 
     Args:
         parameters: the servos.

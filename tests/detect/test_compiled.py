@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -133,3 +134,19 @@ def test_the_tick_says_the_same_uncompiled() -> None:
         said.append(ran.stdout)
     assert said[0] == said[1]
     assert said[0].count("true") >= 3
+
+
+def test_what_earlier_versions_compiled_goes_after_a_quarter(folder: Path) -> None:
+    if not compiled.compiles():
+        pytest.skip("nothing is compiled here")
+    found = compiled.cache_folder()
+    assert found is not None
+    old, recent = (found.with_name(f"compiled-{name}") for name in ("old", "recent"))
+    for other, days in ((old, 91), (recent, 89)):
+        other.mkdir()
+        (other / "whole").touch()
+        then = time.time() - days * 86400
+        os.utime(other / "whole", (then, then))
+    compiled.note_cached()
+    assert compiled.is_cached()
+    assert (old.exists(), recent.exists()) == (False, True)

@@ -29,7 +29,7 @@ ECHOES, SWAPS = "rf", "lm"
 CYCLE_S = 1.6
 
 
-class LiftAssessment:
+class Inbox:
     """Events and statuses, in the order in which they came."""
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def heard(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiftAssessment]:
+def heard(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Inbox]:
     """What a subscriber of a real service gets of it."""
     log = tmp_path_factory.mktemp("service") / "log"
     with log.open("w") as errors:
@@ -97,7 +97,7 @@ def heard(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Li
         ready = service.stdout.readline()
         assert "listening on " in ready, log.read_text()
         endpoint = ready.split("listening on ")[1].split(";")[0]
-        got = LiftAssessment()
+        got = Inbox()
         with Link.open(client_settings([endpoint], wait=False)) as link:
             link.subscribe(ALL_CONTACT, got, history=True)
             link.subscribe(ALL_LEARNER, got)
@@ -112,7 +112,7 @@ def heard(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Li
 
 @pytest.mark.parametrize(("leg", "doubt"), [(ECHOES, "echo"), (SWAPS, "phase")])
 def test_a_leg_whose_source_is_wrong_is_ambiguous_and_says_why(
-    heard: LiftAssessment, leg: str, doubt: str
+    heard: Inbox, leg: str, doubt: str
 ) -> None:
     of_leg = [status for status in heard.statuses if status.leg == leg]
     within = [s for s in of_leg if BEGIN_S + CYCLE_S <= s.t_ns / S < END_S]
@@ -128,7 +128,7 @@ def test_a_leg_whose_source_is_wrong_is_ambiguous_and_says_why(
 
 
 @pytest.mark.parametrize("leg", [ECHOES, SWAPS])
-def test_no_contact_stands_while_its_source_is_wrong(heard: LiftAssessment, leg: str) -> None:
+def test_no_contact_stands_while_its_source_is_wrong(heard: Inbox, leg: str) -> None:
     events = [event for event in heard.events if event.leg == leg]
     within = [e for e in events if BEGIN_S + CYCLE_S <= e.t_ns / S < END_S]
     assert not any(event.contact for event in within)
@@ -139,7 +139,7 @@ def test_no_contact_stands_while_its_source_is_wrong(heard: LiftAssessment, leg:
     assert {(e.status, e.withheld, e.doubt) for e in after} == {("valid", False, None)}
 
 
-def test_the_other_legs_go_on(heard: LiftAssessment) -> None:
+def test_the_other_legs_go_on(heard: Inbox) -> None:
     for leg in {event.leg for event in heard.events} - {ECHOES, SWAPS}:
         told = [e for e in heard.events if e.leg == leg and e.contact and not e.withheld]
         assert sum(BEGIN_S <= e.t_ns / S < END_S for e in told) >= 4, leg

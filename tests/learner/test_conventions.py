@@ -328,6 +328,54 @@ def test_a_quadruped_is_told_when_it_is_flipped_and_never_accused_else(name: str
 
 
 @functools.cache
+def hanging_walk(gait: str) -> dict[str, LegMotion]:
+    """A quadruped whose hips roll: two feet stand in a trot, three in a walk."""
+    run = record_arrays(SimulationSettings.of("quadruped12", "walk", gait), SECONDS / 2)
+    ticks = np.arange(len(run.t_ns))
+    return {
+        name: LegMotion(run.t_ns, leg.measured, leg.desired, leg.swing, ticks)
+        for name, leg in run.legs.items()
+    }
+
+
+def judge_hanging_walk(
+    gait: str, legs: tuple[str, ...], signs: tuple[int, ...], *, phase: bool
+) -> Verdict:
+    motions = {}
+    for name, motion in hanging_walk(gait).items():
+        turn = np.array(signs if name in legs else (1, 1, 1))
+        swing = motion.swing if phase else None
+        motions[name] = dataclasses.replace(
+            motion, measured=motion.measured * turn, desired=motion.desired * turn, swing=swing
+        )
+    return judge_motion(shipped_robot("quadruped12"), motions)
+
+
+@pytest.mark.parametrize("phase", [True, False])
+@pytest.mark.parametrize("gait", ["trot", "walk"])
+def test_a_hip_or_a_knee_of_legs_that_hang_is_found_within_20_swings(
+    gait: str, phase: bool
+) -> None:
+    right = judge_hanging_walk(gait, (), (1, 1, 1), phase=phase)
+    assert right.findings == ()
+    for legs in (("fl", "fr", "rl", "rr"), ("fl", "rl"), ("rl", "rr"), ("fr",)):
+        for signs in ((1, -1, 1), (1, 1, -1)):
+            found = judge_hanging_walk(gait, legs, signs, phase=phase).findings
+            assert [one.leg for one in found] == list(legs), (legs, signs)
+            assert {one.directions for one in found} == {signs}
+            assert all(one.grave for one in found)
+
+
+@pytest.mark.parametrize("gait", ["trot", "walk"])
+def test_a_mirror_image_that_walks_as_well_is_told_with_the_right_signs_or_not_at_all(
+    gait: str,
+) -> None:
+    for signs in ((1, -1, -1), (-1, 1, 1), (-1, -1, -1)):
+        for found in judge_hanging_walk(gait, ("fl", "fr", "rl", "rr"), signs, phase=True).findings:
+            assert found.directions == signs
+
+
+@functools.cache
 def hung(leg: str, seed: int) -> LegMotion:
     """A leg that swings in free air, and is held for half a second after each swing."""
     motion = PoseSettings(legs=(leg,), workspace="whole", hold_ticks=25)

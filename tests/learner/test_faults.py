@@ -231,7 +231,7 @@ def test_a_fault_in_one_legs_learning_ends_no_other_leg(
         assert told == 20 * [("rf", "not positive definite")]
 
 
-@pytest.mark.parametrize("where", ["take", "event_of", "finish", "settle"])
+@pytest.mark.parametrize("where", ["take", "event_of", "finish", "take_up_model"])
 def test_a_fault_in_a_shared_block_takes_its_own_row_only(
     two_legs: Robot, baseline: Baseline, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
@@ -255,7 +255,7 @@ def test_a_fault_in_a_shared_block_takes_its_own_row_only(
 
             if where == "event_of":
                 learner.request_release()
-            if where == "settle":  # called where another model takes over
+            if where == "take_up_model":  # called where another model takes over
                 monkeypatch.setattr(learner, "finish", lambda _: True)
             monkeypatch.setattr(learner, where, fail)
         told += bank.update({"rf": sample, "lf": sample})

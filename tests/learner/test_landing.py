@@ -88,7 +88,8 @@ def test_a_swing_that_only_the_next_one_ends_is_learned_in_the_second_half(
 
 
 def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Baseline) -> None:
-    """The verdict against the formula, for pushes of any direction."""
+    """The verdict against the formula, for pushes of any direction; a window that reaches back into
+    the swing has the thresholds of swings."""
     rng = np.random.default_rng(34)
     learner = ContactLearner(robot, "rf", baseline)
     play(learner, samples(*FakeLeg(seed=34).run(4)[:3]))
@@ -96,19 +97,21 @@ def test_after_the_turn_a_touch_pushes_the_foot_up(robot: Robot, baseline: Basel
     assert recent is not None
     told = {True: 0, False: 0}
     leg["context"], leg["usable"] = context_of(leg, np.zeros(3), np.full(3, 0.02)), 3
-    for _ in range(200):
+    for trial in range(200):
+        after = leg["after"] = 1 + trial % 4  # ticks since the turn to stance
         residual, gradient = rng.normal(0.0, 0.02, (3, 3)), rng.normal(0.0, 0.1, 3)
         history = np.stack([residual, rng.normal(0.0, 0.02, (3, 3))])
         scores = batch.scores[0]
         statistic(
-            leg, history, batch.whiten[0], np.ones(3), recent.awaited, scores, batch.sums,
-            gradient, True,
+            leg, history, batch.whiten[0], np.ones(3), recent.thresholds, recent.awaited, scores,
+            batch.sums, gradient, True,
         )  # fmt: skip
         for w in (1, 2, 3):
             whiten = recent.whiten[int(leg["context"])][w - 1]
             z = whiten @ residual[:w].sum(axis=0)
             up = float(z @ whiten @ gradient) > 0.0
-            expected = float(z @ z) / recent.awaited[w - 1] if up else 0.0
+            limit = (recent.awaited if w <= after else recent.thresholds)[w - 1]
+            expected = float(z @ z) / limit if up else 0.0
             assert scores[w - 1] == pytest.approx(expected, rel=1e-9)
             told[up] += 1
     assert min(told.values()) > 100

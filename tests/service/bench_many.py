@@ -133,7 +133,7 @@ class Feeder(threading.Thread):
             time.sleep(max(0.0, due - time.monotonic()))
 
 
-class LiftAssessment:
+class Collected:
     """What the service says; callbacks only keep it."""
 
     def __init__(self, link: Link) -> None:
@@ -200,7 +200,7 @@ def children(process: int) -> list[int]:
     return found
 
 
-def latencies_ms(heard: LiftAssessment, feeder: Feeder, copies: list[str]) -> np.ndarray:
+def latencies_ms(heard: Collected, feeder: Feeder, copies: list[str]) -> np.ndarray:
     """``(n, 2)``: number of the deciding sample, and ms from its put to the event's arrival."""
     at = {f"{leg}{number}": number for number, leg in enumerate(copies)}
     found = []
@@ -275,7 +275,7 @@ def served(chosen: argparse.Namespace, state: str) -> int:
 
 def walked(link: Link, service: int, copies: list[str], seconds: float, out: Path) -> int:
     """Walk, report every ten seconds, and judge."""
-    heard = LiftAssessment(link)
+    heard = Collected(link)
     feeder = Feeder(link, copies, seconds)
     started = time.monotonic()
     before, before_s = used(service), time.monotonic()
@@ -310,7 +310,7 @@ def walked(link: Link, service: int, copies: list[str], seconds: float, out: Pat
 
 
 def judged(
-    heard: LiftAssessment,
+    heard: Collected,
     feeder: Feeder,
     copies: list[str],
     memory: list[tuple[float, float]],

@@ -1,7 +1,7 @@
-"""Learner state on disk: what was learned survives a restart, a crash and a full disk.
+"""Keeps learners' state on disk: it survives a restart, a crash and a full disk.
 
-:mod:`format` is one file's bytes, :mod:`store` a folder of them, :mod:`keeper` decides when to
-save and never lets the worker wait for a disk.
+:mod:`.format` is one file's bytes, :mod:`.store` a folder of them.  :mod:`.keeper` decides when to
+save; the worker never waits for a disk.
 """
 
 from __future__ import annotations

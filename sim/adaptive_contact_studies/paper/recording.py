@@ -68,9 +68,9 @@ _MOTION_STREAM: Final = 0x90F3
 
 @dataclass(frozen=True, eq=False)
 class PatientGeometry(LegGeometry):
-    """Geometry that says yes after many noes: :meth:`joints` pulls points within reach anyway."""
+    """Accepts any point after many refusals: ``joints`` pulls points within reach anyway."""
 
-    # How many noes in a row; in a list, for all else about a leg's geometry is frozen.
+    # Refusals in a row; in a list, for all else about a leg's geometry is frozen.
     _refused: list[int] = field(default_factory=lambda: [0])
 
     @classmethod
