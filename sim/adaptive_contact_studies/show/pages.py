@@ -37,7 +37,7 @@ class Section(NamedTuple):
 
     title: str
     text: str
-    tables: Sequence[Table]
+    tables: list[Table]
     pictures: dict[str, Path]
 
 
