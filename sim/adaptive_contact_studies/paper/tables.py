@@ -9,15 +9,14 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from adaptive_contact_studies.paper.rows import NO_MODEL
 from adaptive_contact_studies.paper.touched import BOTH, SLOW_FAST
 from adaptive_contact_studies.paper.verdicts import HALF, losses, span
+from adaptive_contact_studies.show.numbers import general, number, per_joint
 from adaptive_contact_studies.show.pages import Section, read_sections, render, unwrapped
-from adaptive_contact_studies.show.tables import interval, number, per_joint, percent, signed
 
 __all__ = ["markdown", "part", "sections"]
 
@@ -142,7 +141,7 @@ def _alarmed(arm: Tree) -> dict[str, Tree]:
 
 
 def _gains(pendulum: Tree) -> list[str]:
-    return [f"{gain:g}" for gain in pendulum["gains"]]
+    return [general(gain) for gain in pendulum["gains"]]
 
 
 def _gain_ratios(pendulum: Tree) -> list[float]:
@@ -177,17 +176,10 @@ _FILTERS: Final[Mapping[str, Any]] = {
     "fitted": _fitted,
     "gain_ratios": _gain_ratios,
     "gains": _gains,
-    "interval": interval,
     "losses": losses,
     "median": statistics.median,
     "model": _model,
-    "number": number,
     "over": _over,
-    "per_joint": per_joint,
-    "percent": percent,
-    "scientific": partial(per_joint, digits=0, scientific=True),
-    "signed": signed,
     "span": span,
     "tails": _tails,
-    "thousands": "{:,}".format,
 }

@@ -14,7 +14,14 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from adaptive_contact_studies.paper.rows import noise_floor
-from adaptive_contact_studies.show.tables import number, per_joint, percent
+from adaptive_contact_studies.show.numbers import (
+    general,
+    number,
+    per_joint,
+    percent,
+    scientific,
+    thousands,
+)
 
 __all__ = ["HALF", "Headline", "Loss", "headline", "losses", "span"]
 
@@ -88,8 +95,8 @@ def losses(data: Mapping[str, Any]) -> list[Loss]:
 
 def span(part: Mapping[str, Any]) -> str:
     """The range of speeds or forces that a part of the touches has."""
-    end = "and more" if part["high"] is None else f"to {part['high']:g}"
-    return f"{part['low']:g} {end}"
+    end = "and more" if part["high"] is None else f"to {general(part['high'])}"
+    return f"{general(part['low'])} {end}"
 
 
 def _sees(figures: Mapping[str, Any]) -> bool:
@@ -233,12 +240,12 @@ def headline(results: Mapping[str, Any]) -> list[Headline]:
         lines.append(
             Headline(
                 f"refit with the factor held, {row['library']} library, "
-                f"{sum(row['kept']) / len(row['kept']):.0f} of {row['terms']} terms kept, "
-                f"{row['rows']:,} rows",
+                f"{number(sum(row['kept']) / len(row['kept']), 0)} of {row['terms']} terms kept, "
+                f"{thousands(row['rows'])} rows",
                 "≥ 20 × PySINDy's own on 5,000 segments, same support",
                 f"{number(row['speed_up'], 0)} ×, "
                 f"{'same' if row['same_support'] else 'another'} support, "
-                f"largest difference {row['difference']:.1e}",
+                f"largest difference {scientific(row['difference'])}",
                 _speed_verdict(row),
             )
         )

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.files import cannot_write, write_file
+from adaptive_contact_studies.show.numbers import FILTERS
 
 __all__ = [
     "Section",
@@ -65,6 +66,7 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
         keep_trailing_newline=True,
     )
     environment.filters |= {
+        **FILTERS,
         "cell": _cell,
         "inline": _inline,
         "listed": _listed,

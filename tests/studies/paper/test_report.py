@@ -15,7 +15,7 @@ from adaptive_contact_studies.paper.identification import (
 )
 from adaptive_contact_studies.paper.tables import part
 from adaptive_contact_studies.paper.verdicts import headline
-from adaptive_contact_studies.show.tables import per_joint
+from adaptive_contact_studies.show.numbers import per_joint
 
 
 def found(
