@@ -39,6 +39,7 @@ from adaptive_contact.wire import (
 )
 from adaptive_contact_sim.truth import TruthTracker
 from adaptive_contact_sim.virtual.quadruped import LEGS, STEP_RAD, QuadrupedPlant
+from adaptive_contact_studies.show.numbers import number, percent, share
 
 __all__ = ["SCENARIOS", "Recorded", "Scenario", "learn_quadruped", "play", "record"]
 
@@ -322,14 +323,16 @@ def _table(scores: dict[str, Score]) -> str:
         for row, figures in total.rows.items():
             if not figures.touches and row is not Row.HEADLINE:
                 continue
-            recall = "" if figures.recall is None else f"{100 * figures.recall:.1f} %"
+            recall = percent(figures.recall, none="")
             low, high = figures.interval.low, figures.interval.high
             times = figures.latency
-            latency = "" if times is None else f"{times.median_ms:.0f}, {times.p95_ms:.0f}"
+            latency = (
+                "" if times is None else f"{number(times.median_ms, 0)}, {number(times.p95_ms, 0)}"
+            )
             lines.append(
                 f"| {name} | {row.value} | {figures.touches} | {recall} | "
-                f"{100 * low:.1f} to {100 * high:.1f} | {latency} | {total.false_alarms} | "
-                f"{total.robot_hours:.2f} |"
+                f"{share(low)} to {share(high)} | {latency} | {total.false_alarms} | "
+                f"{number(total.robot_hours)} |"
             )
     return "\n".join(lines) + "\n"
 
@@ -340,7 +343,7 @@ def main(directory: Path) -> None:
     training = learn_quadruped(robot)
     save_baseline(training.baseline, directory / "baseline.json")
     for leg, figures in training.figures.items():
-        rms = ", ".join(f"{math.degrees(x):.3f}" for x in figures.held_out_rms)
+        rms = ", ".join(number(math.degrees(x), 3) for x in figures.held_out_rms)
         print(f"{leg}: {figures.rows} ticks, held-out {rms} deg", flush=True)
     scores = {}
     for scenario in SCENARIOS:

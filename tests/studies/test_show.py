@@ -13,38 +13,61 @@ from rich.console import Console
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact_studies.show import progress as module
 from adaptive_contact_studies.show.figures import needs_matplotlib, new_figure, save, styled
-from adaptive_contact_studies.show.pages import render, write_page
-from adaptive_contact_studies.show.tables import Section, Table
+from adaptive_contact_studies.show.pages import (
+    Section,
+    Table,
+    read_sections,
+    render,
+    unwrapped,
+    write_page,
+)
+
+TEXT = """# T
+
+from <here>
+
+## A & B
+
+with **weight**
+and `code`
+
+![a caption](pictures/drawn one.png)
+
+*a caption*
+
+**of `one` row**
+
+| what\\|ever | `b` |
+|---|---|
+| <x>
+  | **no** |
+| a\\|b | yes |
+"""
 
 
-def page(template: str) -> str:
-    table = Table("of **one** row", ["what|ever", "`b`"], [["<x>", "**no**"], ["a|b", "yes"]])
-    section = Section("A & B", "with **weight** and `code`", [table], ["drawn", "absent"])
-    return render(
-        template,
-        title="T",
-        origin="from <here>",
-        promises=table,
-        sections=[section],
-        captions={"drawn": "a caption"},
-        pictures={} if template.endswith(".html") else {"drawn": Path("pictures/drawn.png")},
-    )
+def test_a_page_of_markdown_is_read_as_its_sections() -> None:
+    text = unwrapped(TEXT)
+    assert "with **weight** and `code`" in text
+    assert "| <x> | **no** |\n| a\\|b | yes |" in text
+    first, section = read_sections(text)
+    assert first == Section("T", "from <here>", [], {})
+    assert (section.title, section.text) == ("A & B", "with **weight** and `code`")
+    assert section.pictures == {"a caption": Path("pictures/drawn one.png")}
+    header, rows = ["what|ever", "`b`"], [["<x>", "**no**"], ["a|b", "yes"]]
+    assert section.tables == [Table("of `one` row", header, rows)]
 
 
-def test_a_page_of_markdown_keeps_its_cells_apart() -> None:
-    text = page("report.md")
-    assert "| what\\|ever | `b` |\n|---|---|\n| <x> | **no** |\n| a\\|b | yes |\n" in text
-    assert "![a caption](pictures/drawn.png)" in text
-    assert "absent" not in text
-
-
-def test_a_page_of_html_escapes_what_it_shows() -> None:
-    text = page("report.html")
+def test_a_page_of_html_escapes_what_it_shows(tmp_path: Path) -> None:
+    first, section = read_sections(unwrapped(TEXT))
+    drawn = tmp_path / "drawn.png"
+    drawn.write_bytes(b"picture")
+    text = render("report.html", sections=[first, section._replace(pictures={"<c>": drawn})])
     assert "from &lt;here&gt;" in text
     assert "<td>&lt;x&gt;</td>" in text
     assert '<td class="no"><b>no</b></td>' in text
     assert "with <b>weight</b> and <code>code</code>" in text
     assert "A &amp; B" in text
+    assert '<img alt="&lt;c&gt;" src="data:image/png;base64,' in text
 
 
 def test_a_page_that_cannot_be_written_says_what_to_do(tmp_path: Path) -> None:
@@ -57,7 +80,7 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "jinja2", None)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match="a page needs the extra 'studies'"):
-        render("report.md")
+        render("report.html")
     with pytest.raises(MissingExtraError, match="a figure needs the extra 'plot'"):
         needs_matplotlib("a figure", "plot")
 

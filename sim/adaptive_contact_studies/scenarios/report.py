@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,13 +18,13 @@ from adaptive_contact_studies.scenarios.registry import scenarios
 from adaptive_contact_studies.scenarios.runner import Folders
 from adaptive_contact_studies.scenarios.runs import FULL_SIZES, walks_without_change
 from adaptive_contact_studies.scenarios.spec import Variant
+from adaptive_contact_studies.show.numbers import general, interval, number, percent, share
 from adaptive_contact_studies.show.pages import render, write_page
 
 __all__ = [
     "SUMMARY",
     "alarms",
     "leg_runs",
-    "percent",
     "rate",
     "report_text",
     "results_table",
@@ -33,6 +34,8 @@ __all__ = [
 
 Tree = dict[str, Any]
 
+# Stands where there is no number.
+_NONE: Final = "–"
 _HEADS: Final = (
     *("leg-runs", "recall before", "after", "false alarms before", "after"),
     *("recovery", "on the way", "lock-out", "contact learned %", "goals"),
@@ -50,28 +53,27 @@ def leg_runs(tree: Tree) -> str:
     return str(there) if there == asked else f"{there} of {asked}; {asked - there} diverged"
 
 
-def percent(value: float | None, digits: int = 1) -> str:
-    """Such as ``99.2``; a dash for nothing."""
-    return "–" if value is None else f"{100.0 * value:.{digits}f}"
-
-
 def plain_number(value: float | None) -> str:
     """With as many digits as it is worth; ``never`` for a count that was never reached."""
     if value is None:
         return "never"
-    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
+    return number(value, 0) if float(value).is_integer() else general(value, 4)
 
 
 def rate(summary: Tree) -> str:
     """False alarms per robot-hour, such as ``3.1``."""
     value = summary["per_robot_hour"]
-    return "–" if value is None else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+    return number(value, _rate_digits(value), _NONE)
+
+
+def _rate_digits(per_hour: float | None) -> int:
+    return 1 if per_hour is None or per_hour < 100 else 0
 
 
 def swings(recovery: Tree | None) -> str:
     """Swings to recovery, median and 95th percentile, such as ``2 / 5``."""
     if recovery is None:
-        return "–"
+        return _NONE
     median, p95 = recovery["swings_median"], recovery["swings_p95"]
     return f"{plain_number(median)} / {plain_number(p95)}"
 
@@ -106,14 +108,14 @@ def results_table(results: Tree) -> Table:
         table.add_row(
             name,
             leg_runs(tree),
-            percent(before["recall"]),
-            f"{percent(after['recall'])} [dim]{percent(grey['recall'])}[/]",
+            share(before["recall"], none=_NONE),
+            f"{share(after['recall'], none=_NONE)} [dim]{share(grey['recall'], none=_NONE)}[/]",
             rate(before),
             f"{rate(after)} [dim]{rate(grey)}[/]",
             swings(recovery),
-            "–" if recovery is None else plain_number(recovery["alarms_median"]),
+            _NONE if recovery is None else plain_number(recovery["alarms_median"]),
             f"{full['longest_lock_out']} [dim]{frozen['longest_lock_out']}[/]",
-            percent(full["touching_share"], 2),
+            share(full["touching_share"], 2, _NONE),
             f"[green]{verdict}[/]" if all(met) else f"[red]{verdict}[/]",
         )
     return table
@@ -124,7 +126,7 @@ def _together(pool: Tree) -> str:
     met = all(goal["met"] for goal in pool["goals"])
     return (
         f"{' + '.join(pool['scenarios'])}: {alarms(pool['false_alarms'])} in "
-        f"{pool['robot_hours']:.1f} robot-hours, {rate(pool)} per hour: "
+        f"{number(pool['robot_hours'], 1)} robot-hours, {rate(pool)} per hour: "
         f"{'met' if met else 'not met'}"
     )
 
@@ -177,10 +179,11 @@ def report_text(results: Tree, pictures: set[str]) -> str:
         "around": phases_around,
         "leg_runs": leg_runs,
         "link": _link,
-        "percent": percent,
+        "percent": partial(percent, none=_NONE),
         "plain": plain_number,
         "rate": rate,
         "recall": _recall,
+        "share": partial(share, none=_NONE),
         "swings": swings,
     }
     text = render(
@@ -231,14 +234,13 @@ def _kinds_rows(table: Tree) -> list[tuple[str, str, list[int]]]:
 
 def _recall(summary: Tree) -> str:
     if summary["recall"] is None:
-        return "–"
-    low, high = summary["recall_interval"]
-    return f"{percent(summary['recall'])} % ({percent(low)}–{percent(high)})"
+        return _NONE
+    return f"{percent(summary['recall'])} ({interval(summary['recall_interval'])})"
 
 
 def _alarms(summary: Tree) -> str:
     low, high = summary["per_robot_hour_interval"]
     if high is None:
-        return "–"
-    digits = 1 if high < 100 else 0
-    return f"{rate(summary)} ({low:.{digits}f}–{high:.{digits}f})"
+        return _NONE
+    digits = _rate_digits(high)
+    return f"{rate(summary)} ({number(low, digits)}–{number(high, digits)})"

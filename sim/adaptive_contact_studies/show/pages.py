@@ -4,16 +4,42 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from adaptive_contact.errors import ConfigurationError, MissingExtraError
 from adaptive_contact.files import cannot_write, write_file
+from adaptive_contact_studies.show.numbers import FILTERS
 
-__all__ = ["render", "write_page"]
+__all__ = [
+    "Section",
+    "Table",
+    "read_sections",
+    "render",
+    "unwrapped",
+    "write_page",
+]
 
 _TEMPLATES: Final = Path(__file__).with_name("templates")
+_PICTURE: Final = re.compile(r"!\[(.*)\]\((.*)\)")
+
+
+class Table(NamedTuple):
+    """A table of texts."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class Section(NamedTuple):
+    """A heading with its text (``**`` and backticks in it), tables, and pictures by caption."""
+
+    title: str
+    text: str
+    tables: list[Table]
+    pictures: dict[str, Path]
 
 
 def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **given: Any) -> str:
@@ -39,7 +65,15 @@ def render(template: str, filters: Mapping[str, Callable[..., Any]] = {}, **give
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"cell": _cell, "inline": _inline, "picture": _picture, **filters}
+    environment.filters |= {
+        **FILTERS,
+        "cell": _cell,
+        "inline": _inline,
+        "listed": _listed,
+        "one_line": _one_line,
+        "picture": _picture,
+        **filters,
+    }
     return environment.get_template(template).render(given)
 
 
@@ -59,6 +93,52 @@ def write_page(path: Path, text: str | bytes, advice: str) -> None:
     except OSError as error:
         raise ConfigurationError(cannot_write(path, error, advice)) from error
     write_file(path, text, advice=advice)
+
+
+def unwrapped(text: str) -> str:
+    """Markdown with every paragraph, and every row of a table, in a line of its own."""
+    blocks = []
+    for block in filter(None, map(str.strip, re.split(r"\n\s*\n", text))):
+        lines = [line.strip() for line in block.splitlines()]
+        if block.startswith("|"):
+            blocks.append(re.sub(r"(?<!\|)\n", " ", "\n".join(lines)))
+        else:
+            blocks.append(" ".join(lines))
+    return "\n\n".join(blocks)
+
+
+def read_sections(text: str) -> list[Section]:
+    """The sections of a document as :func:`unwrapped` leaves it."""
+    found: list[Section] = []
+    titled = ""
+    for block in text.split("\n\n"):
+        if block.startswith("#"):
+            found.append(Section(block.lstrip("# "), "", [], {}))
+        elif picture := _PICTURE.fullmatch(block):
+            found[-1].pictures[picture[1]] = Path(picture[2])
+        elif block.startswith("|"):
+            header, _, *rows = map(_cells, block.splitlines())
+            found[-1].tables.append(Table(titled, header, rows))
+        elif block.startswith("**") and block.endswith("**"):
+            titled = block[2:-2]
+        elif not block.startswith("*") or block.startswith("**"):
+            found[-1] = found[-1]._replace(text=f"{found[-1].text}\n\n{block}".strip())
+    return found
+
+
+def _cells(row: str) -> list[str]:
+    """What the cells of a row hold."""
+    return [cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
+
+
+def _one_line(text: str) -> str:
+    """Without the breaks that keep a template readable."""
+    return " ".join(filter(None, map(str.strip, text.splitlines())))
+
+
+def _listed(text: str) -> str:
+    """Lines as the items of a list in a sentence."""
+    return "; ".join(filter(None, map(str.strip, text.splitlines())))
 
 
 def _cell(text: object) -> str:

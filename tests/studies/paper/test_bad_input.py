@@ -20,7 +20,8 @@ from adaptive_contact_studies.paper.data import Stream
 from adaptive_contact_studies.paper.figures import draw_all
 from adaptive_contact_studies.paper.identification import fitted, responses
 from adaptive_contact_studies.paper.rows import free_rows, worst
-from adaptive_contact_studies.paper.tables import headline, sections
+from adaptive_contact_studies.paper.tables import sections
+from adaptive_contact_studies.paper.verdicts import headline
 from adaptive_contact_studies.paper.workspace import compare_regions, workspace
 
 

@@ -29,7 +29,7 @@ from adaptive_contact_studies.paper.evaluation import (
     play_ungated,
 )
 from adaptive_contact_studies.paper.plan import FULL, LegRun, Piece
-from adaptive_contact_studies.paper.tables_detection import limits_section
+from adaptive_contact_studies.paper.tables import part
 from adaptive_contact_studies.paper.touched import (
     BOTH,
     SLOW_FAST,
@@ -45,7 +45,8 @@ from adaptive_contact_studies.paper.touched import (
     slips,
     what_alarms_are,
 )
-from adaptive_contact_studies.paper.verdicts import losses, losses_table, sentence
+from adaptive_contact_studies.paper.verdicts import losses
+from adaptive_contact_studies.show.pages import read_sections
 
 TICK_NS = 20_000_000
 TRIAL, SWING, TOUCH = 40, 35, 20  # ticks: of a trial, of its swing, from its begin to a touch
@@ -284,26 +285,31 @@ def test_every_figure_that_another_does_better_is_said() -> None:
         ("recall, streams `graze`", "other", False),
         ("recall, 13 and more N", "other", False),
     ]
-    table = losses_table(data, found)
-    assert all(len(row) == len(table.header) for row in table.rows)
-    assert table.rows[1][1:4] == ["50.0 %", "90.0 %", "the other"]
-    rows = sentence(found, ("rows", "kinds"), "rows and kinds")
-    assert "row `mid`; streams `graze`" in rows
-    assert "apart in row `mid`)" in rows
-    assert "best in all speeds" in sentence(found, ("speed",), "speeds")
+    text = part("losses", data)
+    assert "| recall, row `mid` | 50.0 % | 90.0 % | the other | 99.0 % | 1.00 | yes |" in text
+    assert text.count("\n|") == 1 + len(found)
 
 
 def test_the_limits_say_how_late_the_missed_ones_come(robot: Robot) -> None:
     names = ("default", "servo ratio", "paper rule", "analytical ratio", "tracking")
-    data = {
+    data: dict[str, Any] = {
         "figures": {name: figures() for name in names},
         "detectors": {name: name for name in names},
         "limits": plain(study._limits(robot)),
     }
-    section = limits_section(data)
+    (section,) = read_sections(part("limits", data))
     assert "1.31 mm of the coxa, 1.04 mm of the femur, 0.71 mm of the tibia" in section.text
     assert "Of the 3 the default missed there, 2 are told after all" in section.text
     assert section.tables[1].rows[0][0] == "13 and more"
+    assert "best in all bins of speed and force" in section.text
+    other = data["figures"]["tracking"]
+    other["by_force"][0] |= {"recall": 0.98, "interval": [0.97, 0.99]}
+    text = part("limits", data)
+    assert "not the best in bins of speed and force: 13 and more N** (table below; nowhere" in text
+    other["by_speed"][0] |= {"recall": 0.9, "interval": [0.8, 0.95]}
+    text = part("limits", data)
+    assert "0.1 to 0.2 m/s; 13 and more N**" in text
+    assert "intervals are apart in 0.1 to 0.2 m/s)" in text
 
 
 def test_the_ungated_learner_is_the_products_own(robot: Robot, touched_stream: Stream) -> None:

@@ -13,9 +13,9 @@ from adaptive_contact_studies.paper.identification import (
     _sparsest,
     told_condition,
 )
-from adaptive_contact_studies.paper.tables import headline
-from adaptive_contact_studies.paper.tables_detection import _free
-from adaptive_contact_studies.show.tables import per_joint
+from adaptive_contact_studies.paper.tables import part
+from adaptive_contact_studies.paper.verdicts import headline
+from adaptive_contact_studies.show.numbers import per_joint
 
 
 def found(
@@ -116,7 +116,7 @@ def test_the_residual_is_labelled_as_what_it_is() -> None:
 
 def test_no_alarm_in_few_hours_only_bounds_the_rate() -> None:
     alarms = {"free": _rate(10, 540_000 * 10), "stand": _rate(0, 324_000)}
-    told = _free({"figures": {"default": {"false_alarms": plain(alarms)}}})
+    told = part("free", {"figures": {"default": {"false_alarms": plain(alarms)}}})
     assert "10 and 0 false alarms" in told
     # 95 % of nothing seen: 3.69 over 0.6 h.
     assert "None in 0.60 h standing only bounds the rate: up to 6.1 per robot-hour" in told
