@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import re
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from adaptive_contact.bank import LearnerBank
+from adaptive_contact.compiled import records
+from adaptive_contact.detect.layout import new_legs
+from adaptive_contact.detect.swing_rows import note_fit
 from adaptive_contact.learn.drift import OBSTRUCTED_SWINGS
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.noise import UNFIT_LEVEL
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
 
@@ -69,6 +77,63 @@ def test_a_foot_held_fast_is_told_and_not_learned(
     assert [k for k in confirmed(learner) if k >= TICKS * start] == []
     assert told.count("ambiguous") > len(told) / 2
     assert "ambiguous" in told[: OBSTRUCTED_SWINGS + 4]
+
+
+@pytest.mark.parametrize("stop", [6, 7])
+def test_what_stops_a_lift_again_and_again_is_reported(
+    robot: Robot, baseline: Baseline, stop: int
+) -> None:
+    """The foot counts as held, but has moved as the model says until it was stopped."""
+    start, swings = 60, 100
+    measured, desired, swing, _ = FakeLeg(seed=2).run(
+        swings, touch=lambda k: stop if k >= start else None
+    )
+    learner = ContactLearner(robot, "rf", baseline)
+    told: Counter[bool] = Counter()
+    doubted = 0
+    for sample in samples(measured, desired, swing):
+        event = learner.update(sample)
+        if event is not None and event.contact:
+            assert sample.seq > TICKS * start + stop
+            told[learner.status.doubt == "held"] += 1
+        doubted += learner.status.doubt == "held"
+    assert doubted > TICKS * (swings - start) / 4
+    assert told[True] >= 10, "reported all the same"
+    assert told.total() >= 0.8 * (swings - start)
+
+
+def test_a_foot_held_from_the_start_reports_nothing_once_it_is_told(
+    robot: Robot, baseline: Baseline
+) -> None:
+    """What does not move cannot fit."""
+    start = 60
+    measured, desired, swing, _ = FakeLeg(seed=2).run(
+        100, touch=lambda k: 0 if k >= start else None
+    )
+    learner = ContactLearner(robot, "rf", baseline)
+    events = [
+        event
+        for sample in samples(measured, desired, swing)
+        if (event := learner.update(sample)) is not None and sample.seq >= TICKS * (start + 4)
+    ]
+    assert not any(event.contact for event in events)
+
+
+@given(st.lists(st.floats(0.0, 60.0), max_size=40))
+def test_ticks_in_a_row_that_fit_are_counted(levels: list[float]) -> None:
+    leg = new_legs(1)
+    began_ns = 1000
+    for k, level in enumerate(levels):
+        leg["at_ns"] = began_ns + k
+        note_fit(records(leg)[0], level)
+    told = "".join("fit " if level <= UNFIT_LEVEL else "off " for level in levels)
+    now = re.search(r"(fit )*$", told)
+    ended = list(re.finditer(r"((?:fit )+)off ", told))
+    assert now is not None
+    assert leg["fit_n"][0] == len(now[0]) // 4
+    assert leg["fit_before"][0] == (len(ended[-1][1]) // 4 if ended else 0)
+    if ended:
+        assert leg["misfit_ns"][0] == began_ns + ended[-1].end() // 4 - 1
 
 
 def test_a_reading_that_is_none_says_nothing_of_the_foots_height(
