@@ -38,7 +38,8 @@ class WhenAmbiguous(enum.StrEnum):
     WITHHOLD reports none where the readings do not follow the leg, or something holds its foot, and
     releases one that stands.  It reports those of a leg that only fits its model badly
     (``unsettled``), whose threshold is as wide as its lifts are far, and of a foot that counts as
-    held in a swing that fits in its lift or before the contact.  STRICT withholds these, too.  PUBLISH withholds none.
+    held in a swing that fits in its lift or before the contact.  STRICT withholds these, too.
+    PUBLISH withholds none.
     """
 
     WITHHOLD = "withhold"
