@@ -47,13 +47,14 @@ class ProcessRefitter:
 
     Attributes:
         failures: jobs that were given up.
+        timeout_s: that of the jobs to come.
     """
 
     def __init__(
         self, timeout_s: float = JOB_TIMEOUT_S, *, process: subprocess.Popen[bytes] | None = None
     ) -> None:
         self.failures = 0
-        self._timeout_s = timeout_s
+        self.timeout_s = timeout_s
         self._waiting: OrderedDict[str, Job] = OrderedDict()
         self._results: dict[str, tuple[int, object]] = {}
         self._changed = threading.Condition()
@@ -147,7 +148,7 @@ class ProcessRefitter:
         assert process.stdout is not None
         # A process that hangs takes no more of a job than the pipe holds (64 kB, a job may have
         # ten times that), and may stop within its answer.  Its end ends the write and the read.
-        deadline = threading.Timer(self._timeout_s, process.kill)
+        deadline = threading.Timer(self.timeout_s, process.kill)
         deadline.daemon = True
         deadline.start()
         try:
@@ -180,7 +181,7 @@ class WaitingRefitter(ProcessRefitter):
         with self._changed:
             self._changed.wait_for(
                 lambda: self._results.get(leg, (None,))[0] == number,
-                timeout=2 * _TRIES * self._timeout_s,
+                timeout=2 * _TRIES * self.timeout_s,
             )
         return super().collect(leg, number)
 

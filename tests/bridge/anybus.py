@@ -121,7 +121,7 @@ class AnyServo(VirtualServo):
     def set_registers(self, registers: Mapping[str, int]) -> None:
         """Store registers as they are; mode and turns are what they would be after power-on."""
         for name, value in registers.items():
-            self._store(name, value)
+            self.store(name, value)
         self._settle_turns(fresh=True)
         if "torque_enable" in registers:
             self._backend.set_torque(self._index, bool(registers["torque_enable"]))
@@ -159,7 +159,7 @@ def build(specs: Sequence[str], backend: KinematicBackend) -> list[AnyServo]:
             if "baud" in settings:
                 made.baud = int(settings["baud"])
             if "number" in settings:
-                made._store("model_number", int(settings["number"]))
+                made.store("model_number", int(settings["number"]))
             made.short = settings.get("short", 0.0)
             made.keeps_goal = bool(settings.get("keeps", made.keeps_goal))
             made.set_registers({n: int(v) for n, v in settings.items() if n not in OWN})

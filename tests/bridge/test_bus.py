@@ -259,7 +259,7 @@ def test_a_wrong_baud_rate_is_silence(rig: Callable, tmp_path: Path) -> None:
 def test_two_servos_of_one_id_that_answer_one_after_the_other_are_seen(rig: Callable) -> None:
     r = rig(**AX, wire_time=True)
     slow = VirtualServo(3, r.servo(3).model, r.backend, 3, np.random.default_rng(1))
-    slow._store("return_delay", 250)
+    slow.store("return_delay", 250)
     r.ports[0].servos = (*r.ports[0].servos, slow)
     bus = opened(r)
     bus.timeout_ms = 25.0
@@ -364,7 +364,7 @@ def test_a_new_id_and_baud_rate_hold_at_once(
         assert packets.ping(port, 60)[1] == sdk.COMM_SUCCESS
         assert packets.ping(port, 6)[1] != sdk.COMM_SUCCESS
         if kind is XL:
-            r.servo(5)._store("torque_enable", 1)
+            r.servo(5).store("torque_enable", 1)
             assert packets.reboot(port, 5)[0] == sdk.COMM_SUCCESS
             assert not r.servo(5).torque
         packets.write1ByteTxRx(port, 60, registers["baud"].address, value)

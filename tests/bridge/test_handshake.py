@@ -32,7 +32,7 @@ def test_all_that_is_wrong_comes_in_one_message(rig: Callable, tmp_path: Path) -
     # 2 and 5 are missing, 9 is there instead, and 3 is another model.
     port.servos = tuple(s for s in port.servos if s.id not in (2, 5))
     r.servo(1).id = 9
-    r.servo(3)._store("model_number", 18)
+    r.servo(3).store("model_number", 18)
     findings = check_ports(r.plans)
     with pytest.raises(BusError) as caught:
         findings.raise_errors()
@@ -75,7 +75,7 @@ def test_nobody_at_all(rig: Callable) -> None:
 
 def test_wheel_mode(rig: Callable) -> None:
     r = rig(**AX)
-    r.servo(1)._store("upper_limit", 0)
+    r.servo(1).store("upper_limit", 0)
     [line] = check_ports(r.plans, full=False).errors
     assert "servo 1 is in wheel mode" in line
 
@@ -83,14 +83,14 @@ def test_wheel_mode(rig: Callable) -> None:
 @pytest.mark.parametrize("kind", [AX, XL])
 def test_a_servo_that_answers_no_reads(rig: Callable, kind: dict) -> None:
     r = rig(**kind)
-    r.servo(2)._store("status_return", 0)
+    r.servo(2).store("status_return", 0)
     [line] = check_ports(r.plans, full=False).errors
     assert "servo 2 answers to pings but not to reads" in line
 
 
 def test_a_wrong_operating_mode(rig: Callable) -> None:
     r = rig(**XL)
-    r.servo(4)._store("operating_mode", 1)
+    r.servo(4).store("operating_mode", 1)
     [line] = check_ports(r.plans, full=False).errors
     assert "servo 4 is in operating mode 1 (velocity), expected 3 (position)" in line
 
@@ -111,7 +111,7 @@ def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
     r = rig(**kind)
     servos = r.ports[0].servos
     for servo in servos:
-        servo._store("return_delay", 250)
+        servo.store("return_delay", 250)
     findings = check_ports(r.plans, full=False)
     assert "return delay of servo 1, 2, 3, 4, 5, 6 is 500 us" in findings.advice[0]
     assert "--configure" in findings.advice[0]
@@ -122,8 +122,8 @@ def test_nothing_is_written_unless_asked_for(rig: Callable, kind: dict) -> None:
 
 def test_a_driving_x_servo_is_not_let_go(rig: Callable) -> None:
     r = rig(**XL)
-    r.servo(1)._store("return_delay", 250)
-    r.servo(1)._store("torque_enable", 1)
+    r.servo(1).store("return_delay", 250)
+    r.servo(1).store("torque_enable", 1)
     findings = check_ports(r.plans, full=False, configure=True)
     assert "servo 1 drives" in findings.advice[0]
     assert r.servo(1).torque

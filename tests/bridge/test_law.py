@@ -51,8 +51,8 @@ def test_init_reads_the_slope_off_the_servos(
     r = rig(model=model, protocol=protocol)
     if model == "AX-12A":
         for servo in r.ports[0].servos:
-            servo._store("lower_slope", 64)
-            servo._store("upper_slope", 64)
+            servo.store("lower_slope", 64)
+            servo.store("upper_slope", 64)
         slope = 0.328
     found = find_servos("p0", str(tmp_path / "p0"))
     robot = parse_robot(write_robot(group([found], 3)), source="written")

@@ -43,7 +43,7 @@ def test_what_follows_no_goals_is_refused_in_one_line(
 ) -> None:
     r = rig(**kind)
     for name, value in registers.items():
-        r.servo(2)._store(name, value)
+        r.servo(2).store(name, value)
     [line] = check_ports(r.plans, full=False, drive=drive).errors
     assert f"servo 2 {words}" in line
     assert "set" in line or "write" in line or "clear it" in line  # what to do
@@ -51,7 +51,7 @@ def test_what_follows_no_goals_is_refused_in_one_line(
 
 def test_torque_by_goal_is_observed_and_not_driven(rig: Callable) -> None:
     r = rig(**XM)
-    r.servo(1)._store("drive_mode", 8)
+    r.servo(1).store("drive_mode", 8)
     assert check_ports(r.plans, full=False).errors == []
     [line] = check_ports(r.plans, full=False, drive=True).errors
     assert "torque on by goal update" in line
@@ -62,7 +62,7 @@ def test_torque_by_goal_is_observed_and_not_driven(rig: Callable) -> None:
 def test_what_is_followed_is_let_through(rig: Callable, registers: dict[str, int]) -> None:
     r = rig(**XM)
     for name, value in registers.items():
-        r.servo(1)._store(name, value)
+        r.servo(1).store(name, value)
     findings = check_ports(r.plans, full=False, drive=True)
     assert findings.errors == findings.advice == []
 
@@ -72,7 +72,7 @@ def test_a_servo_in_torque_by_goal_mode_gets_no_goal_though_no_handshake_refused
 ) -> None:
     r = run("drive", **XM)
     servo = r.rig.servo(1)
-    servo._store("drive_mode", 8)
+    servo.store("drive_mode", 8)
     feed = r.commanding([0.4] * 3)
     r.catcher.wait(feed(lambda c: any("torque on by goal" in line for line in c.lines)))
     assert servo.writes == 0
@@ -85,7 +85,7 @@ def test_a_servo_that_is_replaced_by_one_set_differently_is_not_driven(run: Call
     r.catcher.wait(lambda c: len(c.ticks) >= 3)
     r.catcher.wait(feed(lambda c: c.ticks[-1]["l0"].measured == pytest.approx([0.4] * 3, abs=0.02)))
     servo = r.rig.servo(2)
-    servo._store("homing_offset", 512)
+    servo.store("homing_offset", 512)
     servo.reboot()
     r.catcher.wait(feed(lambda c: any("set differently" in line for line in c.lines)))
     [line] = [line for line in r.catcher.lines if "set differently" in line]

@@ -111,7 +111,7 @@ def test_init_waits_for_a_slow_servo(rig: Callable, tmp_path: Path, kind: dict) 
 
 def test_an_unknown_model_is_named(rig: Callable, tmp_path: Path) -> None:
     r = rig(**AX)
-    r.servo(3)._store("model_number", 999)
+    r.servo(3).store("model_number", 999)
     with pytest.raises(BusError, match=r"servo 3 \(model number 999\) is of no known model"):
         group([find_servos("p0", str(tmp_path / "p0"))], 3)
 

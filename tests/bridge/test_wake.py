@@ -19,8 +19,8 @@ def stand(rig: Any, steps: int, servos: tuple[int, ...] = (1, 2, 3)) -> int:
     """Servos that hold a load so many steps below the goal that another program has written."""
     for i in servos:
         goal = rig.servo(i).model.centre + steps
-        rig.servo(i)._store("torque_enable", 1)
-        rig.servo(i)._store("goal_position", goal)
+        rig.servo(i).store("torque_enable", 1)
+        rig.servo(i).store("goal_position", goal)
     return goal
 
 
@@ -74,7 +74,7 @@ def test_torque_never_comes_on_with_an_old_goal_whatever_write_is_lost(
     r.catcher.wait(lambda c: len(c.ticks) >= 5)
     servo = r.rig.servo(2)
     registers, write, step = servo.model.registers, servo.write, servo.model.step_rad
-    servo._store("goal_position", servo.model.centre + round(0.8 / step))  # of its life before
+    servo.store("goal_position", servo.model.centre + round(0.8 / step))  # of its life before
     left, jumps = [3], []
 
     def spy(address: int, data: bytes) -> Any:
@@ -135,7 +135,7 @@ def test_a_servo_that_was_silent_is_not_driven_blindly_and_wakes_gently(
     r.catcher.wait(
         while_silent(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent)
     )
-    r.rig.servo(2)._store("torque_enable", 0)  # it has lost its power
+    r.rig.servo(2).store("torque_enable", 0)  # it has lost its power
     r.rig.backend.place(1, -0.6)  # and was moved by hand
     writes, others, ticks = r.rig.servo(2).writes, r.rig.servo(1).writes, len(r.catcher.ticks)
     r.catcher.wait(while_silent(lambda c: len(c.ticks) >= ticks + 20))

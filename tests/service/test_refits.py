@@ -116,6 +116,20 @@ class Needs:
 
 
 @dataclasses.dataclass(frozen=True)
+class Noted:
+    """Leaves a line where it was done."""
+
+    leg: str
+    number: int
+    path: str
+
+    def run(self) -> str:
+        with Path(self.path).open("a") as file:
+            file.write(f"{self.leg} {self.number}\n")
+        return "done"
+
+
+@dataclasses.dataclass(frozen=True)
 class Standing:
     """Tells how the process stands among others."""
 
@@ -145,12 +159,25 @@ def refitter(monkeypatch: pytest.MonkeyPatch) -> Iterator[ProcessRefitter]:
     # The worker unpickles jobs of this module, which pytest imports under a name of its own.
     here = Path(__file__)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), *map(str, _paths())]))
-    for kind in (Stubborn, Endless, Large, Deadly, Threads, Needs, Standing):
+    for kind in (Stubborn, Endless, Large, Deadly, Threads, Needs, Noted, Standing):
         monkeypatch.setattr(kind, "__module__", here.stem)
     monkeypatch.setitem(sys.modules, here.stem, sys.modules[__name__])
     made = ProcessRefitter(timeout_s=20.0)
     yield made
     made.close()
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[subprocess.Popen[bytes]]:
+    """The processes that refitters started."""
+    processes = []
+
+    def start(**options: bool) -> subprocess.Popen[bytes]:
+        processes.append(start_process(**options))
+        return processes[-1]
+
+    monkeypatch.setattr(refits, "start_process", start)
+    return processes
 
 
 def _paths() -> list[str]:
@@ -170,25 +197,28 @@ def wait(refitter: Refitter, leg: str, number: int) -> object:
     return found
 
 
-def test_a_process_is_there_before_the_first_job(refitter: ProcessRefitter) -> None:
+def test_a_process_is_there_before_the_first_job(
+    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
+) -> None:
     """Its first result is no later than others: all that a fit needs has been imported."""
     refitter.start()
     refitter.start()
     deadline = time.monotonic() + 30
-    while refitter._process is None and time.monotonic() < deadline:
+    while not started:
+        assert time.monotonic() < deadline
         time.sleep(0.01)
-    process = refitter._process
-    assert process is not None
     assert wait(refitter, "rf", _submitted(refitter, Needs("rf", 1))) == []
-    assert refitter._process is process
+    assert len(started) == 1
 
 
-def _submitted(refitter: ProcessRefitter, job: Needs) -> int:
+def _submitted(refitter: ProcessRefitter, job: Needs | Noted) -> int:
     refitter.submit(job)  # type: ignore[arg-type]
     return job.number
 
 
-def test_the_result_is_that_of_a_refit_in_line(refitter: ProcessRefitter) -> None:
+def test_the_result_is_that_of_a_refit_in_line(
+    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
+) -> None:
     inline = InlineRefitter()
     inline.submit(job())
     expected = inline.collect("rf", 1)
@@ -200,11 +230,11 @@ def test_the_result_is_that_of_a_refit_in_line(refitter: ProcessRefitter) -> Non
     assert np.array_equal(found.coefficients, expected.coefficients)
     assert refitter.collect("rf", 1) is None, "a result is given once"
     # The process is killed between two jobs: the next one starts another.
-    assert refitter._process is not None
-    refitter._process.kill()
+    started[0].kill()
     refitter.submit(job("lf", 5))
     assert isinstance(wait(refitter, "lf", 5), RefitResult)
     assert refitter.failures == 0
+    assert len(started) == 2
 
 
 def test_a_replay_waits_for_its_results() -> None:
@@ -221,11 +251,11 @@ def test_a_replay_waits_for_its_results() -> None:
                 assert np.array_equal(found.coefficients, expected.coefficients)
 
 
-def test_a_replay_without_refits_leaves_no_process() -> None:
-    refitter = WaitingRefitter()
-    process = refitter._process
-    assert process is not None
-    refitter.close()
+def test_a_replay_without_refits_leaves_no_process(
+    started: list[subprocess.Popen[bytes]],
+) -> None:
+    WaitingRefitter().close()
+    (process,) = started
     assert process.poll() is not None
 
 
@@ -238,7 +268,7 @@ def test_a_job_that_kills_its_process_once_is_repeated(
 
 
 def test_a_job_that_takes_too_long_is_answered_as_failed(refitter: ProcessRefitter) -> None:
-    refitter._timeout_s = 1.0
+    refitter.timeout_s = 1.0
     endless = Endless(**{f.name: getattr(job(), f.name) for f in dataclasses.fields(RefitJob)})
     with capture_logs() as logs:
         refitter.submit(endless)
@@ -250,21 +280,22 @@ def test_a_job_that_takes_too_long_is_answered_as_failed(refitter: ProcessRefitt
 
 
 def test_a_process_that_hangs_before_a_large_job_is_replaced(
-    refitter: ProcessRefitter, monkeypatch: pytest.MonkeyPatch
+    refitter: ProcessRefitter,
+    started: list[subprocess.Popen[bytes]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     refitter.submit(job())
     assert isinstance(wait(refitter, "rf", 1), RefitResult)
-    hanging = refitter._process
-    assert hanging is not None
+    (hanging,) = started
     hanging.send_signal(signal.SIGSTOP)
     start = start_process
 
     def patient() -> subprocess.Popen[bytes]:
-        refitter._timeout_s = 20.0  # the next one has to import everything first
+        refitter.timeout_s = 20.0  # the next one has to import everything first
         return start()
 
     monkeypatch.setattr(refits, "start_process", patient)
-    refitter._timeout_s = 1.0
+    refitter.timeout_s = 1.0
     # The job fills the pipe, so that writing it never ends by itself.
     refitter.submit(large(2))
     found = wait(refitter, "rf", 2)
@@ -295,7 +326,7 @@ def test_processes_that_hang_are_given_up(
         return process
 
     monkeypatch.setattr(refits, "start_process", hangs)
-    refitter._timeout_s = 1.0
+    refitter.timeout_s = 1.0
     with capture_logs() as logs:
         refitter.submit(large(1))
         found = wait(refitter, "rf", 1)
@@ -306,18 +337,19 @@ def test_processes_that_hang_are_given_up(
     assert [process.wait(5) for process in started] == [-signal.SIGKILL] * 2
     # The next job has a process of its own again.
     monkeypatch.setattr(refits, "start_process", start)
-    refitter._timeout_s = 20.0
+    refitter.timeout_s = 20.0
     refitter.submit(job("rf", 2))
     again = wait(refitter, "rf", 2)
     assert isinstance(again, RefitResult)
     assert again.status is FitStatus.OK
 
 
-def test_closing_does_not_wait_for_a_process_that_hangs(refitter: ProcessRefitter) -> None:
+def test_closing_does_not_wait_for_a_process_that_hangs(
+    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]]
+) -> None:
     refitter.submit(job())
     assert isinstance(wait(refitter, "rf", 1), RefitResult)
-    hanging = refitter._process
-    assert hanging is not None
+    (hanging,) = started
     hanging.send_signal(signal.SIGSTOP)
     refitter.submit(large(2))
     until = time.monotonic() + 10
@@ -417,23 +449,35 @@ def test_it_stands_behind_others_whatever_started_it(refitter: ProcessRefitter) 
         assert wait(early, "rf", _submitted(early, Standing("rf", 1))) == found  # type: ignore[arg-type]
 
 
-def test_one_that_was_started_before_is_used_and_ended() -> None:
+def test_one_that_was_started_before_is_used_and_ended(
+    started: list[subprocess.Popen[bytes]],
+) -> None:
     process = start_process(hurry=True)
     with contextlib.closing(ProcessRefitter(timeout_s=20.0, process=process)) as refitter:
         refitter.submit(job("rf", 1))
         found = wait(refitter, "rf", 1)
         assert isinstance(found, RefitResult)
         assert found.status is FitStatus.OK
-        assert refitter._process is process
+    assert not started, "no other was needed"
     assert process.wait(5) == -signal.SIGKILL
     end_process(process)  # once more does no harm
 
 
-def test_only_the_newest_job_of_a_leg_waits() -> None:
-    refitter = ProcessRefitter()
-    refitter._thread = object()  # type: ignore[assignment]  # nothing is done
+def test_only_the_newest_job_of_a_leg_waits(
+    refitter: ProcessRefitter, started: list[subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    done = tmp_path / "done"
+    assert wait(refitter, "rf", _submitted(refitter, Noted("rf", 0, str(done)))) == "done"
+    started[0].send_signal(signal.SIGSTOP)
     for number in range(1, 50):
-        refitter.submit(job("rf", number))
-        refitter.submit(job("lf", number))
-    assert [(leg, one.number) for leg, one in refitter._waiting.items()] == [("rf", 49), ("lf", 49)]
-    assert refitter.collect("rf", 1) is None
+        for leg in ("rf", "lf"):
+            _submitted(refitter, Noted(leg, number, str(done)))
+    started[0].send_signal(signal.SIGCONT)
+    for leg in ("rf", "lf"):
+        assert wait(refitter, leg, 49) == "done"
+        assert refitter.collect(leg, 48) is None
+    # One may have been under way when the others came; all that waited in between is void.
+    first, *under_way, last, newest = done.read_text().splitlines()
+    assert first == "rf 0"
+    assert len(under_way) <= 1
+    assert {last, newest} == {"rf 49", "lf 49"}

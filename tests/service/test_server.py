@@ -14,7 +14,7 @@ from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.service import server
 from adaptive_contact.service.interfaces import Received
 from adaptive_contact.service.link import Link
-from adaptive_contact.service.sample_queue import Batch, Raw
+from adaptive_contact.service.sample_queue import Batch, Raw, SampleQueue
 from adaptive_contact.service.server import Service
 from adaptive_contact.service.state import StateFacts
 from adaptive_contact.service.status import SERVICE_STATUS, ServiceStatus
@@ -404,10 +404,12 @@ def test_a_worker_that_is_behind_ends_a_tick_before_it_catches_up(
         f'[robot]\nname = "many"\nperiod_s = 0.02\nquantum_rad = 0.005\n{text}', source="test"
     )
     bank = fake.FakeBank(many)
+    queue: SampleQueue[Any] = SampleQueue(many.leg_ids)
+    monkeypatch.setattr(server, "SampleQueue", lambda _legs: queue)
     service = Service(router, bank, many, baseline=None, now_ns=0)
     for seq in range(40):
         for leg in legs:
-            service._queue.offer(Received(servo_key(leg), encode(sample(seq)), MSGPACK, 0, None))
+            queue.offer(Received(servo_key(leg), encode(sample(seq)), MSGPACK, 0, None))
     judge, judged, most, done = bank.judge, [0], [0], threading.Event()
 
     def count(samples: Mapping[str, ServoSample]) -> object:

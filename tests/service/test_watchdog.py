@@ -17,6 +17,7 @@ from structlog.testing import capture_logs
 
 from adaptive_contact.errors import LinkError
 from adaptive_contact.robot import Robot
+from adaptive_contact.service import server
 from adaptive_contact.service.event_publisher import EventPublisher
 from adaptive_contact.service.link import Link
 from adaptive_contact.service.server import Service
@@ -264,7 +265,9 @@ def test_an_event_that_cannot_be_put_is_counted_and_the_next_goes_out() -> None:
 
 def test_what_waits_at_the_end_is_counted_as_lost_and_not_sent_after_all() -> None:
     box, gate = EventPublisher(), Gate()
+    before = set(threading.enumerate())
     box.start()
+    (sender,) = set(threading.enumerate()) - before
     box.post(gate, message(0), 0)
     assert gate.entered.wait(5)
     for n in range(1, 10):
@@ -282,8 +285,7 @@ def test_what_waits_at_the_end_is_counted_as_lost_and_not_sent_after_all() -> No
         9,
     )
     gate.open.set()
-    assert box._thread is not None
-    box._thread.join(5)
+    sender.join(5)
     assert (gate.got, box.lost) == ([0], 10)
 
 
@@ -295,11 +297,12 @@ def test_the_last_status_tells_of_events_lost_at_the_end(
     robot: Robot,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    box = EventPublisher()
+    monkeypatch.setattr(server, "EventPublisher", lambda: box)
     service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
     got = inbox(ServiceStatus)
     join(router.endpoints[0]).subscribe(SERVICE_STATUS, got, history=True)
     gate, stop = Gate(), threading.Event()
-    box = service._publisher
     box.start()
     monkeypatch.setattr(box, "start", lambda: None)
     try:
@@ -317,9 +320,9 @@ def test_the_last_status_tells_of_events_lost_at_the_end(
 def test_what_is_held_up_now_is_told(
     router: Link, fake: ModuleType, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
     blocked_ns = [0]
-    monkeypatch.setattr(service._publisher, "busy_ns", lambda now_ns: blocked_ns[0])
+    monkeypatch.setattr(EventPublisher, "busy_ns", lambda _box, now_ns: blocked_ns[0])
+    service = Service(router, fake.FakeBank(robot), robot, baseline=None, now_ns=0)
     for blocked, note in (
         (0.4, None),
         (1.23, "a subscriber that hangs has held up contact events for 1.2 s"),

@@ -120,7 +120,7 @@ class VirtualServo:
         self.stale_data: bytes | None = None
         self.writes = 0
         self._factory(return_delay)
-        self._store("baud", self._baud_register(baud))
+        self.store("baud", self._baud_register(baud))
         self.baud = baud
         self._power_on()
 
@@ -162,16 +162,16 @@ class VirtualServo:
         fatal = bits & self.value("shutdown")
         if self.model.compact:
             if fatal:
-                self._store("torque_limit", 0)
+                self.store("torque_limit", 0)
                 self._backend.set_torque(self._index, False)
             if "hardware_error" in self.model.registers:
-                self._store("hardware_error", bits)
+                self.store("hardware_error", bits)
             return bits
         if fatal:
-            self._store("torque_enable", 0)
+            self.store("torque_enable", 0)
             self._backend.set_torque(self._index, False)
             self._latched |= fatal
-        self._store("hardware_error", bits | self._latched)
+        self.store("hardware_error", bits | self._latched)
         return bits | self._latched
 
     def reboot(self) -> None:
@@ -185,7 +185,7 @@ class VirtualServo:
         self._factory(250)
         usual = 57_600 if not self.model.compact else 1_000_000
         for name, value in ({"id": 1, "baud": self._baud_register(usual)} | kept).items():
-            self._store(name, value)
+            self.store(name, value)
         self.id, self.baud = self.value("id"), self._baud()
         self.reboot()
 
@@ -223,7 +223,7 @@ class VirtualServo:
             return Refusal(FAIL2)
         before, goal = self._turns, self.value("goal_position")
         self._settle_turns(fresh=True)
-        self._store("goal_position", goal + (before - self._turns) * (self.model.highest + 1))
+        self.store("goal_position", goal + (before - self._turns) * (self.model.highest + 1))
         return None
 
     # -- private -------------------------------------------------------------------------------
@@ -321,11 +321,11 @@ class VirtualServo:
         if name == "goal_position":
             if self.goal_wakes:
                 # An AX servo that is given a goal switches its torque on.
-                self._store("torque_enable", 1)
+                self.store("torque_enable", 1)
                 self._backend.set_torque(self._index, self.drives)
             elif not self.torque and self._torque_by_goal:
                 self._settle_turns()
-                self._store("torque_enable", 1)
+                self.store("torque_enable", 1)
                 self._backend.set_torque(self._index, True)
             if self.torque:
                 self._drive()
@@ -346,7 +346,7 @@ class VirtualServo:
             if self.torque:
                 self._settle_turns()
                 if not self.keeps_goal:
-                    self._store("goal_position", self._steps(self._backend.angle(self._index)))
+                    self.store("goal_position", self._steps(self._backend.angle(self._index)))
                 self._drive()
 
     @property
@@ -419,19 +419,20 @@ class VirtualServo:
     def _refresh(self) -> None:
         model, backend, index = self.model, self._backend, self._index
         noise = self._noise * float(self._rng.standard_normal())
-        self._store("present_position", self._steps(backend.angle(index), noise))
+        self.store("present_position", self._steps(backend.angle(index), noise))
         speed = backend.speed(index)
-        self._store("moving", int(abs(speed) > _MOVING_RAD_S))
+        self.store("moving", int(abs(speed) > _MOVING_RAD_S))
         raw = round(abs(speed) / model.speed_rad_s)
         if model.registers["present_speed"].signed:
-            self._store("present_speed", raw if speed >= 0 else -raw)
+            self.store("present_speed", raw if speed >= 0 else -raw)
         else:
-            self._store("present_speed", min(raw, 1023) | (0 if speed >= 0 else 0x400))
+            self.store("present_speed", min(raw, 1023) | (0 if speed >= 0 else 0x400))
         inside = backend.goal(index)
         if inside is not None:
-            self._store("goal_position", self._steps(inside))
+            self.store("goal_position", self._steps(inside))
 
-    def _store(self, name: str, value: int) -> None:
+    def store(self, name: str, value: int) -> None:
+        """Put a value into a register, whatever the bus would say: what it holds from before."""
         register = self.model.registers[name]
         data = value.to_bytes(register.size, "little", signed=register.signed)
         self._memory[register.address : register.address + register.size] = data
@@ -455,7 +456,7 @@ class VirtualServo:
         }
         for name, value in initial.items():
             if name in model.registers:
-                self._store(name, value)
+                self.store(name, value)
 
     def _baud(self) -> int:
         register = self.value("baud")
@@ -490,16 +491,16 @@ class VirtualServo:
             initial |= {"position_p": gain, "hardware_error": 0, "status_return": 2}
         for name, value in initial.items():
             if name in model.registers:
-                self._store(name, value)
+                self.store(name, value)
         if "torque_control" in model.registers:
-            self._store("torque_control", 0)
+            self.store("torque_control", 0)
         for addresses, first, count in self._indirect:
             for i in range(count):  # each stands for itself
                 place = addresses + 2 * i
                 self._memory[place : place + 2] = (first + i).to_bytes(2, "little")
         starts = bool(self._has("startup") & 1)
         on = starts or self._backend.goal(self._index) is not None
-        self._store("torque_enable", int(on))
+        self.store("torque_enable", int(on))
         self._backend.set_torque(self._index, on)
         if starts:
             self._drive()

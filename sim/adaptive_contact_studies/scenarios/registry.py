@@ -90,36 +90,34 @@ def steps(sizes: Sizes) -> list[Scenario]:
 
 def _pose_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
     at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
+    return _change(name, about, at_s, end_s, pose_runs(sizes, end_s), what)
+
+
+def _walk_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
+    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
+    made = _change(name, f"walking, all legs: {about}", at_s, end_s, walk_runs(sizes, end_s), what)
+    return replace(made, motion="walk", phases=around(at_s, end_s, WALK_SWING_S), mixed=False)
+
+
+def _change(
+    name: str,
+    about: str,
+    at_s: float,
+    end_s: float,
+    runs: Iterable[RecordingSpec],
+    *changes: What,
+) -> Scenario:
+    """Changes at one moment, in pose, to recover from."""
     return Scenario(
         name=name,
         about=about,
         motion="pose",
         expect=Expect.RECOVER,
-        recordings=tuple(
-            drifting(spec, run, at_s, what) for run, spec in enumerate(pose_runs(sizes, end_s))
-        ),
+        recordings=tuple(drifting(spec, run, at_s, *changes) for run, spec in enumerate(runs)),
         phases=around(at_s, end_s, POSE_SWING_S),
         judged=("after",),
         marks=(Mark("step", at_s),),
         twin=without_drift,
-    )
-
-
-def _walk_step(name: str, about: str, what: What, sizes: Sizes) -> Scenario:
-    at_s, end_s = sizes.walk_before_s, sizes.walk_before_s + sizes.walk_after_s
-    return Scenario(
-        name=name,
-        about=f"walking, all legs: {about}",
-        motion="walk",
-        expect=Expect.RECOVER,
-        recordings=tuple(
-            drifting(spec, run, at_s, what) for run, spec in enumerate(walk_runs(sizes, end_s))
-        ),
-        phases=around(at_s, end_s, WALK_SWING_S),
-        judged=("after",),
-        marks=(Mark("step", at_s),),
-        twin=without_drift,
-        mixed=False,
     )
 
 
@@ -189,40 +187,26 @@ def slow_changes(sizes: Sizes) -> list[Scenario]:
 def compound(sizes: Sizes) -> list[Scenario]:
     """Two changes at once, and a change behind nothing but contacts."""
     at_s, end_s = sizes.before_s, sizes.before_s + sizes.after_s
-    stiff_mud = (What("friction", 4.0), What("mass", 0.1))
-    both = Scenario(
-        name="two-at-once",
-        about="100 g of mud and four times the friction at the same moment",
-        motion="pose",
-        expect=Expect.RECOVER,
-        recordings=tuple(
-            drifting(spec, run, at_s, *stiff_mud)
-            for run, spec in enumerate(pose_runs(sizes, end_s))
-        ),
-        phases=around(at_s, end_s, POSE_SWING_S),
-        judged=("after",),
-        marks=(Mark("step", at_s),),
-        twin=without_drift,
+    both = _change(
+        "two-at-once",
+        "100 g of mud and four times the friction at the same moment",
+        at_s,
+        end_s,
+        pose_runs(sizes, end_s),
+        What("friction", 4.0),
+        What("mass", 0.1),
     )
     # All swings end in contact from a few before the step until most of the time after it.
     staging = Staging(contacts=((at_s - 10 * POSE_SWING_S, 1.0), (end_s - 30.0, 0.55)))
-    in_contacts = Scenario(
-        name="step-in-contacts",
-        about="friction rises fourfold while every swing ends in contact",
-        motion="pose",
-        expect=Expect.RECOVER,
-        recordings=tuple(
-            drifting(spec, run, at_s, What("friction", 4.0))
-            for run, spec in enumerate(all_touch(sizes, end_s, staging))
-        ),
-        phases=around(at_s, end_s, POSE_SWING_S),
-        judged=("after",),
-        marks=(Mark("step", at_s),),
-        twin=without_drift,
-        mixed=False,
-        poisonous=True,
+    in_contacts = _change(
+        "step-in-contacts",
+        "friction rises fourfold while every swing ends in contact",
+        at_s,
+        end_s,
+        all_touch(sizes, end_s, staging),
+        What("friction", 4.0),
     )
-    return [both, in_contacts]
+    return [both, replace(in_contacts, mixed=False, poisonous=True)]
 
 
 def contacts(sizes: Sizes) -> list[Scenario]:
