@@ -28,7 +28,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills many unseen lock wheel clean rerun same same-faults
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun same same-faults
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -75,6 +75,10 @@ same: env  ## revision REV against the working tree on recorded runs, bit by bit
 
 unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
 	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)
+
+links: env  ## 1 to 64 links that are cut or hang, up to 130 viewers that stop reading: events within 0.75 s
+	LINKS=1,4,20,64 VIEWERS=10,130 LONGEST_S=0.75 $(BIN)/python -m pytest -s -p no:cacheprovider \
+	  tests/service/test_hung_links.py
 
 many: env  ## LEGS legs of one robot.toml at 50 Hz for MINUTES: losses, latency, memory, shares of a core
 	PYTHONPATH=tests $(BIN)/python tests/service/bench_many.py --legs $(LEGS) --minutes $(MINUTES) --out out/many \

@@ -55,7 +55,8 @@ class EventPublisher:
         lost: messages dropped because the queue was full, that could not be put, or that were left
             at the end.
         slow: puts that took longer than a tenth of a second.
-        cut_off: links dropped because they held up a put: their subscribers miss that event.
+        cut_off: links dropped because they held up a put, or lost because their subscribers took
+            nothing any more: these miss events.
     """
 
     def __init__(self, size: int = QUEUE_EVENTS) -> None:
@@ -131,8 +132,16 @@ class EventPublisher:
                 links=times,
             )
 
+    def lost_links(self, links: int) -> None:
+        """Count links that took nothing any more until they were closed."""
+        now_ns = self._dropped_ns = time.monotonic_ns()
+        self.cut_off += links
+        times = self._throttle.passes("links lost", now_ns, links)
+        if times is not None:
+            _log.warning("links lost: their subscribers hang or are gone", links=times)
+
     def dropped_within(self, now_ns: int, span_ns: int) -> bool:
-        """Whether a link was dropped in the last ``span_ns``."""
+        """Whether a link was dropped or lost in the last ``span_ns``."""
         return self._dropped_ns is not None and now_ns - self._dropped_ns <= span_ns
 
     def busy_ns(self, now_ns: int) -> int:

@@ -432,15 +432,19 @@ class Link:
         return Declared(declared, self._held)
 
     def drop_what_holds_up(
-        self, busy_ns: Callable[[int], int], on_drop: Callable[[int], None]
+        self,
+        busy_ns: Callable[[int], int],
+        on_drop: Callable[[int], None],
+        on_loss: Callable[[int], None],
     ) -> None:
         """Drop every link that holds up a reliable put and takes nothing itself.
 
         Args:
             busy_ns: how long the put under way has been going on at a monotonic time, ns.
             on_drop: called with how many links were dropped, on a thread of the link's own.
+            on_loss: the same with how many took nothing any more until they were closed.
         """
-        self._sockets.drop_what_holds_up(busy_ns, on_drop)
+        self._sockets.drop_what_holds_up(busy_ns, on_drop, on_loss)
 
     def routers(self) -> tuple[str, ...]:
         """Ids of the routers this session is connected to."""

@@ -155,7 +155,8 @@ class Service:
         self._watchdog = Watchdog(
             lambda: self._beats, self._publisher.busy_ns, on_stall=self._stalled, on_end=give_up
         )
-        link.drop_what_holds_up(self._publisher.busy_ns, self._publisher.dropped)
+        publisher = self._publisher
+        link.drop_what_holds_up(publisher.busy_ns, publisher.dropped, publisher.lost_links)
         self._network = NetworkHealth(link, now_ns)
         self._strays = UnreadKeys(link)
         self._stray_keys: dict[str, str] = {}
@@ -312,8 +313,8 @@ class Service:
             else None
         )
         dropped = (
-            f"{self._publisher.cut_off} links dropped since the start, as they held up contact "
-            "events: their subscribers hang or are gone"
+            f"{self._publisher.cut_off} links dropped since the start: their subscribers hang or "
+            "are gone"
             if self._publisher.dropped_within(now_ns, _REPORTED_NS)
             else None
         )

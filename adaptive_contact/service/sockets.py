@@ -10,6 +10,9 @@ Two things of a peer that hangs, or goes away without a word, stop a router for 
   the wait is long, and while an event is held up, every link whose peer has taken nothing for
   :data:`STUCK_NS` is shut down, all at once.
 
+A link that takes nothing any more and holds nothing up is closed by Zenoh at the end of its lease,
+without a word: it is counted as lost.
+
 Sockets are found in ``/proc/self/fd``.  Without it Zenoh behaves as it would without this module.
 """
 
@@ -47,12 +50,15 @@ class LinkSockets:
 
     Attributes:
         dropped: links shut down because they held up an event.
+        lost: links that took nothing any more until Zenoh closed them.
     """
 
     def __init__(self) -> None:
-        self.dropped = 0
+        self.dropped = self.lost = 0
         self._busy_ns: Callable[[int], int] | None = None
         self._on_drop: Callable[[int], None] | None = None
+        self._on_loss: Callable[[int], None] | None = None
+        self._shut: set[str] = set()  # by us, and not closed yet
         self._known: frozenset[str] = frozenset()
         # Of sockets with something to send: bytes acknowledged, and since when they are as many.
         self._queued: dict[str, tuple[int, int]] = {}
@@ -68,15 +74,19 @@ class LinkSockets:
         self._stop.set()
 
     def drop_what_holds_up(
-        self, busy_ns: Callable[[int], int], on_drop: Callable[[int], None]
+        self,
+        busy_ns: Callable[[int], int],
+        on_drop: Callable[[int], None],
+        on_loss: Callable[[int], None],
     ) -> None:
-        """Shut links down that hold up a put.
+        """Shut links down that hold up a put, and count those that are lost.
 
         Args:
             busy_ns: how long the put under way has been going on at a monotonic time, ns.
             on_drop: called with how many links were shut down.
+            on_loss: called with how many are gone that took nothing any more.
         """
-        self._busy_ns, self._on_drop = busy_ns, on_drop
+        self._busy_ns, self._on_drop, self._on_loss = busy_ns, on_drop, on_loss
 
     def look(self, now_ns: int) -> None:
         """Look once; ``now_ns`` is monotonic."""
@@ -87,10 +97,20 @@ class LinkSockets:
         self._known = frozenset(sockets)
         if self._busy_ns is None:
             return
+        lost = sum(
+            now_ns - since >= STUCK_NS and inode not in sockets and inode not in self._shut
+            for inode, (_, since) in self._queued.items()
+        )
+        if lost and self._on_loss is not None:
+            self.lost += lost
+            self._on_loss(lost)
+        self._shut &= sockets.keys()
         stuck = self._stuck(sockets, now_ns)
         if self._busy_ns(now_ns) < HELD_UP_NS:
             return
-        dropped = sum(_use(sockets[inode], _shut_down) is True for inode in stuck)
+        shut = [inode for inode in stuck if _use(sockets[inode], _shut_down) is True]
+        self._shut.update(shut)
+        dropped = len(shut)
         if dropped and self._on_drop is not None:
             self.dropped += dropped
             self._on_drop(dropped)

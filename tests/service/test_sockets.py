@@ -24,6 +24,10 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
         yield ours, peer
 
 
+def lost(links: int) -> None:
+    pytest.fail(f"{links} lost")
+
+
 def linger(ours: socket.socket) -> tuple[int, ...]:
     return struct.unpack("ii", ours.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
 
@@ -55,7 +59,7 @@ def test_a_link_that_takes_nothing_is_shut_down_while_a_put_waits(
     fill(ours)
     sockets, dropped = LinkSockets(), []
     busy = 0
-    sockets.drop_what_holds_up(lambda now_ns: busy, dropped.append)
+    sockets.drop_what_holds_up(lambda now_ns: busy, dropped.append, lost)
     sockets.look(0)
     sockets.look(10 * S)  # it hangs, and holds nothing up
     assert dropped == []
@@ -71,7 +75,7 @@ def test_a_link_whose_peer_reads_is_kept_however_long_a_put_waits(
 ) -> None:
     ours, peer = pair
     sockets, dropped = LinkSockets(), []
-    sockets.drop_what_holds_up(lambda now_ns: S, dropped.append)
+    sockets.drop_what_holds_up(lambda now_ns: S, dropped.append, lost)
     fill(ours)
     now_ns = 0
     for _ in range(20):
@@ -85,6 +89,38 @@ def test_a_link_whose_peer_reads_is_kept_however_long_a_put_waits(
     assert dropped == []
 
 
+@pytest.mark.parametrize(("after_ns", "expected"), [(STUCK_NS, [1]), (STUCK_NS - 1, [])])
+def test_a_link_that_took_nothing_until_it_was_closed_is_lost(
+    pair: tuple[socket.socket, socket.socket], after_ns: int, expected: list[int]
+) -> None:
+    """As Zenoh closes it at the end of its lease; one that has just begun to wait may be done."""
+    ours, _ = pair
+    fill(ours)
+    sockets, dropped = LinkSockets(), []
+    gone: list[int] = []
+    sockets.drop_what_holds_up(lambda now_ns: 0, dropped.append, gone.append)
+    sockets.look(0)
+    sockets.look(1)
+    ours.close()
+    sockets.look(after_ns)
+    sockets.look(after_ns + S)
+    assert (dropped, gone) == ([], expected)
+
+
+def test_a_link_that_was_dropped_is_not_lost_as_well(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, _ = pair
+    fill(ours)
+    sockets, dropped = LinkSockets(), []
+    sockets.drop_what_holds_up(lambda now_ns: HELD_UP_NS, dropped.append, lost)
+    sockets.look(0)
+    sockets.look(S)
+    ours.close()
+    sockets.look(2 * S)
+    assert dropped == [1]
+
+
 def test_other_descriptors_are_left_alone() -> None:
     with ExitStack() as stack:
         ends = [stack.enter_context(end) for end in socket.socketpair()]
@@ -92,7 +128,9 @@ def test_other_descriptors_are_left_alone() -> None:
         for end in (ends[0], udp):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
         sockets = LinkSockets()
-        sockets.drop_what_holds_up(lambda now_ns: S, lambda links: pytest.fail(f"{links} dropped"))
+        sockets.drop_what_holds_up(
+            lambda now_ns: S, lambda links: pytest.fail(f"{links} dropped"), lost
+        )
         sockets.look(0)
         sockets.look(10 * S)
         assert linger(ends[0]) == linger(udp) == (1, 10)
