@@ -385,7 +385,7 @@ def roc_figure(data: Any) -> Figure:
         axes.set(
             xscale="log",
             xlim=(0.25 / hours, None),
-            xlabel=f"false alarms per robot-hour, of {hours:.1f} h; thresholds fall to the right",
+            xlabel=f"false alarms per robot-hour (in {hours:.1f} h); threshold falls →",
         )
     whole.set(ylim=(-2, 102), ylabel="recall, headline touches (%)")
     upper.set(ylim=(90, 100.2), title="the same from 90 % on")
