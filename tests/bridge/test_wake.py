@@ -110,7 +110,8 @@ def test_a_servo_that_was_silent_and_has_held_its_goal_goes_on_from_it(
     servo = r.rig.servo(2)
     r.rig.fault("silent:id=2")
     r.catcher.wait(feed(lambda c: c.statuses and c.statuses[-1].servos.get("2", SPEAKS).silent))
-    assert any("servo 2 (l0 j1): no answer" in line for line in r.catcher.lines)
+    # On a computer that is too busy it is named some looks later.
+    r.catcher.wait(feed(lambda c: any("servo 2 (l0 j1): no answer" in line for line in c.lines)))
     r.rig.backend._angle[1] -= 0.1  # it sags under a load, and drives all it has
     r.rig.backend._driven[1] = False
     goal, written = servo.value("goal_position"), goals_written(servo)
