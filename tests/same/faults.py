@@ -140,6 +140,10 @@ FAULTS: Final = (
         "counts over a restart", "leg_learner.py",
         'self._guard.restore(saved.get("stream"))', "pass", "service-restart",
     ),
+    Fault(
+        "a foot that moved before it touched", "detect/swing_labels.py",
+        "row >= MIN_LIFT_ROWS and self._swing.moved", "row > 99 and self._swing.moved", "pose-post",
+    ),
 )  # fmt: skip
 
 

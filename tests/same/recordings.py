@@ -40,6 +40,7 @@ from adaptive_contact_sim import (
     record_arrays,
 )
 from adaptive_contact_sim.elements import LEGS
+from adaptive_contact_sim.obstacles import Approach
 from adaptive_contact_studies import quadruped_trials
 from adaptive_contact_studies.scenarios.spec import Staging
 from adaptive_contact_studies.scenarios.staging import stagehand
@@ -194,6 +195,7 @@ def _pose(
     *,
     seconds: float = POSE_S,
     obstacles: float = 0.5,
+    approach: Approach = "descent",
     segment_ticks: int = 10,
     drift: tuple[Injection, ...] = (),
     encoder: EncoderSettings | None = None,
@@ -204,6 +206,7 @@ def _pose(
         motion=PoseSettings(
             segment_ticks=segment_ticks,
             obstacles=ObstacleSettings(probability=obstacles, soft=0.3),
+            approach=approach,
         ),
         seed=seed,
         drift=drift,
@@ -517,6 +520,7 @@ RECIPES: Final[dict[str, Callable[[], Recording]]] = {
     ),
     "pose-passing": lambda: _pose(5109, drift=_drift("mass", 0.1, shape="pulse", duration_s=25.0)),
     "pose-slipped": lambda: _pose(5111, drift=_drift("offset", 0.2)),
+    "pose-post": lambda: _pose(5113, obstacles=0.9, approach="forward"),
     "trailing-foot": lambda: _pose(5112, staging=Staging(caught_s=(CHANGE_S, 50.0), trails_n=12.0)),
     "caught-foot": lambda: _pose(5110, staging=Staging(caught_s=(CHANGE_S, 50.0))),
     "cold-start": _cold_start,
