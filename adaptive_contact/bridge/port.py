@@ -66,7 +66,7 @@ class SdkPort(PortHandler):
         latest_s: monotonic time at which any wait for an answer ends.
         received: bytes read so far.
         arrived: bytes read, or thrown away before a question because they came unasked or too
-            late; whoever looks at them takes them out.
+            late; :class:`~adaptive_contact.bridge.bus.Bus` takes out what it has counted.
         byte_s: how long a byte takes on the wire.
     """
 

@@ -40,6 +40,7 @@ class LegBatch:
 
     Attributes:
         legs: scalars of every leg, see :mod:`adaptive_contact.detect.layout`.
+        angles: (L, 2 J) rad, measured and desired of the samples in hand.
         vectors: of floats, of integers and of booleans; each has a name there, and so it has here.
         history: (2, 3, J) rad, residuals and predicted increments, lag 0 first.
         thetas: (3, p), regressors of the last ticks.
@@ -231,7 +232,7 @@ _OF_SAMPLES: Final = (
     "accepted", "restart", "lost", "t_ns", "seq", "phase", "has_valid", "preview_n",
 )  # fmt: skip
 # Scratch, and what is adopted by other names.
-_SCRATCH: Final = ("some", "room", "now", "sums", "places", *_OF_SAMPLES)
+_SCRATCH: Final = ("some", "room", "now", "sums", "places", "angles", *_OF_SAMPLES)
 # What belongs to a model and to the past under it.
 _OF_MODEL: Final = (
     "window", "history", "increment", "theta", "thetas", "began_window", "reach", "believed",

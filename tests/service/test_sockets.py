@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
@@ -32,6 +32,16 @@ def linger(ours: socket.socket) -> tuple[int, ...]:
     return struct.unpack("ii", ours.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))
 
 
+def watching(
+    ours: socket.socket, busy_ns: Callable[[], int], on_loss: Callable[[int], None] = lost
+) -> tuple[LinkSockets, list[int]]:
+    """Watch a link whose buffers are full; what is dropped is kept."""
+    fill(ours)
+    sockets, dropped = LinkSockets(), list[int]()
+    sockets.drop_what_holds_up(lambda now_ns: busy_ns(), dropped.append, on_loss)
+    return sockets, dropped
+
+
 def fill(ours: socket.socket) -> None:
     """Send until the peer, which does not read, takes no more."""
     ours.setblocking(False)
@@ -56,10 +66,8 @@ def test_a_link_that_takes_nothing_is_shut_down_while_a_put_waits(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
     ours, _ = pair
-    fill(ours)
-    sockets, dropped = LinkSockets(), []
     busy = 0
-    sockets.drop_what_holds_up(lambda now_ns: busy, dropped.append, lost)
+    sockets, dropped = watching(ours, lambda: busy)
     sockets.look(0)
     sockets.look(10 * S)  # it hangs, and holds nothing up
     assert dropped == []
@@ -74,9 +82,7 @@ def test_a_link_whose_peer_reads_is_kept_however_long_a_put_waits(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
     ours, peer = pair
-    sockets, dropped = LinkSockets(), []
-    sockets.drop_what_holds_up(lambda now_ns: S, dropped.append, lost)
-    fill(ours)
+    sockets, dropped = watching(ours, lambda: S)
     now_ns = 0
     for _ in range(20):
         sockets.look(now_ns)
@@ -95,10 +101,8 @@ def test_a_link_that_took_nothing_until_it_was_closed_is_lost(
 ) -> None:
     """As Zenoh closes it at the end of its lease; one that has just begun to wait may be done."""
     ours, _ = pair
-    fill(ours)
-    sockets, dropped = LinkSockets(), []
     gone: list[int] = []
-    sockets.drop_what_holds_up(lambda now_ns: 0, dropped.append, gone.append)
+    sockets, dropped = watching(ours, lambda: 0, gone.append)
     sockets.look(0)
     sockets.look(1)
     ours.close()
@@ -111,9 +115,7 @@ def test_a_link_that_was_dropped_is_not_lost_as_well(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
     ours, _ = pair
-    fill(ours)
-    sockets, dropped = LinkSockets(), []
-    sockets.drop_what_holds_up(lambda now_ns: HELD_UP_NS, dropped.append, lost)
+    sockets, dropped = watching(ours, lambda: HELD_UP_NS)
     sockets.look(0)
     sockets.look(S)
     ours.close()

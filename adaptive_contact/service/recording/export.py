@@ -423,7 +423,7 @@ def _write_tables(
     make = _CsvTable if to is ExportFormat.CSV else _ParquetTable
     if to is ExportFormat.PARQUET:
         try:
-            import pyarrow  # noqa: F401
+            import pyarrow  # noqa: F401 - tried before anything is written; a broken one counts, too
         except ImportError as error:
             raise MissingExtraError("export --to parquet", "export") from error
     columns: dict[type[Message], _Columns] = {}
