@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from importlib.util import find_spec
 from pathlib import Path
@@ -86,9 +87,12 @@ def paper(
 
 
 def _command(quick: bool, options: dict[str, list[object]]) -> str:
-    """What was typed, as it can be typed again: all options that are not left as they are."""
+    """What was typed, as it can be typed again: all options that are not left as they are.
+
+    Paths are told from here: the page is for other computers.
+    """
     words = ["adaptive-contact", "paper", *(["--quick"] if quick else [])]
     for name, values in options.items():
         for value in values:
-            words += [name, str(value)]
+            words += [name, os.path.relpath(value) if isinstance(value, Path) else str(value)]
     return shlex.join(words)
