@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from importlib.util import find_spec
 from pathlib import Path
@@ -87,12 +86,9 @@ def paper(
 
 
 def _command(quick: bool, options: dict[str, list[object]]) -> str:
-    """What was typed, as it can be typed again: all options that are not left as they are.
-
-    Paths are told from here: the page is for other computers.
-    """
+    """What was typed, as it can be typed again: all options that are not left as they are."""
     words = ["adaptive-contact", "paper", *(["--quick"] if quick else [])]
     for name, values in options.items():
         for value in values:
-            words += [name, os.path.relpath(value) if isinstance(value, Path) else str(value)]
+            words += [name, str(value)]
     return shlex.join(words)

@@ -11,7 +11,6 @@ tried is held out of both, so that nothing but the gain tells them apart.
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -71,7 +70,7 @@ def run_logs(path: Path, progress: Callable[[float], None] = lambda _: None) -> 
     """
     logs = load_logs(path)
     tree: dict[str, Any] = {
-        "path": os.path.relpath(path),  # from here: the page is for other computers
+        "path": str(path),
         "skipped": [{"file": f, "reason": r} for f, r in logs.skipped],
         "recordings": len(logs.recordings),
         "repaired": sum(r.repaired for r in logs.recordings),
