@@ -309,9 +309,10 @@ class StreamGuard:
             if len(row) != j:
                 return Reject.WRONG_JOINTS
             values += row
-        for value in values:
-            if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:  # false for NaN, too
-                return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
+        if not math.hypot(*values) <= MAX_ANGLE_RAD:  # false for NaN, too; else each is in range
+            for value in values:
+                if not -MAX_ANGLE_RAD <= value <= MAX_ANGLE_RAD:
+                    return Reject.OUT_OF_RANGE if math.isfinite(value) else Reject.NOT_FINITE
         if not (0 <= sample.t_ns <= MAX_TIME_NS and 0 <= sample.seq <= MAX_TIME_NS):
             return Reject.OUT_OF_RANGE
         # JSON holds integers of any size; what is kept on disk holds 64 bits.
