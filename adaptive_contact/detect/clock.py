@@ -56,7 +56,7 @@ PAUSE: Final = -1
 @compiled
 def anchor(leg, t_ns, seq, ring):
     """Set the schedule to this tick."""
-    leg.at_ns, leg.due_ns = t_ns, t_ns + leg.period_ns
+    leg.at_ns, leg.due_ns = t_ns, t_ns + np.int64(np.rint(leg.pace * leg.period_ns))
     leg.lateness = leg.stretch = 0.0
     at = leg.ring_n % RING
     ring[at, 0], ring[at, 1], ring[at, 2] = t_ns, seq, t_ns
@@ -82,9 +82,15 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
     oldest, newest = (leg.ring_n - count) % RING, (leg.ring_n - 1) % RING
     due_ns = leg.due_ns + missed * period
     by_ns = t_ns - due_ns
+    steps = ring[newest, 1] - ring[oldest, 1]
+    mean = 1.0
+    if steps >= JITTER_MEMORY:
+        mean = (ring[newest, 0] - ring[oldest, 0]) / steps / period
+    # A schedule that runs at the described rate stays behind a loop that slips, ever as far.
+    leg.pace = mean if leg.late == 1 else 1.0
     leg.at_ns = due_ns + np.int64(np.rint(SCHEDULE_GAIN * by_ns))
-    leg.due_ns = leg.at_ns + period
-    leg.lateness = (t_ns - leg.at_ns) / period
+    leg.due_ns = leg.at_ns + np.int64(np.rint(leg.pace * period))
+    leg.lateness = (t_ns - leg.at_ns) / (leg.pace * period)
     note_jitter(leg, by_ns / period)
     found_ns = leg.found_ns
     if found_ns != found_ns:
@@ -93,10 +99,6 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
     leg.spread += (spread - leg.spread) / min(count, JITTER_MEMORY)
     leg.stretch = 0.0
     if not missed:
-        steps = ring[newest, 1] - ring[oldest, 1]
-        mean = 1.0
-        if steps >= JITTER_MEMORY:
-            mean = (ring[newest, 0] - ring[oldest, 0]) / steps / period
         stretch = periods - mean
         leg.stretch = stretch if abs(stretch) > ON_SCHEDULE else 0.0
     at = leg.ring_n % RING
@@ -107,11 +109,13 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
 @compiled
 def judge_rate(leg, ring):
     """Compare the mean of as many steps as their spread asks for with the period."""
-    steps = RATE_STEPS
+    steps, slips = RATE_STEPS, leg.late == 1 or (leg.late < 0 and leg.spread > 0.0)
     if leg.spread:
         # Errors of stamps cancel in a mean.  Delays of a loop that slips add up: a few of them in a
         # row are not another rate.
         wanted = RATE_ERRORS * math.sqrt(leg.spread) / MOST_OFF
+        if slips:
+            wanted *= wanted
         most = leg.late == 1 or wanted > MOST_RATE_STEPS
         steps = MOST_RATE_STEPS if most else max(RATE_STEPS, math.ceil(wanted))
     leg.told_by = steps + 1
@@ -119,10 +123,11 @@ def judge_rate(leg, ring):
         return
     first, last = (leg.ring_n - 1 - steps) % RING, (leg.ring_n - 1) % RING
     leg.found_ns = (ring[last, 0] - ring[first, 0]) / (ring[last, 1] - ring[first, 1])
-    limit = STEADY_OFF if leg.rate_off else MOST_OFF
-    if leg.late == 1:
-        sure = 0.0 if leg.rate_off else RATE_SURE * math.sqrt(leg.spread / steps)
-        limit = MOST_OFF + sure
+    # Nothing is judged, and no vote is cast, while the rate is off: one that jitters comes back at
+    # the limit, or a loop that is 6 % slower in the mean would never come back.
+    limit = STEADY_OFF if leg.rate_off and not leg.spread else MOST_OFF
+    if slips and not leg.rate_off:
+        limit += RATE_SURE * math.sqrt(leg.spread / steps)
     by = leg.found_ns / leg.period_ns - 1.0
     off = abs(by) > limit
     if off and steps < MEAN_STEPS:
@@ -140,7 +145,7 @@ def judge_rate(leg, ring):
 @compiled
 def restart_clock(leg):
     """Forget the schedule: the source has started again."""
-    leg.ring_n = 0
+    leg.ring_n, leg.pace = 0, 1.0
     leg.rate_off = False
     leg.found_ns = np.nan
 
@@ -166,7 +171,7 @@ def follow_clock(leg, t_ns, seq, ring):
     else:
         periods = (t_ns - ring[last, 0]) / leg.period_ns
         if periods > PAUSE_PERIODS * steps:
-            leg.ring_n = 0
+            leg.ring_n, leg.pace = 0, 1.0
             anchor(leg, t_ns, seq, ring)
             return PAUSE
         if leg.late == 1 and periods > LATE_PERIODS:

@@ -93,7 +93,8 @@ LEG: Final = np.dtype(
         ("learning", b1),  # anything is learned at all
         # Stream and clock.
         ("at_ns", i8),  # scheduled time of the tick
-        ("lateness", f8),  # of the stamp behind its schedule, periods
+        ("lateness", f8),  # of the stamp behind its schedule, ticks of the schedule
+        ("pace", f8),  # periods from a tick of the schedule to the next; 1 unless a loop slips
         ("stretch", f8),  # of the last step beyond a period, periods
         ("late", i4),  # -1 unknown, 0 on time, 1 late
         ("rate_off", b1),  # ticks are not as far apart as described
@@ -289,7 +290,8 @@ def new_legs(count: int) -> NDArray[np.void]:
 
 _BEGINNING: Final = {
     "late": -1, "told_by": 9, "found_ns": np.nan, "descent": True, "inflation": 1.0,
-    "sound": True, "size": 1.0, "variance_scale": 1.0, "loaded": True, "hole_ns": -1,
+    "sound": True, "size": 1.0, "pace": 1.0, "variance_scale": 1.0, "loaded": True,
+    "hole_ns": -1,
     "surface": -np.inf,
     "touch_at": -np.inf, "touch_before": -np.inf, "top": -np.inf, "fallen": np.nan,
     "apex": -np.inf, "asked_n": 1, "low_at_m": np.inf, "untouched_ns": -1, "phase_part": -1,
