@@ -7,6 +7,7 @@ import functools
 import inspect
 import math
 import os
+import re
 import signal
 import threading
 from collections.abc import Callable, Sequence
@@ -57,8 +58,22 @@ class Commands(typer.Typer):
         super().__init__(cls=_Group, **settings)
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[[Any], Any]:
-        """Add a command, as :meth:`typer.Typer.command` does."""
-        return super().command(name, cls=_Command, **settings)
+        """Add a command, as :meth:`typer.Typer.command` does; its docstring is the help."""
+
+        def add(function: Callable[..., Any]) -> Any:
+            text = _flow(inspect.getdoc(function) or "")
+            return typer.Typer.command(self, name, cls=_Command, help=text, **settings)(function)
+
+        return add
+
+
+def _flow(text: str) -> str:
+    """Join the lines of each paragraph, as terminals are narrower than the source; lists stay."""
+    return _LINE_WITHIN.sub(" ", text)
+
+
+# A line's end that neither ends a paragraph nor comes before an item or an indented line.
+_LINE_WITHIN: Final = re.compile(r"(?<!\n)\n(?!\s|- )")
 
 
 def flatten(command: Callable[..., None]) -> Callable[..., None]:
