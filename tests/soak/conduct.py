@@ -250,7 +250,11 @@ class _Run:
         state = self._plan.out / "state"
         arguments = ("serve", "--connect", self.endpoint, "--state", str(state))
         service = Child("the service", (*arguments, "--log-level", "warning"))
-        service.wait_line(_CONNECTED, _START_S)
+        try:
+            service.wait_line(_CONNECTED, _START_S)
+        except BaseException:  # Ctrl-C, too: nobody else knows of it yet
+            service.end()
+            raise
         return service
 
     def _take(self, received: Received) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -31,6 +32,26 @@ def test_a_service_is_killed_as_by_a_crash(tmp_path: Path) -> None:
         assert not child.running
         assert "exit code -9" in str(child.failure())
         assert _born(child.pid) == ""
+
+
+def test_a_program_that_compiles_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A first start takes minutes on a slow or busy computer."""
+    go, popen = tmp_path / "go", subprocess.Popen
+    code = (
+        "import pathlib, sys, time\n"
+        "print('compiling the arithmetic of a tick', flush=True)\n"
+        "while not pathlib.Path(sys.argv[1]).exists(): time.sleep(0.01)\n"
+        "time.sleep(0.3); print('ready', flush=True); time.sleep(60)\n"
+    )
+    monkeypatch.setattr(
+        subprocess, "Popen", lambda _, **how: popen([sys.executable, "-c", code, str(go)], **how)
+    )
+    with Child("the program", ()) as child:
+        child.wait_line(re.compile("compiling"), 60.0)
+        go.touch()
+        child.wait_line(re.compile("ready"), 0.0)
 
 
 def test_a_process_is_told_from_a_later_one_of_its_id() -> None:

@@ -23,6 +23,9 @@ from adaptive_contact.service.recording.recorder import Recorder
 _KEPT: Final = 200
 # `serve` ends within 2 s of a signal, the simulator after its tick.
 _END_S: Final = 5.0
+# A first start compiles: 10 to 20 s, and minutes on a quarter of a core.  It says so, and is alive.
+_COMPILES: Final = re.compile(r"compiling the arithmetic")
+_COMPILE_S: Final = 600.0
 
 
 class Child:
@@ -81,7 +84,7 @@ class Child:
 
         Args:
             pattern: searched in each line.
-            timeout_s: at most.
+            timeout_s: at most; one that says it compiles gets ten minutes.
 
         Returns:
             The match in the first line that has one.
@@ -89,14 +92,16 @@ class Child:
         Raises:
             AdaptiveContactError: it ended, or did not say it in time.
         """
-        until_s = time.monotonic() + timeout_s
+        began_s = time.monotonic()
         with self._changed:
             while True:
+                if any(_COMPILES.search(line) for line in self._lines):
+                    timeout_s = max(timeout_s, _COMPILE_S)
                 for line in self._lines:
                     match = pattern.search(line)
                     if match is not None:
                         return match
-                left_s = until_s - time.monotonic()
+                left_s = began_s + timeout_s - time.monotonic()
                 if self._over or left_s <= 0.0:
                     break
                 self._changed.wait(left_s)
