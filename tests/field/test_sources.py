@@ -8,12 +8,10 @@ from adaptive_contact.robot import shipped_robot
 
 from . import sources as s
 
-SECONDS = 30.0
+SECONDS = 45.0  # the first seconds, in which nothing is known of a source, are a share of it
 
 
-@pytest.mark.parametrize(
-    ("loop", "seed"), [("one in 4 slips 0.25", 5), ("all slip 0 to 0.15", 6)]
-)
+@pytest.mark.parametrize(("loop", "seed"), [("one in 4 slips 0.25", 5), ("all slip 0 to 0.15", 6)])
 def test_a_loop_whose_delays_add_up_finds_its_touches(loop: str, seed: int) -> None:
     """It is 6 to 8 % slower in the mean, within what a model bears, and in some moments by more."""
     played = s.late_loop(*s.walk_of(seed, SECONDS), s.LOOPS[loop])
