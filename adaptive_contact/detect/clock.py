@@ -36,6 +36,10 @@ PAUSE_PERIODS: Final = 4.0
 # sooner, lower averages the jitter of more stamps.  Measured, the level of residuals is near its
 # least at 0.2 for loops late against a fixed schedule and for ones that slip (decision 30).
 SCHEDULE_GAIN: Final = 0.2
+# Share of ticks that slip from which on the schedule has their pace: at that gain it has caught up
+# to a twentieth after 13 ticks.  Slips of d in a share f of the ticks have the mean f d, and the
+# mean square f d^2.
+SLIP_SHARE: Final = 0.07
 # Memory of the figures on jitter, in ticks.
 JITTER_MEMORY: Final = 64
 # A stamp off by less (in periods) is on schedule: the fastest joint of a leg goes a tenth of a step
@@ -86,8 +90,11 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
     mean = 1.0
     if steps >= JITTER_MEMORY:
         mean = (ring[newest, 0] - ring[oldest, 0]) / steps / period
-    # A schedule that runs at the described rate stays behind a loop that slips, ever as far.
-    leg.pace = mean if leg.late == 1 else 1.0
+    # A schedule that runs at the described rate stays behind a loop that slips again before it has
+    # caught up.  Where slips are rarer, the ticks between them are apart as described.
+    slip = mean - 1.0
+    often = slip * slip >= SLIP_SHARE * (leg.spread + slip * slip)
+    leg.pace = mean if leg.late == 1 and often else 1.0
     leg.at_ns = due_ns + np.int64(np.rint(SCHEDULE_GAIN * by_ns))
     leg.due_ns = leg.at_ns + np.int64(np.rint(leg.pace * period))
     leg.lateness = (t_ns - leg.at_ns) / (leg.pace * period)
@@ -109,13 +116,11 @@ def off_schedule(leg, t_ns, seq, missed, periods, ring):
 @compiled
 def judge_rate(leg, ring):
     """Compare the mean of as many steps as their spread asks for with the period."""
-    steps, slips = RATE_STEPS, leg.late == 1 or (leg.late < 0 and leg.spread > 0.0)
+    steps = RATE_STEPS
     if leg.spread:
         # Errors of stamps cancel in a mean.  Delays of a loop that slips add up: a few of them in a
         # row are not another rate.
         wanted = RATE_ERRORS * math.sqrt(leg.spread) / MOST_OFF
-        if slips:
-            wanted *= wanted
         most = leg.late == 1 or wanted > MOST_RATE_STEPS
         steps = MOST_RATE_STEPS if most else max(RATE_STEPS, math.ceil(wanted))
     leg.told_by = steps + 1
@@ -126,7 +131,7 @@ def judge_rate(leg, ring):
     # Nothing is judged, and no vote is cast, while the rate is off: one that jitters comes back at
     # the limit, or a loop that is 6 % slower in the mean would never come back.
     limit = STEADY_OFF if leg.rate_off and not leg.spread else MOST_OFF
-    if slips and not leg.rate_off:
+    if leg.late == 1 and not leg.rate_off:
         limit += RATE_SURE * math.sqrt(leg.spread / steps)
     by = leg.found_ns / leg.period_ns - 1.0
     off = abs(by) > limit
