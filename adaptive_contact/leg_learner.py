@@ -89,7 +89,8 @@ class ContactLearner:
     Args:
         robot: the robot's description.
         leg: id of the leg.
-        baseline: what is known of its free motion; without one the learner says ``learning``.
+        baseline: what is known of its free motion; without one it begins with what is known of any
+            leg, and says ``learning``.
         mode: how it follows changes of the leg.
         refitter: does the sparse refits; in line where absent.
         conventions: watches whether the robot's angles are counted as described, together with its
@@ -319,10 +320,6 @@ class ContactLearner:
                 self._faulty = self._report.source.cause is not None
         if self._misread or self._faulty:
             return self._begun != lifecycle.begun
-        if lifecycle.cold is not None:
-            self._collect(flags)
-            lifecycle.try_cold()
-            adapter = lifecycle.adapter
         if self._begun != lifecycle.begun:
             return True
         if adapter is None or not adapter.learning:
@@ -424,18 +421,6 @@ class ContactLearner:
             for part in parts:
                 adapter.learn(part)
 
-    def _collect(self, flags: int) -> None:
-        """Pass the sample to the cold start, which fits a first model to such samples."""
-        leg, sample = self.place.leg, self._sample
-        assert sample is not None
-        rate = self._report.rate
-        self._lifecycle.collect(
-            self.place.sample(sample),
-            swing=bool(leg["ticks"]),
-            broken=bool(flags & RESTARTED) or bool(leg["missed"]),
-            off=rate.told_by - 1 if rate.off else 0,
-        )
-
     def _follow_convention(self, track: MotionTrack) -> None:
         """Stop judging a leg whose angles are not counted as described, or go on."""
         if track.spoils and not self._misread:
@@ -455,8 +440,6 @@ class ContactLearner:
         # The fault may have begun in the swing before, too late in it to be detected.
         if lifecycle.adapter is not None:
             lifecycle.adapter.retract(int(leg["began_ns"]))
-        if lifecycle.cold is not None:
-            lifecycle.cold.drop_newest(int(leg["total_n"]) - int(leg["began_n"]))
 
     @property
     def _adapter(self) -> Adapter | None:

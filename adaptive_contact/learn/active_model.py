@@ -12,8 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.learn.noise_tracker import NoiseTracker
-from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings, moves_at_most
 from adaptive_contact.learn.state import ImplausibleError, SavedState, array_of, pack
 from adaptive_contact.model.change_prior import change_directions, core_support
 from adaptive_contact.model.free_motion import Covariance
@@ -34,6 +33,8 @@ BALANCE: Final = 5.0
 # The baseline is taken up again when it has been this much better for so many lifts.
 RETURN_RATIO: Final = 0.6
 RETURN_SWINGS: Final = 3
+# A prior's terms are as uncertain as legs differ, a hundred times the noise where steps are fine.
+PRIOR_BOUND: Final = 500.0
 
 
 class _Good(NamedTuple):
@@ -49,9 +50,6 @@ class ActiveModel:
 
     Args:
         known: the baseline.
-        recent: knows where the model has been.
-        provisional: the baseline is a first model, from a few swings: it may move by what these
-            left open.
         on_fall: called with the name of the model that replaces an implausible one.
 
     Attributes:
@@ -62,15 +60,13 @@ class ActiveModel:
     def __init__(
         self,
         known: LegBaseline,
-        recent: NoiseTracker,
         *,
-        provisional: bool,
         on_fall: Callable[[str], None],
     ) -> None:
         self.baseline = known.model
-        self.inflated = False
-        self._recent = recent
-        self._provisional = provisional
+        self.inflated = known.spread is not None
+        self._spread = known.spread
+        self._settings = None if known.spread is None else RlsSettings(bound=PRIOR_BOUND)
         self._on_fall = on_fall
         self._noise = known.noise.rms
         self._scale = np.array(known.scale)
@@ -122,6 +118,15 @@ class ActiveModel:
         self._moved = True
         return self._rls.update(row.theta, row.target)
 
+    def doubt(self, rows: Sequence[Row]) -> float:
+        """Compute the variance of predictions that comes from the coefficients, over the noise's.
+
+        Returns:
+            Of the joint that is known the least, the mean over the rows.
+        """
+        theta = np.array([row.theta for row in rows])
+        return float(self._rls.uncertainty(theta).max(axis=1).mean())
+
     def inflate(self) -> None:
         """Inflate the covariance along the ways in which legs change."""
         self.inflated = True
@@ -161,7 +166,7 @@ class ActiveModel:
 
     def revert_to_baseline(self) -> None:
         """Put the baseline in force; the version goes on."""
-        self._rls, self.inflated = self._recursion(self.baseline), False
+        self._rls, self.inflated = self._recursion(self.baseline), self._spread is not None
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
@@ -185,17 +190,23 @@ class ActiveModel:
         if not self.plausible(state.coefficients):
             raise ImplausibleError("its model is implausible")
         # A promoted model has a support of its own.
-        rls = RecursiveLeastSquares(state.coefficients, state.support, self._scale, self._noise)
+        rls = RecursiveLeastSquares(
+            state.coefficients, state.support, self._scale, self._noise, self._settings
+        )
         rls.restore(state.coefficients, array_of(factor, rls.factor.shape, "its covariance"))
         self._put(self._model.moved(state.coefficients, state.version))
         self._rls, self.inflated = rls, state.inflated
 
     def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
+        support = core_support(model)
+        spread = self._spread if model is self.baseline else None
+        if spread is not None:
+            support |= (spread != 0.0).any(axis=1).T
         rls = RecursiveLeastSquares(
-            model.coefficients, core_support(model), self._scale, self._noise
+            model.coefficients, support, self._scale, self._noise, self._settings
         )
-        if self._provisional and self._recent.domain is not None:
-            rls.doubt(self._recent.domain.gram)
+        if spread is not None:
+            rls.inflate(spread)
         return rls
 
     def _error(self, rows: Sequence[Row], coefficients: Array) -> float:
@@ -215,7 +226,9 @@ class ActiveModel:
         if moves_at_most(coefficients, self._scale, self._most_rad):
             self._coefficients = coefficients
             return
-        good = self._good or _Good(self.baseline, self._recursion(self.baseline), inflated=False)
+        good = self._good or _Good(
+            self.baseline, self._recursion(self.baseline), inflated=self._spread is not None
+        )
         self._coefficients = good.model.coefficients.copy()
         self._rls, self.inflated = good.rls.copy(), good.inflated
         self._on_fall("the baseline" if self._good is None else "the last good model")

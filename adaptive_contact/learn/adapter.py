@@ -19,8 +19,6 @@ from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel
 from adaptive_contact.learn.candidate import Candidate, rows_for_refit
 from adaptive_contact.learn.drift import (
-    LEAST_LEVEL,
-    LEVEL_RANGE,
     SETTLED_LEVEL,
     DriftMonitor,
 )
@@ -58,6 +56,47 @@ REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
 REFRESH_TICKS: Final = 16
+# While a leg is learned from a prior, a touch may pass for free motion: so many ticks at the end of
+# a descent are never learned (those of walks that were learned spoiled the model in four swings).
+CAUTIOUS_TICKS: Final = 6
+# A leg is known after so many swings at least, when its coefficients have added less than this
+# share of the noise's variance in each of the last.
+KNOWN_SWINGS: Final = 10
+KNOWN_DOUBT: Final = 0.5
+KNOWN_IN_A_ROW: Final = 3
+
+
+class FirstSwings:
+    """Follows how well a leg is known that began with a prior.
+
+    Attributes:
+        swings: resolved so far.
+    """
+
+    def __init__(self) -> None:
+        self.swings = 0
+        self._sure = 0  # swings in a row
+        self._doubt = 0.0  # the largest of this swing
+        self._told = False
+
+    def doubt(self, doubt: float) -> None:
+        """Take in how uncertain the rows of a lift, or a descent, were."""
+        self._doubt, self._told = max(self._doubt, doubt), True
+
+    def end_swing(self, *, valid: bool) -> bool:
+        """End a swing; return whether the leg is known."""
+        self.swings += 1
+        if self._told:
+            self._sure = self._sure + 1 if valid and self._doubt < KNOWN_DOUBT else 0
+        self._doubt, self._told = 0.0, False
+        return self.swings >= KNOWN_SWINGS and self._sure >= KNOWN_IN_A_ROW
+
+    @property
+    def progress(self) -> str:
+        """What a person is told."""
+        if self.swings < KNOWN_SWINGS:
+            return f"{self.swings} of {KNOWN_SWINGS} swings"
+        return f"{self.swings} swings, not sure yet"
 
 
 class Adapter:
@@ -69,13 +108,12 @@ class Adapter:
         noise_tracker: covariances and thresholds, which it keeps up to date.
         mode: what it may do.
         refitter: does the sparse refits.
-        provisional: the baseline is a first model, from a few swings: it may move by what these
-            left open.
 
     Attributes:
         learning: whether it does anything at all.
         gated: whether only confirmed ticks are learned, and lifts are assessed.
         baseline: the model as the leg was first known.
+        first: progress of a leg that began with a prior; None once it is known.
     """
 
     def __init__(
@@ -85,15 +123,12 @@ class Adapter:
         noise_tracker: NoiseTracker,
         mode: LearnerMode,
         refitter: Refitter,
-        *,
-        provisional: bool = False,
     ) -> None:
         self.mode = mode
         self.learning = mode is not LearnerMode.FROZEN
         self.gated = mode.gated
         self.baseline = known.model
-        least = LEVEL_RANGE[0] if provisional else LEAST_LEVEL
-        self.monitor = DriftMonitor(len(known.noise.rms), least)
+        self.monitor = DriftMonitor(len(known.noise.rms))
         self._early = EarlyContacts()
         self.buffer = ReplayBuffer(rows=rows_for_refit(known.model))
         self._noise_tracker = noise_tracker
@@ -101,9 +136,8 @@ class Adapter:
         self._leg = leg
         self._noise = known.noise.rms
         self._scale = known.scale
-        self._active = ActiveModel(
-            known, noise_tracker, provisional=provisional, on_fall=self._fallen
-        )
+        self._active = ActiveModel(known, on_fall=self._fallen)
+        self.first = None if known.spread is None else FirstSwings()
         self._queue: deque[Row] = deque()
         self._learned_ns = -1  # the newest row learned
         self._suspected: list[Row] = []  # the descent after a suspected lift
@@ -152,9 +186,11 @@ class Adapter:
 
     @property
     def status(self) -> Status:
-        """Status of the leg: valid, adapting or ambiguous."""
+        """Status of the leg."""
         status = self.monitor.status
-        return "ambiguous" if status == "valid" and self._early.told else status
+        if status == "valid" and self._early.told:
+            return "ambiguous"
+        return "learning" if self.first is not None and status != "ambiguous" else status
 
     @property
     def doubt(self) -> Doubt | None:
@@ -222,6 +258,8 @@ class Adapter:
         if found.changed:
             self._change(first=found.first)
         if found.rows:
+            if self.first is not None:
+                self.first.doubt(self._active.doubt(found.rows))
             self._consider_baseline(found.rows)
             self._confirm(found.rows, region)
         if found.changed:
@@ -229,6 +267,11 @@ class Adapter:
 
     def _descent(self, rows: list[Row], region: int) -> None:
         """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
+        if self.first is not None:
+            self.first.doubt(self._active.doubt(rows))
+            rows = rows[:-CAUTIOUS_TICKS]
+        if not rows:
+            return
         if self.monitor.trusted:
             self._confirm(rows, region)
         else:
@@ -276,6 +319,8 @@ class Adapter:
         if not self.gated:
             return
         known = self.monitor.status == "valid"
+        if self.first is not None and self.first.end_swing(valid=known):
+            self.first = None
         if known and early is not None and self._early.take(early):
             # They were not contacts.  None are stored meanwhile, so that no refit is promoted.
             self._candidate.contacts.clear()
@@ -333,6 +378,7 @@ class Adapter:
             "heard": list(self.monitor.heard),
             "kind": self.monitor.kind,
             "belied": self._early.snapshot(),
+            "first": None if self.first is None else self.first.swings,
             "era": self._era,
             "refits": self._candidate.snapshot(),
             "recent": self._noise_tracker.snapshot(),
@@ -353,6 +399,7 @@ class Adapter:
         self.monitor.resume(state.level, state.status, obstructed=state.held, heard=state.heard)
         self.monitor.kind = state.kind
         self._early.restore(saved.get("belied"))
+        self._restore_first(saved.get("first"))
         self._era = state.era
         self._candidate.restore(saved.get("refits"))
         self.buffer.restore(state.segments)
@@ -363,6 +410,12 @@ class Adapter:
         return None
 
     # -- private ----------------------------------------------------------------------------------
+
+    def _restore_first(self, swings: object) -> None:
+        if not isinstance(swings, int) or swings < 0:
+            self.first = None
+        elif self.first is not None:
+            self.first.swings = swings
 
     def _change(self, *, first: bool) -> None:
         """Begin a new era, as the leg has changed: inflate the covariance, drop the candidate."""

@@ -24,8 +24,8 @@ def ready_for_changes(known: LegBaseline) -> LegBaseline:
         known: of q terms.
 
     Returns:
-        The same with (q + added, J) coefficients, scales of all terms, and a domain that says
-        nothing of the added ones.
+        The same with (q + added, J) coefficients, scales of all terms, and a domain and a spread
+        that say nothing of the added ones.
     """
     model = known.model
     library = with_changes(model.library, model.coefficients)
@@ -38,5 +38,6 @@ def ready_for_changes(known: LegBaseline) -> LegBaseline:
         known,
         model=LegModel(library, np.pad(model.coefficients, ((0, added), (0, 0))), model.version),
         scale=np.concatenate([known.scale, scale]),
+        spread=None if known.spread is None else np.pad(known.spread, ((0, 0), (0, 0), (0, added))),
         domain=known.domain and dataclasses.replace(known.domain, beyond=added),
     )

@@ -88,7 +88,6 @@ class DriftMonitor:
 
     Args:
         joints: J.
-        least: the level is not followed below this.
 
     Attributes:
         variance_scale: of the residuals over the baseline's, followed from lift to lift.
@@ -96,8 +95,8 @@ class DriftMonitor:
         kind: of the newest change, where it is known.
     """
 
-    def __init__(self, joints: int, least: float = LEAST_LEVEL) -> None:
-        self._range = (least, LEVEL_RANGE[1])
+    def __init__(self, joints: int) -> None:
+        self._range = (LEAST_LEVEL, LEVEL_RANGE[1])
         self.variance_scale = 1.0
         self.status: Status = "valid"
         self.kind: str | None = None
@@ -133,7 +132,7 @@ class DriftMonitor:
         """Whether the baseline was never this leg's: its first lifts were all, or nearly, far off.
 
         Not while something may hold the foot: a leg that starts on a leash is this leg all the
-        same, and a cold start would learn it with its leash.
+        same, and a start anew would learn it with its leash.
         """
         far, lifts = self._lifts_far, self._lifts
         if self.obstructed or far < UNFIT_LIFTS:

@@ -1,38 +1,34 @@
-"""Decides which model a leg begins with: a baseline, its own first swings, or a saved state.
+"""Decides which model a leg begins with: a baseline, what is known of any leg, or a saved state.
 
-The leg's own first swings are used where there is no baseline, or an unfit one.  From then on an
+What is known of any leg is used where there is no baseline, or an unfit one.  From then on an
 adapter keeps the model up to date; it is made here and nowhere else.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.errors import BaselineError
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.change_terms import ready_for_changes
-from adaptive_contact.learn.cold_start import ColdStart, prior_tails
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.model.leg_prior import leg_prior, prior_tails
 from adaptive_contact.model.library import Library, leg_library, with_changes
-from adaptive_contact.model.model_file import (
-    Baseline,
-    LegBaseline,
-    leg_of_tree,
-    leg_tree,
-)
+from adaptive_contact.model.model_file import Baseline, LegBaseline
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import AngleFrame, Leg, Robot
-from adaptive_contact.wire import ServoSample
 
 __all__ = ["Lifecycle"]
 
 Array = NDArray[np.float64]
+
+# A prior that does not fit a leg is widened so many times, and again, up to the most.
+WIDER: Final = 3.0
+WIDEST: Final = 10.0
 
 
 class Lifecycle:
@@ -43,12 +39,11 @@ class Lifecycle:
         leg: of it.
         baseline: what is known of its free motion, None for nothing.
         mode: how changes of the leg are followed.
-        refitter: does the sparse refits, and first fits.
+        refitter: does the sparse refits.
 
     Attributes:
         adapter, recent: keep the model, covariances and thresholds; None while there is no model.
         begun: raised whenever another adapter takes over, or none does.
-        cold: collects samples for a first model, None where there is one or none is wanted.
         origin: how the model began, for people.
         note: what is wrong with what is known, None when nothing is.
     """
@@ -77,16 +72,16 @@ class Lifecycle:
         self.recent: NoiseTracker | None = None
         self.adapter: Adapter | None = None
         self.begun += 1
-        self.cold: ColdStart | None = None
         self.origin = None if baseline is None else baseline.origin
         self.note: str | None = None
-        self._started_cold = self._unfit = False
+        self._wide = 0.0  # of the prior; 0 for a leg with a baseline
+        self._unfit = False
         self._known = self._choose(baseline)
         if self._known is not None:
             assert baseline is not None
             self._begin(self._known, baseline.tails)
-        elif self._mode is not LearnerMode.FROZEN:
-            self._start_cold()
+        elif self._mode.recursive:
+            self._begin_prior(1.0)
 
     @property
     def library(self) -> Library:
@@ -110,67 +105,35 @@ class Lifecycle:
         floor: list[float] = self._known.noise.rms.tolist()
         return floor
 
-    def collect(self, sample: ServoSample, *, swing: bool, broken: bool, off: int) -> None:
-        """Collect a sample for a first model, where one is wanted.
-
-        Args:
-            sample: accepted.
-            swing: the leg is in one.
-            broken: it does not connect to the one before.
-            off: ticks that have shown another length than the robot's, 0 where they have not.
-        """
-        if self.cold is None:
-            return
-        if off:
-            self.cold.drop_newest(off)
-            return
-        if broken:
-            self.cold.interrupt()
-        sound = sample.valid is None or all(sample.valid)
-        self.cold.add(sample.measured, sample.desired, swing=swing, sound=sound)
-
-    def try_cold(self) -> None:
-        """Submit a first fit when it is time, and take its result when it is there."""
-        if self.cold is None:
-            return
-        result = self.cold.poll(self._refitter)
-        if result is None:
-            return
-        self.note = result.reason
-        if result.known is not None:
-            self.origin = f"cold start: {result.reason}"
-            self._begin(result.known, self._prior_tails(), version=1)
-            self.cold, self._started_cold = None, True
-
     def forget(self) -> None:
-        """Start cold: the baseline was never this leg's."""
-        self._known = self.adapter = self.recent = None
-        self.begun += 1
-        self.origin = None
-        self._started_cold, self._unfit = False, True
-        self.note = "the baseline does not fit this leg: fitting a new model"
-        self._start_cold()
+        """Start anew: the baseline, or the prior, was never this leg's."""
+        if not self._mode.recursive:
+            self._known = self.adapter = self.recent = None
+            self.begun += 1
+            self.note = "the baseline does not fit this leg: fit a new one"
+            return
+        if self._wide:
+            wide = min(self._wide * WIDER, WIDEST)
+            note = f"moves like no leg that is known: learning it with {wide:.0f} times the doubt"
+        else:
+            wide, note = 1.0, "the baseline does not fit this leg: learning a new model"
+        self._unfit = True
+        self._begin_prior(wide)
+        self.note = note
 
     @property
     def note_now(self) -> str | None:
-        """The note, with how many swings a leg without a model has of those it needs."""
-        if self.cold is None or self.note is None:
+        """The note, with how many swings a leg has of those it needs to be known."""
+        first = None if self.adapter is None else self.adapter.first
+        if not self._wide or self.note is None:
             return self.note
-        return f"{self.note} ({self.cold.progress})"
+        return None if first is None else f"{self.note} ({first.progress})"
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what has been learned, as a tree that msgpack can write.
-
-        Without a model that is what became of the baseline; the swings of a cold start are not
-        kept, as the next twenty bring as much.
-        """
-        if self.adapter is None:
-            self._saved = {"unfit": self._unfit, **self._frame}
-            return self._saved
-        tree: dict[str, Any] = {"follower": self.adapter.snapshot(), **self._frame}
-        if self._started_cold:  # no file holds what it started from
-            assert self._known is not None
-            tree["start"] = {"known": leg_tree(self._known), "origin": self.origin}
+        """Return what has been learned, as a tree that msgpack can write."""
+        tree: dict[str, Any] = {"unfit": self._unfit, "wide": self._wide, **self._frame}
+        if self.adapter is not None:
+            tree["follower"] = self.adapter.snapshot()
         self._saved = tree
         return tree
 
@@ -215,22 +178,18 @@ class Lifecycle:
     def _restore(self, saved: dict[str, Any]) -> str | None:
         if saved.get("angles") != self._frame.get("angles"):
             return self._refused("robot.toml had other [leg.angles] when it was learned")
-        if isinstance(saved.get("unfit"), bool):
-            if saved["unfit"] and self.adapter is not None:
-                self.forget()
-            return None
-        inner, start = saved.get("follower"), saved.get("start")
+        inner, wide = saved.get("follower"), saved.get("wide")
+        if "start" in saved:
+            return self._refused("it began without a baseline, in an older version")
+        if isinstance(wide, float) and 1.0 <= wide <= WIDEST and self._mode.recursive:
+            self._unfit = saved.get("unfit") is True
+            if self._wide or self._unfit:
+                self._begin_prior(wide)
         if not isinstance(inner, dict):
             return self._refused("it holds no model")
-        if start is not None:
-            refused = self._restore_cold(inner, start)
-        elif self.adapter is None:
+        if self.adapter is None:
             return self._refused("there is no baseline to go with it")
-        else:
-            refused = self.adapter.restore(inner)
-        if refused is not None:
-            return refused
-        return None
+        return self.adapter.restore(inner)
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
         if baseline is None:
@@ -243,47 +202,22 @@ class Lifecycle:
         self.note = None
         return known
 
-    def _begin(self, known: LegBaseline, tails: tuple[Tail, ...], version: int = 0) -> None:
+    def _begin(self, known: LegBaseline, tails: tuple[Tail, ...]) -> None:
         """Detect and follow from here on."""
-        robot, leg = self._robot, self._leg
-        model = dataclasses.replace(known.model, version=version)
-        known = dataclasses.replace(known, model=model)
+        robot = self._robot
         self._known, self.note = known, None
         known = ready_for_changes(known)
         aim = robot.detector.false_alarms_per_hour
         recent = NoiseTracker(known.noise, tails, aim, known.domain)
         self.recent, self.begun = recent, self.begun + 1
-        first = version > 0  # no file's: from a few swings
-        self.adapter = Adapter(leg.id, known, recent, self._mode, self._refitter, provisional=first)
+        self.adapter = Adapter(self._leg.id, known, recent, self._mode, self._refitter)
 
-    def _start_cold(self) -> None:
-        library = leg_library(self._robot, self._leg)
-        self.cold = ColdStart(self._leg, library, self._robot.quantum(self._leg.id))
-
-    def _prior_tails(self) -> tuple[Tail, ...]:
-        return prior_tails(len(self._leg.joints))
-
-    def _restore_cold(self, inner: dict[str, Any], start: object) -> str | None:
-        """Take over what a leg started cold had found, and what it learned since."""
-        if self._mode is LearnerMode.FROZEN:
-            return self._refused("a frozen learner starts from files")
-        of_start = start if isinstance(start, dict) else {}
-        try:
-            known = leg_of_tree(of_start.get("known"), leg_library(self._robot, self._leg))
-        except BaselineError as problem:
-            return self._refused(str(problem))
-        before = (self._known, self.note, self.recent, self.adapter)
-        self._begin(known, self._prior_tails(), version=1)
-        assert self.adapter is not None
-        refused = self.adapter.restore(inner)
-        if refused is not None:
-            self._known, self.note, self.recent, self.adapter = before
-            self.begun += 1
-            return refused
-        self.cold, self._started_cold = None, True
-        origin = of_start.get("origin")
-        self.origin = origin if isinstance(origin, str) else "cold start"
-        return None
+    def _begin_prior(self, wide: float) -> None:
+        """Detect and learn from what is known of any leg."""
+        robot, leg, note = self._robot, self._leg, self.note
+        known = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), wide)
+        self._begin(known, prior_tails(len(leg.joints)))
+        self._wide, self.note, self.origin = wide, note, "what is known of any leg"
 
     def _refused(self, why: str) -> str:
         return f"snapshot of leg '{self._leg.id}' not used: {why}"

@@ -206,23 +206,6 @@ class RecursiveLeastSquares:
                 self._bound()
         return innovations
 
-    def doubt(self, gram: Array) -> None:
-        """Widen the covariance by what the fit that the coefficients come from leaves open.
-
-        Args:
-            gram: (p, p) positive definite, sum over that fit's rows of the scaled regressors'
-                outer products, with what is known beforehand.
-        """
-        for joint, (index, held) in enumerate(zip(self._index, self._held, strict=True)):
-            own = index[held]
-            n = len(own)
-            if n == 0:
-                continue
-            lower = np.linalg.cholesky(gram[np.ix_(own, own)])
-            root = scipy.linalg.solve_triangular(lower, np.eye(n), lower=True).T
-            self._take_root(joint, np.concatenate([self._s[joint, :n, :n], root], axis=1))
-        self._bound()
-
     def inflate(self, directions: Array) -> None:
         """Inflate the covariance along some directions, as the leg has changed.
 

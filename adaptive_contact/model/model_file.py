@@ -57,6 +57,8 @@ class LegBaseline:
         scale: (p,) root mean square of every regressor on free ticks.
         rows: ticks the model was fitted to.
         domain: where these have been; None for what was learned before it was kept.
+        spread: (J, d, p) of a prior, standard deviations of the coefficients along d directions, in
+            raw units; None of what was fitted to a leg.
     """
 
     model: LegModel
@@ -64,6 +66,7 @@ class LegBaseline:
     scale: Array
     rows: int
     domain: Domain | None = None
+    spread: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,7 +28,7 @@ HURRY: Final = "--hurry"
 
 _LENGTH: Final = struct.Struct(">Q")
 # What fits need, seconds to import: while nobody waits, not while the first job does.
-_NEEDED: Final = ("pysindy.optimizers", "adaptive_contact.learn.cold_start")
+_NEEDED: Final = ("pysindy.optimizers", "adaptive_contact.fit.refit_job")
 # A robot's other core is the tick loop's; a refit can wait.
 _NICE: Final = 5
 

@@ -24,7 +24,6 @@ from adaptive_contact.diagnose.angle_watch import ConventionJob
 from adaptive_contact.diagnose.leg_ids import IdJob
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitJob, RefitResult
-from adaptive_contact.learn.cold_start import ColdJob, ColdResult
 from adaptive_contact.service.refit_process import (
     end_process,
     read_frame,
@@ -191,8 +190,6 @@ def _failed(job: Job) -> object:
     if isinstance(job, RefitJob):
         empty = np.zeros((job.fit.terms, job.fit.outputs))
         return RefitResult(job.number, FitStatus.LOST, empty, 0.0, float("nan"))
-    if isinstance(job, ColdJob):
-        return ColdResult(job.number, None, str(FitStatus.LOST))
     if isinstance(job, ConventionJob):
         return Verdict()
     if isinstance(job, IdJob):

@@ -296,6 +296,11 @@ class ServoBank:
         """(S,) N*m, Coulomb friction in its present condition."""
         return self._sliding
 
+    @property
+    def goal_rad(self) -> Array:
+        """(S,) rad, what the goal registers hold."""
+        return np.asarray(self._goal * self.kind.quantum_rad)
+
     def friction_bound(self, index: NDArray[np.intp], speed: Array, load: Array) -> Array:
         """Friction bound of some servos, N*m, at given speeds (rad/s) and loads (N*m, >= 0)."""
         rest = self._stribeck[index] * np.exp(np.abs(speed) * self._inverse_stribeck_speed[index])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from adaptive_contact.learn.cold_start import ColdJob
 
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import InlineRefitter, RefitResult
@@ -16,7 +17,6 @@ from adaptive_contact.learn.candidate import (
     Candidate,
     first_refit_after,
 )
-from adaptive_contact.learn.cold_start import ColdJob
 from adaptive_contact.learn.contact_store import MOST, StoredContacts
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel

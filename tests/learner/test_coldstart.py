@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from adaptive_contact import ContactLearner
-from adaptive_contact.detect.clock import RATE_STEPS
-from adaptive_contact.fit.refit_job import Job
-from adaptive_contact.learn import cold_start as coldstart
 from adaptive_contact.learn.cold_start import (
     FIRST_TRY_SWINGS,
     TRY_EVERY,
@@ -16,6 +11,11 @@ from adaptive_contact.learn.cold_start import (
     ColdResult,
     ColdStart,
 )
+
+from adaptive_contact import ContactLearner
+from adaptive_contact.detect.clock import RATE_STEPS
+from adaptive_contact.fit.refit_job import Job
+from adaptive_contact.learn import cold_start as coldstart
 from adaptive_contact.model import leg_library
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.wire import ServoSample

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from adaptive_contact.learn.cold_start import prior_tails
+
 from adaptive_contact.learn.noise_tracker import MOST, SEGMENTS_PER_TICK, NoiseTracker
 from adaptive_contact.learn.replay_buffer import Segment
 from adaptive_contact.model import Domain

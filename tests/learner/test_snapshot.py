@@ -9,8 +9,8 @@ import msgpack
 import msgspec
 import numpy as np
 import pytest
-
 from adaptive_contact.learn.cold_start import prior_tails
+
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import shipped_robot

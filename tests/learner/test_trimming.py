@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from adaptive_contact.learn.cold_start import ColdStart
 from numpy.typing import NDArray
 
 from adaptive_contact.fit.outliers import GUARD_TICKS, inliers, untouched
 from adaptive_contact.fit.train import Stretch, cautious, learn
-from adaptive_contact.learn.cold_start import ColdStart
 from adaptive_contact.model import leg_library
 from adaptive_contact.robot import Robot
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from adaptive_contact.learn.cold_start import ColdJob, ColdResult
 
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitResult
 from adaptive_contact.learn.candidate import REFIT_DUE_TICKS, Candidate, first_refit_after
-from adaptive_contact.learn.cold_start import ColdJob, ColdResult
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel, Library
 from adaptive_contact.model.labelled_swing import Row
