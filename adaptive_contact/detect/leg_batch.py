@@ -328,7 +328,7 @@ class LegPlace:
         """Put what is known of free motion into the arrays that ticks judge by."""
         leg, batch, row, before = self.leg, self.batch, self.row, self._judged_by
         leg["variance_scale"], leg["changed"] = free.variance_scale, free.changed
-        leg["inflated"] = free.covariance is not None
+        leg["inflated"], leg["adds_up"] = free.covariance is not None, free.adds_up
         if before is None or free.thresholds is not before.thresholds:
             batch.whiten[row] = free.whiten
             batch.limits[row], batch.limits_awaited[row] = free.thresholds, free.awaited

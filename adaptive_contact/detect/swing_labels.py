@@ -54,6 +54,10 @@ PUSHED_SIGMA: Final = 1.0
 HOLE_TICKS: Final = 8
 # And at the end of a swing without an alarm.
 LAST_TICKS: Final = 6
+# Of a leg that is known from a prior only, a touch may long pass for free motion: so many ticks
+# before its estimate, or before the turn, are never learned.  Touches of walks that were learned
+# spoiled the model in four swings.
+CAUTIOUS_TICKS: Final = 5
 
 
 class SwingLabels:
@@ -166,7 +170,11 @@ class SwingLabels:
         )
         self._swing.touched(round((now_ns - onset_ns) / period_ns))
         self.landings.touched(int(leg["after"]) - (now_ns - onset_ns) // period_ns)
-        found = self._confirmed(self._close(onset_ns, period_ns), lifted=self._swing.lifted)
+        rows = self._close(onset_ns, period_ns)
+        if leg["adds_up"] and rows:
+            last_ns = min(onset_ns, rows[-1].t_ns + period_ns) - CAUTIOUS_TICKS * period_ns
+            rows = [row for row in rows if row.t_ns < last_ns]
+        found = self._confirmed(rows, lifted=self._swing.lifted)
         self._touch = [self._touch_tick()]
         leg["touching"] = True
         return found

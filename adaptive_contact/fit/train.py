@@ -22,7 +22,7 @@ from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, LibraryName, leg_library
 from adaptive_contact.model.model_file import Baseline, LegBaseline
-from adaptive_contact.model.noise import MIN_TICKS, WINDOWS, context, fit_noise, lagged
+from adaptive_contact.model.noise import WINDOWS, context, fit_noise, lagged
 from adaptive_contact.model.tail import fit_tail
 from adaptive_contact.model.window import Window, stack
 from adaptive_contact.robot import Leg, Robot
@@ -42,7 +42,7 @@ MOST_FOLDS: Final = 10
 # λ in units of the residual's own root mean square: a term that moves the prediction by less
 # than a fiftieth of the noise cannot be told from nothing; one that moves it by its whole is law.
 SWEEP: Final = (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
-# Ticks for the noise of a first model: its level is followed from there, downwards as well.
+# Sums over several ticks are judged from so many on.
 FEW_TICKS: Final = 200
 # Ticks in a row over which a slow leg is judged.
 SPANS: Final = (2, 4, 8, 16)
@@ -214,8 +214,6 @@ def learn_leg(
     stretches: Sequence[Stretch],
     quantum_rad: float,
     threshold: float | None,
-    *,
-    first: bool = False,
 ) -> tuple[LegBaseline, LegFigures, Array]:
     """Learn one leg.
 
@@ -225,9 +223,6 @@ def learn_leg(
         stretches: its samples.
         quantum_rad: position step of its servos.
         threshold: λ in units of the residual; chosen on held-out swings where None.
-        first: a first model, of so few ticks that touches are not easily told from the others:
-            whatever stands out is left out, and the tail of the statistic with it, which must
-            come from elsewhere.
 
     Returns:
         What is known then, how good it is, and (n, windows) of the statistic on free ticks.
@@ -241,7 +236,7 @@ def learn_leg(
     touched = 0
     if not all(stretch.certain for stretch in stretches):
         keep[keep], touched = untouched(
-            rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad, tail=not first
+            rows.theta[keep], rows.target[keep], rows.position[keep], quantum_rad, tail=True
         )
         _check_enough(leg, library, int(keep.sum()))
     outliers = int(np.count_nonzero(~keep))
@@ -254,7 +249,7 @@ def learn_leg(
         position=rows.position[keep],
         judged=rows.judged[keep],
     )
-    held = HeldOut(rows.theta, rows.target, _folds(rows, neighbours=first))
+    held = HeldOut(rows.theta, rows.target, _folds(rows))
     naive = _rms(rows.target)
     still: Mask = naive < quantum_rad  # the readings of such joints may be constant
     rounding = quantum_rad / 12**0.5
@@ -266,7 +261,7 @@ def learn_leg(
         raise IdentificationError(
             f"leg '{leg.id}': λ = {threshold} removes every term of a joint; give a smaller one"
         )
-    strength = None if first else strength_of(held, best, still, rounding)
+    strength = strength_of(held, best, still, rounding)
     if strength is not None:
         best = swept(held, manner.holding(held, strength), lambdas, still, rounding) or best
     manner = best.manner
@@ -278,7 +273,7 @@ def learn_leg(
     residual = best.certain[rows.judged]
     position, where = rows.position[rows.judged], rows.where[rows.judged]
     histories = _histories(residual, position)
-    noise = fit_noise(histories, where, quantum_rad, FEW_TICKS if first else MIN_TICKS)
+    noise = fit_noise(histories, where, quantum_rad)
     motion = _histories(rows.target[rows.judged] - residual, position)
     usable = np.isfinite(histories).all(axis=2).sum(axis=1)  # lags are missing from some lag on
     values = stream_statistic(histories, motion, where, usable, noise)
@@ -375,9 +370,9 @@ def cautious(swing: Mask) -> Mask:
     return np.asarray(swing & (from_start > LIFT_OFF_TICKS) & (to_end > LAST_TICKS))
 
 
-def _folds(rows: _Rows, *, neighbours: bool) -> Ints:
+def _folds(rows: _Rows) -> Ints:
     """(n,) fold of each row."""
-    if neighbours or rows.swings >= FOLDS * FOLD_SWINGS:
+    if rows.swings >= FOLDS * FOLD_SWINGS:
         return np.asarray(rows.swing // FOLD_SWINGS % FOLDS)
     # Few swings, and long: each for itself, cut where there are too few to hold some out.
     part = rows.swing - 1

@@ -113,6 +113,11 @@ class ActiveModel:
         """Covariance of the coefficients while it is inflated, else None."""
         return self._rls.roots if self.inflated else None
 
+    @property
+    def from_prior(self) -> bool:
+        """Whether the recursion goes on from a prior."""
+        return self.inflated and self._spread is not None
+
     def learn(self, row: Row) -> list[float]:
         """Learn a row; return its J innovations over the noise, from before it was learned."""
         self._moved = True

@@ -56,9 +56,6 @@ REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
 REFRESH_TICKS: Final = 16
-# While a leg is learned from a prior, a touch may pass for free motion: so many ticks at the end of
-# a descent are never learned (those of walks that were learned spoiled the model in four swings).
-CAUTIOUS_TICKS: Final = 6
 # A leg is known after so many swings at least, when its coefficients have added less than this
 # share of the noise's variance in each of the last.
 KNOWN_SWINGS: Final = 10
@@ -220,6 +217,7 @@ class Adapter:
             self._active.coefficients if wanted else None,
             self.variance_in_force,
             self._active.covariance,
+            self._active.from_prior,
             self.changed,
             noise.whiten,
             noise.thresholds,
@@ -269,9 +267,6 @@ class Adapter:
         """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
         if self.first is not None:
             self.first.doubt(self._active.doubt(rows))
-            rows = rows[:-CAUTIOUS_TICKS]
-        if not rows:
-            return
         if self.monitor.trusted:
             self._confirm(rows, region)
         else:
