@@ -15,7 +15,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from adaptive_contact.compiled import note_cached
-from adaptive_contact.detect.flags import DECIDED, RELEASE_PENDING
+from adaptive_contact.detect.layout import DECIDED, RELEASE_PENDING
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.learn.rls import RecursiveLeastSquares, moves_at_most
 from adaptive_contact.model.library import Library, with_changes

@@ -16,7 +16,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.flags import (
+from adaptive_contact.detect.history import MAX_STEP_RAD_S
+from adaptive_contact.detect.layout import (
     BEGAN,
     BROKE_OFF,
     DECIDED,
@@ -30,7 +31,6 @@ from adaptive_contact.detect.flags import (
     TOUCHED,
     TOUCHING,
 )
-from adaptive_contact.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge

@@ -6,8 +6,8 @@ from collections import Counter
 from typing import Any, Final
 
 from adaptive_contact.detect.leg_batch import LegPlace
-from adaptive_contact.detect.source_watch import SourceWatch
-from adaptive_contact.detect.stream import RateWatch, StreamGuard
+from adaptive_contact.detect.source_watch import RateWatch, SourceWatch
+from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import MotionTrack

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from adaptive_contact.detect.flags import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
+from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
 from adaptive_contact.model.labelled_swing import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.detect.clock import RATE_STEPS
+from adaptive_contact.detect.source import RATE_STEPS
 from adaptive_contact.fit.refit_job import Job
 from adaptive_contact.learn import cold_start as coldstart
 from adaptive_contact.learn.cold_start import (

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.statistic import context_of, statistic
+from adaptive_contact.detect.contact import context_of, statistic
 from adaptive_contact.detect.swing import AFTER_TICKS, SAME_TICKS
 from adaptive_contact.detect.swing_judge import LANDINGS, Landings
 from adaptive_contact.learn.noise_tracker import AWAITED
