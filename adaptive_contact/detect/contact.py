@@ -21,7 +21,7 @@ import numpy as np
 
 from adaptive_contact.compiled import compiled
 from adaptive_contact.detect.layout import BROKE_OFF, DECIDED, DEPTH, ENTERED, TOUCHED
-from adaptive_contact.detect.swing import height_gradient
+from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
 from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
 
 SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
@@ -38,6 +38,8 @@ REARM_TICKS: Final = 4
 FREE_LIFT_TICKS: Final = 8
 # A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
 MAX_ROWS: Final = 400
+# Fewer free ticks than this say nothing about a lift, nor about the way to a contact.
+MIN_LIFT_ROWS: Final = 3
 
 
 @compiled
@@ -197,6 +199,19 @@ def note_fit(leg, level):
         leg.fit_n += 1
     elif leg.fit_n:
         leg.fit_before, leg.fit_n, leg.misfit_ns = leg.fit_n, 0, leg.at_ns
+
+
+@compiled
+def note_contact(leg):
+    """Note whether the ticks before a contact fit the model, where the foot came some way.
+
+    A foot that stops against something after it has moved as predicted is not one whose readings
+    are frozen or turned around, or which was held from the start.
+    """
+    fit = leg.fit_n
+    if not fit and leg.misfit_ns >= leg.onset_ns - leg.period_ns:
+        fit = leg.fit_before
+    leg.fits |= fit >= MIN_LIFT_ROWS and leg.moved > LEAST_WAY_M * leg.size
 
 
 @compiled

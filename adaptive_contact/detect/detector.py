@@ -20,6 +20,7 @@ from adaptive_contact.detect.contact import (
     let_go,
     leverage,
     model_doubt,
+    note_contact,
     note_fit,
     note_hole,
     onset,
@@ -44,6 +45,7 @@ from adaptive_contact.detect.layout import (
     RESTARTED,
     SLOT,
     TOPPED,
+    TOUCHED,
     TOUCHING,
 )
 from adaptive_contact.detect.regressors import predict, regressors
@@ -363,6 +365,8 @@ def judge_tick(
                         score, widest = within, width + 1
                 onset_ns = onset(leg, history[i], widest)
         swing_tick(leg, score, leg.distance / limits[0], onset_ns, past_lift and topped)
+        if leg.found & TOUCHED:
+            note_contact(leg)
         free = not (loaded or leg.contact)
         if loaded and not leg.loaded:
             leg.usable = 0

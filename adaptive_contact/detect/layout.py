@@ -207,6 +207,7 @@ LEG: Final = np.dtype(
         ("fit_n", i4),  # ticks in a row up to now that fit the model
         ("fit_before", i4),  # and of the row before
         ("misfit_ns", i8),  # the tick that ended it
+        ("fits", b1),  # the leg moved as its model says, in the lift or before a contact
         ("resolved_first", i4),  # first row of the descent that was resolved
         ("resolved_last", i4),  # and one after the last
         ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing

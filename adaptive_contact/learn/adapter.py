@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.wire import Doubt, RefitCounts, Status
 
-__all__ = ["Adapter"]
+__all__ = ["Adapter", "Standing"]
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,20 @@ REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
 REFRESH_TICKS: Final = 16
+
+
+class Standing(NamedTuple):
+    """Holds what the learning says of a leg, as its events report it.
+
+    Attributes:
+        status: valid, adapting or ambiguous; learning while there is no model.
+        doubt: why the leg is ambiguous; None where it is not.
+        version: of the model in force.
+    """
+
+    status: Status = "learning"
+    doubt: Doubt | None = None
+    version: int = 0
 
 
 class Adapter:
@@ -157,10 +171,12 @@ class Adapter:
         return "ambiguous" if status == "valid" and self._early.told else status
 
     @property
-    def doubt(self) -> Doubt | None:
-        """Why the leg is ambiguous; None where it is not."""
-        doubt = self.monitor.doubt
-        return "descents" if doubt is None and self.status == "ambiguous" else doubt
+    def standing(self) -> Standing:
+        """Status, doubt and version, for events and the leg's status."""
+        status, doubt = self.status, self.monitor.doubt
+        if doubt is None and status == "ambiguous":
+            doubt = "descents"
+        return Standing(status, doubt, self._active.version)
 
     @property
     def note(self) -> str | None:
