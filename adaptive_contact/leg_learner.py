@@ -42,10 +42,9 @@ from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
 from adaptive_contact.leg_report import LegReport
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.labelled_swing import LabelledSwing
-from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.leg_model import LegModel, report_of
 from adaptive_contact.model.library import ChangeLibrary
 from adaptive_contact.model.model_file import Baseline
-from adaptive_contact.model.report import report_of
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import (
     ContactEvent,

@@ -27,9 +27,8 @@ from adaptive_contact.model.labelled_swing import (
     Row,
     Touch,
 )
-from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.leg_model import LegModel, rollout
 from adaptive_contact.model.noise import UNFIT_LEVEL
-from adaptive_contact.model.rollout import rollout
 
 __all__ = ["SwingLabels", "confirmed_before", "confirmed_of", "let_go_rows"]
 

@@ -23,8 +23,8 @@ from adaptive_contact.learn.drift import (
     LEVEL_RANGE,
     SETTLED_LEVEL,
     DriftMonitor,
+    EarlyContacts,
 )
-from adaptive_contact.learn.early_contacts import EarlyContacts
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.learn.replay_buffer import ReplayBuffer

@@ -7,7 +7,7 @@ adapter keeps the model up to date; it is made here and nowhere else.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from adaptive_contact.errors import BaselineError
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.adapter import Adapter
-from adaptive_contact.learn.change_terms import ready_for_changes
 from adaptive_contact.learn.cold_start import ColdStart, prior_tails
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import (
     Baseline,
@@ -30,9 +30,12 @@ from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import ServoSample
 
-__all__ = ["Lifecycle"]
+__all__ = ["Lifecycle", "ready_for_changes"]
 
 Array = NDArray[np.float64]
+
+# What a servo half as stiff does otherwise in a tick, over the noise: 5 to 7, walking and in pose.
+SOFT_NOISES: Final = 5.0
 
 
 class Lifecycle:
@@ -287,3 +290,28 @@ class Lifecycle:
 
     def _refused(self, why: str) -> str:
         return f"snapshot of leg '{self._leg.id}' not used: {why}"
+
+
+def ready_for_changes(known: LegBaseline) -> LegBaseline:
+    """Add to a leg's baseline the terms of what may happen to it (decision 21), with zeros.
+
+    Args:
+        known: of q terms.
+
+    Returns:
+        The same with (q + added, J) coefficients, scales of all terms, and a domain that says
+        nothing of the added ones.
+    """
+    model = known.model
+    library = with_changes(model.library, model.coefficients)
+    added = library.size - len(known.scale)
+    joints = len(library.joints)
+    scale = np.ones(added)  # friction saturates at 1
+    if library.knows_law:
+        scale[-joints:] = SOFT_NOISES * known.noise.rms
+    return dataclasses.replace(
+        known,
+        model=LegModel(library, np.pad(model.coefficients, ((0, added), (0, 0))), model.version),
+        scale=np.concatenate([known.scale, scale]),
+        domain=known.domain and dataclasses.replace(known.domain, beyond=added),
+    )

@@ -20,7 +20,7 @@ from adaptive_contact.detect.source import take_phase
 from adaptive_contact.detect.swing import follow_command, follow_foot, place_foot
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import confirmed_before, confirmed_of, let_go_rows
-from adaptive_contact.learn.change_terms import ready_for_changes
+from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.model import Baseline, leg_library
 from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.library import with_changes

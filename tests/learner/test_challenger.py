@@ -9,15 +9,16 @@ from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import InlineRefitter, RefitResult
 from adaptive_contact.learn.candidate import (
     DOMAIN_ROWS,
+    MOST_CONTACTS,
     PRIOR_ROWS,
     PROBATION_ROWS,
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
     Candidate,
+    StoredContacts,
     first_refit_after,
 )
 from adaptive_contact.learn.cold_start import ColdJob
-from adaptive_contact.learn.contact_store import MOST, StoredContacts
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel
 
@@ -211,9 +212,9 @@ def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:
 def test_the_newest_contacts_are_kept(model: LegModel) -> None:
     stored = StoredContacts()
     assert stored.found(model.coefficients).shape == (0,)
-    for _ in range(MOST + 5):
+    for _ in range(MOST_CONTACTS + 5):
         stored.add([stopped(model)])
-    assert len(stored) == MOST
+    assert len(stored) == MOST_CONTACTS
     assert stored.found(model.coefficients).all()
     assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"
 
