@@ -46,13 +46,7 @@ from adaptive_contact.model.leg_model import LegModel, report_of
 from adaptive_contact.model.library import ChangeLibrary
 from adaptive_contact.model.model_file import Baseline
 from adaptive_contact.robot import AngleFrame, Leg, Robot
-from adaptive_contact.wire import (
-    ContactEvent,
-    LearnerStatus,
-    ModelReport,
-    Reject,
-    ServoSample,
-)
+from adaptive_contact.wire import ContactEvent, LearnerStatus, ModelReport, Reject, ServoSample
 
 __all__ = ["EVENTS", "ContactLearner", "check_sample"]
 

@@ -19,14 +19,7 @@ from adaptive_contact.detect.contact import MIN_LIFT_ROWS
 from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
-from adaptive_contact.model.labelled_swing import (
-    SEGMENTS,
-    Label,
-    LabelledSwing,
-    Push,
-    Row,
-    Touch,
-)
+from adaptive_contact.model.labelled_swing import SEGMENTS, Label, LabelledSwing, Push, Row, Touch
 from adaptive_contact.model.leg_model import LegModel, rollout
 from adaptive_contact.model.noise import UNFIT_LEVEL
 

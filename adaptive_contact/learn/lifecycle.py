@@ -20,12 +20,7 @@ from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.library import Library, leg_library, with_changes
-from adaptive_contact.model.model_file import (
-    Baseline,
-    LegBaseline,
-    leg_of_tree,
-    leg_tree,
-)
+from adaptive_contact.model.model_file import Baseline, LegBaseline, leg_of_tree, leg_tree
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 from adaptive_contact.wire import ServoSample
