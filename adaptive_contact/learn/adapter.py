@@ -138,16 +138,6 @@ class Adapter:
         return self._active.model
 
     @property
-    def version(self) -> int:
-        """Of the model in force."""
-        return self._active.version
-
-    @property
-    def inflated(self) -> bool:
-        """Whether the recursion's covariance is inflated, so that predictions are uncertain."""
-        return self._active.inflated
-
-    @property
     def changed(self) -> bool:
         """Whether the leg has changed since the model in force was fitted, by its lifts."""
         return self._active.inflated or self.variance_in_force > 1.0

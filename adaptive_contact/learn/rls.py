@@ -169,19 +169,6 @@ class RecursiveLeastSquares:
         """Views of the terms' places, their reciprocal scales, and the square roots."""
         return Covariance(self._index, self._per_scale, self._s)
 
-    def uncertainty(self, theta: Array) -> Array:
-        """Compute the variance of predictions that comes from the coefficients, over the noise's.
-
-        Args:
-            theta: (..., p) regressors.
-
-        Returns:
-            (..., J), 0 for a model known exactly.
-        """
-        phi = theta[..., self._index] * self._per_scale
-        v = np.matmul(phi[..., None, :], self._s)[..., 0, :]
-        return np.asarray(np.square(v).sum(axis=-1))
-
     def update(self, theta: Array, target: Array) -> list[float]:
         """Learn one row.
 
