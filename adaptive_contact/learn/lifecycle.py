@@ -226,9 +226,7 @@ class Lifecycle:
             return self._refused("there is no baseline to go with it")
         else:
             refused = self.adapter.restore(inner)
-        if refused is not None:
-            return refused
-        return None
+        return refused
 
     def _choose(self, baseline: Baseline | None) -> LegBaseline | None:
         if baseline is None:
