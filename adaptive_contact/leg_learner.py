@@ -145,7 +145,7 @@ class ContactLearner:
         )  # fmt: skip
         self._assessed = False  # this tick's lift or begin was assessed before its event
         self._begun = 0  # `Lifecycle.begun` of the adapter that the arrays are of
-        self.take_up_model()
+        self._begin()
 
     # -- public --------------------------------------------------------------------------------
 
@@ -187,7 +187,7 @@ class ContactLearner:
         self.place.restart_swing()
         self._swing.restart()
         self._labels.restart()
-        self.take_up_model()
+        self._begin()
 
     def count(self, reason: Reject, times: int = 1) -> None:
         """Count payloads that were refused before they became samples."""
@@ -258,7 +258,7 @@ class ContactLearner:
         refused = self._lifecycle.restore(saved)
         if refused is not None:
             return refused
-        self.take_up_model()
+        self._begin()
         self._report.counters.restore(saved)
         if isinstance(saved.get("missed"), int):
             self._guard.missed = saved["missed"]
@@ -340,7 +340,7 @@ class ContactLearner:
             if adapter.monitor.unfit and self.place.leg["ticks"]:
                 lifecycle.forget()
                 self._let_go()
-                self.take_up_model()
+                self._begin()
                 return False
             self._report.publish_withholding()
         else:
@@ -352,24 +352,8 @@ class ContactLearner:
         return False
 
     def take_up_model(self) -> None:
-        """Put the lifecycle's model in force: the arrays of the past under another are cleared."""
-        self._report.collect_counts()
-        lifecycle, place = self._lifecycle, self.place
-        if lifecycle.library != place.batch.library:
-            place.move(self._batch(), 0)
-        place.batch.forget_past(place.row)
-        self._begun = lifecycle.begun
-        self._report.read_standing()
-        adapter = lifecycle.adapter
-        self._labels.begin(None if adapter is None else adapter.baseline)
-        if adapter is None:
-            place.end()
-            return
-        library = adapter.model.library
-        assert isinstance(library, ChangeLibrary)
-        place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
-        self._report.publish_withholding()
-        self._publish(wanted=True)
+        """Put the model of another adapter in force, from the next tick on."""
+        self._begin()
 
     # -- private -------------------------------------------------------------------------------
 
@@ -388,6 +372,26 @@ class ContactLearner:
             [leg], library, [robot.quantum(leg.id)], round(robot.period_s * 1e9),
             max_step=MAX_STEP_RAD_S * library.period_s,
         )  # fmt: skip
+
+    def _begin(self) -> None:
+        """Begin with the model of the lifecycle: clear the arrays of the past under another."""
+        self._report.collect_counts()
+        lifecycle, place = self._lifecycle, self.place
+        if lifecycle.library != place.batch.library:
+            place.move(self._batch(), 0)
+        place.batch.forget_past(place.row)
+        self._begun = lifecycle.begun
+        self._report.read_standing()
+        adapter = lifecycle.adapter
+        self._labels.begin(None if adapter is None else adapter.baseline)
+        if adapter is None:
+            place.end()
+            return
+        library = adapter.model.library
+        assert isinstance(library, ChangeLibrary)
+        place.begin(library, lifecycle.sigma, gated=adapter.gated, learning=adapter.learning)
+        self._report.publish_withholding()
+        self._publish(wanted=True)
 
     def _publish(self, *, wanted: bool = False) -> None:
         """Pass the adapter's ``FreeMotion`` to the arrays; the next tick is judged by it."""
