@@ -145,7 +145,7 @@ def _borrowing() -> Any:
 
 
 # Returns an array for as long as the caller holds it: slices of it cost nothing.
-borrow: Any = _borrowing() if compiles() else lambda array: array
+borrow: Any = _borrowing() if compiles() else np.asanyarray
 
 
 def _expanded(name: str | None) -> Path | None:

@@ -2,10 +2,10 @@
 
 The only file that knows both detection and learning.  :class:`ContactLearner` passes labelled
 swings (:class:`LabelledSwing`) to the adapter, and what is known of free motion
-(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A
-:class:`~adaptive_contact.leg_group.LegGroup` takes several learners one tick further: it calls
-:meth:`~ContactLearner.take`, then the compiled tick, then :meth:`~ContactLearner.event_of` where
-there is an event, and later :meth:`~ContactLearner.finish`, which learns.
+(:class:`~adaptive_contact.model.free_motion.FreeMotion`) back to the tick.  A tick
+calls :meth:`~ContactLearner.take`, then the compiled part, then :meth:`~ContactLearner.event_of`
+where there is an event, and later :meth:`~ContactLearner.finish`, which learns.  A
+:class:`~adaptive_contact.bank.LegGroup` does so for several learners at once.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.detect.flags import (
+from adaptive_contact.detect.history import MAX_STEP_RAD_S
+from adaptive_contact.detect.layout import (
     BEGAN,
-    BROKE_OFF,
     DECIDED,
     ENTERED,
     RATE_OFF,
@@ -28,9 +28,7 @@ from adaptive_contact.detect.flags import (
     SOURCE,
     TOPPED,
     TOUCHED,
-    TOUCHING,
 )
-from adaptive_contact.detect.history import MAX_STEP_RAD_S
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
 from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
@@ -41,32 +39,35 @@ from adaptive_contact.fit.refit_job import InlineRefitter, Refitter
 from adaptive_contact.learn.adapter import Adapter
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import LearnerMode, WhenAmbiguous
-from adaptive_contact.leg_group import LegGroup, check_sample
 from adaptive_contact.leg_report import LegReport
 from adaptive_contact.model.glr import statistic
 from adaptive_contact.model.labelled_swing import LabelledSwing
-from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.leg_model import LegModel, report_of
 from adaptive_contact.model.library import ChangeLibrary
 from adaptive_contact.model.model_file import Baseline
-from adaptive_contact.model.report import report_of
 from adaptive_contact.robot import AngleFrame, Leg, Robot
-from adaptive_contact.wire import (
-    ContactEvent,
-    LearnerStatus,
-    ModelReport,
-    Reject,
-    ServoSample,
-)
+from adaptive_contact.wire import ContactEvent, LearnerStatus, ModelReport, Reject, ServoSample
 
-__all__ = ["ContactLearner"]
+__all__ = ["EVENTS", "ContactLearner", "check_sample"]
 
 # Confirmed rows learned per tick: a swing's dozen are spread over the stance that follows.
 ROWS_PER_TICK: Final = 3
-_NO_PREVIEW: Final = "the model needs a preview that the samples do not carry: no predictions"
-# Flags with which a tick has something for the labels or the learning.
-_MOVES: Final = (
-    RESTARTED | BROKE_OFF | RESOLVED | BEGAN | ENTERED | TOUCHED | TOUCHING | RATE_OFF | SOURCE
-)
+# Flags of a tick that make an event; few ticks have one.
+EVENTS: Final = DECIDED | RELEASE_PENDING
+
+
+def check_sample(sample: object) -> None:
+    """Refuse what is not a sample; bad values in one are counted, never raised.
+
+    Raises:
+        TypeError: such as for the map of a payload.
+    """
+    if not isinstance(sample, ServoSample):
+        raise TypeError(
+            f"expected a ServoSample, found {type(sample).__name__}; pass ServoSample(t_ns=..., "
+            "seq=..., measured=[...], desired=[...]) of adaptive_contact.wire, or what its "
+            "decode() makes of a payload"
+        )
 
 
 class JudgedTick(NamedTuple):
@@ -127,7 +128,6 @@ class ContactLearner:
         self._lifecycle = Lifecycle(robot, self.leg, baseline, mode, refitter or InlineRefitter())
         self.place = LegPlace(self._batch())
         self._guard = StreamGuard(len(self.leg.joints))
-        self._alone: LegGroup | None = None
         self._conventions = ConventionWatch(robot) if conventions is None else conventions
         self._track = self._conventions.track(self.leg)
         self._ids = None if ids is None else ids.track(self.leg)
@@ -163,9 +163,18 @@ class ContactLearner:
             TypeError: it is no sample, such as the map of a payload.
         """
         check_sample(sample)
-        if self._alone is None:
-            self._alone = LegGroup([self])
-        event = self._alone.advance([sample])[0]
+        place = self.place
+        if len(place.batch.legs) > 1:  # of a group, whose other legs wait
+            place.move(self._batch(), 0)
+        if place.leg["unfinished"]:  # what it learned from raised
+            self._end_tick()
+        event = None
+        place.leg["accepted"] = False
+        if self.take(sample):
+            flags = place.batch.judge()
+            if flags & EVENTS:
+                event = self.event_of(flags)
+            self._end_tick()
         self._conventions.look()
         return event
 
@@ -257,7 +266,7 @@ class ContactLearner:
         self._guard.restore(saved.get("stream"))
         return None
 
-    # -- one tick, in the order `LegGroup` calls it ---------------------------------------------
+    # -- one tick, in the order of its calls ----------------------------------------------------
 
     def take(self, sample: ServoSample) -> bool:
         """Put a sample into the arrays, for the tick to judge; False if it is refused."""
@@ -289,8 +298,6 @@ class ContactLearner:
             )  # fmt: skip
         if flags & DECIDED:
             contact = bool(leg["contact"])
-            if contact:
-                self._labels.touch(int(leg["onset_ns"]))
             if contact or leg["reported"]:  # else the end of one that was withheld
                 event = self._report.event(
                     sample, contact=contact, onset_ns=int(leg["onset_ns"]),
@@ -318,6 +325,7 @@ class ContactLearner:
             self._assessed = False
             if flags & SOURCE:
                 self._faulty = self._report.source.cause is not None
+            self._report.read_standing()
         if self._misread or self._faulty:
             return self._begun != lifecycle.begun
         if self._begun != lifecycle.begun:
@@ -332,8 +340,11 @@ class ContactLearner:
                 self._begin()
                 return False
             self._report.publish_withholding()
-        elif not (moved and self.place.leg["ticks"]):  # a stance is not judged: it can wait
-            return False
+        else:
+            if moved:
+                self._report.read_standing()
+            if not (moved and self.place.leg["ticks"]):  # a stance is not judged: it can wait
+                return False
         self._publish()
         return False
 
@@ -342,6 +353,14 @@ class ContactLearner:
         self._begin()
 
     # -- private -------------------------------------------------------------------------------
+
+    def _end_tick(self) -> None:
+        """Finish a tick of this leg by itself: learning, then command and prediction."""
+        batch = self.place.batch
+        another = self.finish(batch.flags[0])
+        batch.finish()
+        if another:
+            self.take_up_model()
 
     def _batch(self) -> LegBatch:
         robot, leg = self.robot, self.leg
@@ -359,6 +378,7 @@ class ContactLearner:
             place.move(self._batch(), 0)
         place.batch.forget_past(place.row)
         self._begun = lifecycle.begun
+        self._report.read_standing()
         adapter = lifecycle.adapter
         self._labels.begin(None if adapter is None else adapter.baseline)
         if adapter is None:
@@ -412,6 +432,7 @@ class ContactLearner:
     def _assess(self, flags: int) -> None:
         """Label a swing that begins or a lift past its top; once per tick."""
         self._learn(self._labels.assess(flags))
+        self._report.read_standing()
         self._assessed = True
 
     def _learn(self, parts: Sequence[LabelledSwing]) -> None:

@@ -6,13 +6,13 @@ from collections import Counter
 from typing import Any, Final
 
 from adaptive_contact.detect.leg_batch import LegPlace
-from adaptive_contact.detect.source_watch import SourceWatch
-from adaptive_contact.detect.stream import RateWatch, StreamGuard
+from adaptive_contact.detect.source_watch import SOURCE_CAUSES, RateWatch, SourceWatch
+from adaptive_contact.detect.stream import StreamGuard
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import SwingLabels
 from adaptive_contact.diagnose.angle_watch import MotionTrack
 from adaptive_contact.diagnose.leg_ids import IdTrack
-from adaptive_contact.learn.adapter import Adapter
+from adaptive_contact.learn.adapter import Adapter, Standing
 from adaptive_contact.learn.lifecycle import Lifecycle
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.robot import Leg
@@ -104,6 +104,7 @@ class LegReport:
         self.counters = Counters()
         self.rate = RateWatch.of(place)
         self.source = SourceWatch(leg, place)
+        self._standing = Standing()
 
     def event(
         self,
@@ -139,7 +140,7 @@ class LegReport:
             status=self._status,
             score=score,
             residual=residual,
-            model_version=self._version,
+            model_version=self._standing.version,
             withheld=withheld,
             doubt=doubt,
         )
@@ -149,12 +150,13 @@ class LegReport:
         """Status of the learner, as it is published."""
         adapter, leg, counts = self._adapter, self._place.leg, self.counters.counts
         self.collect_counts()
+        self.read_standing()
         untouched_ns = int(leg["untouched_ns"])
         return LearnerStatus(
             leg=self._leg.id,
             t_ns=int(leg["t_ns"]),
             status=self._status,
-            model_version=self._version,
+            model_version=self._standing.version,
             residual_rms=self._place.free_rms,
             noise_floor=self._lifecycle.noise_floor,
             buffer=BufferCounts() if adapter is None else adapter.buffer.counts,
@@ -177,10 +179,16 @@ class LegReport:
     @property
     def withholds(self) -> bool:
         """Whether contacts are not reported, as the leg is ambiguous."""
-        return self._withholds_at(fits=self._labels.fits)
+        return self._withholds_at(fits=bool(self._place.leg["fits"]))
+
+    def read_standing(self) -> None:
+        """Take over what the learning says of the leg, for the events of the next ticks."""
+        adapter = self._adapter
+        self._standing = Standing() if adapter is None else adapter.standing
 
     def publish_withholding(self) -> None:
         """Tell the tick whether contacts are reported, and in a swing that begins with it."""
+        self.read_standing()
         leg = self._place.leg
         leg["withholds"], leg["withholds_begun"] = self.withholds, self._withholds_at(fits=False)
 
@@ -192,11 +200,10 @@ class LegReport:
     @property
     def doubt(self) -> Doubt | None:
         """Why the leg is ambiguous; None where it is not."""
-        if self.source.cause is not None:
-            return self.source.cause
-        if self.misread:
-            return "angles"
-        return None if self._adapter is None else self._adapter.doubt
+        cause = SOURCE_CAUSES[int(self._place.leg["cause"])]
+        if cause is not None:
+            return cause
+        return "angles" if self.misread else self._standing.doubt
 
     def collect_counts(self) -> None:
         """Take over what ticks have counted since the last call."""
@@ -232,13 +239,7 @@ class LegReport:
 
     @property
     def _status(self) -> Status:
-        if self._void:
-            return "ambiguous"
-        return "learning" if self._adapter is None else self._adapter.status
-
-    @property
-    def _version(self) -> int:
-        return 0 if self._adapter is None else self._adapter.version
+        return "ambiguous" if self._void else self._standing.status
 
     def _note(self) -> str | None:
         """What stops this leg from being judged, for a person; the gravest."""

@@ -12,8 +12,8 @@ from adaptive_contact.cli._output import say_note
 
 def compile_tick() -> None:
     """Load the compiled tick; the first start after an installation compiles it, and says so."""
+    from adaptive_contact.bank import compile_ahead
     from adaptive_contact.compiled import cache_folder, compiles, is_cached
-    from adaptive_contact.leg_group import compile_ahead
 
     if not compiles():
         why = f"numba, which has builds for 64 bits only, is not installed ({platform.machine()})"
@@ -28,7 +28,7 @@ def compile_tick() -> None:
         _tell(f"compiling the arithmetic of a tick for this computer, {kept} (10 to 20 s)")
         if cache_folder():
             # In a process of its own: the compiler would keep 200 MB for as long as this one runs.
-            code = "from adaptive_contact.leg_group import compile_ahead; compile_ahead()"
+            code = "from adaptive_contact.bank import compile_ahead; compile_ahead()"
             subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
     compile_ahead()
 

@@ -16,28 +16,29 @@ all else is no finding: a wrong accusation is worse than silence.
 
 Of chains that are not straight (yaws, then pitches, links along x) the mirror image often walks as
 well.  Of these only signs are judged by rigid feet, and what walks as well is named or kept quiet
-(``mirrors.py``).
+(:func:`choose_signs`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from adaptive_contact.conventions.mirrors import Chosen, choose_signs
 from adaptive_contact.conventions.motion import LegMotion, control_ticks
-from adaptive_contact.conventions.rigid import Reading
+from adaptive_contact.conventions.rigid import BETTER, FLOOR, RIGID, Reading
 from adaptive_contact.conventions.sign_choices import SURE_SHARE, Alone, LegChoices
-from adaptive_contact.conventions.together import OPEN_RAD, choose
+from adaptive_contact.conventions.together import LAG_S, LOOSE, OPEN_RAD, SLOW_LAGS, Pairs, choose
 from adaptive_contact.robot.description import AngleFrame, Leg, Mount, Robot, angles_text
 
 __all__ = [
+    "Chosen",
     "ConventionFinding",
     "LegMotion",
     "Verdict",
+    "choose_signs",
     "judge_hanging",
     "judge_motion",
     "speaks_of_angles",
@@ -50,6 +51,10 @@ _AGAINST: Final = "feet that stand move against each other, as they are describe
 # Holds of a leg that hangs before their sag counts, and how far it must be, steps of the servo.
 LEAST_HOLDS: Final = 4
 SAG_QUANTA: Final = 1.5
+# Of legs whose mirror image walks as well: feet of a trot stand two at a time.
+LEAST_PARTNERS: Final = 1
+# More choices than these explain a motion that shows nothing.
+MOST_OTHERS: Final = 2
 # What every message of a finding has one of.
 _WRONG_WAY: Final = "grow the wrong way"
 _IN_ORDER: Final = "do not come in the order of robot.toml"
@@ -306,3 +311,76 @@ def _sign_finding(
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+class Chosen(NamedTuple):
+    """The pattern of a leg that explains its motion, and those that do as well."""
+
+    pattern: int
+    others: tuple[int, ...] = ()
+
+
+def choose_signs(legs: Sequence[LegChoices], period_s: float) -> dict[str, Chosen]:
+    """Choose the signs that explain how legs walk whose mirror image walks as well.
+
+    A leg that hangs down with a hip that rolls is its own mirror image: all its pitches turned
+    round, the foot has the same height and goes the other way, and feet that stand are as rigid
+    wherever the robot walks straight on.  So of all choices only those are looked at that a hand
+    makes: the same joints of all legs, of one side, of one end, or of one leg.  Those that explain
+    the motion as well are told together, and a description among them is not accused.
+
+    Args:
+        legs: of one kind.
+        period_s: the control tick.
+
+    Returns:
+        By leg, empty for none: of every leg the description's pattern where it explains the
+        motion and no other does; of the legs concerned another one where the description does not.
+    """
+    if len(legs) < 2 or len({leg.leg.joint_axes for leg in legs}) > 1:
+        return {}
+    described = (0,) * len(legs)
+    ticks = max(round(LAG_S / period_s), 1)
+    for lag in (ticks, SLOW_LAGS * ticks):
+        pairs = Pairs(legs, lag)
+        before = _cost(pairs, described)
+        if np.isfinite(before):
+            break
+    tried = {}
+    for chosen in dict.fromkeys(_by_hand(legs)):
+        if all(leg.may_move(pattern) for leg, pattern in zip(legs, chosen, strict=True)):
+            tried[chosen] = _cost(pairs, chosen)
+    best = min(tried, key=lambda chosen: tried[chosen], default=described)
+    least = max(tried.get(best, np.inf), FLOOR**2)
+    if least >= RIGID**2:
+        return {}
+    # What is nearly as good; what a hand changes least comes first.
+    rivals = [c for c, cost in tried.items() if cost < BETTER * least and c != best]
+    if described == best or described in rivals:
+        return {} if rivals else {leg.leg.id: Chosen(0) for leg in legs}
+    sane = all(leg.sane(0) for leg in legs)
+    if len(rivals) > MOST_OTHERS or before < (LOOSE**2 if sane else BETTER * least):
+        return {}
+    found = {}
+    for k, leg in enumerate(legs):
+        others = tuple(dict.fromkeys(rival[k] for rival in rivals if rival[k] != best[k]))
+        if best[k]:
+            found[leg.leg.id] = Chosen(best[k], others)
+    return found
+
+
+def _cost(pairs: Pairs, chosen: Sequence[int]) -> float:
+    """rho² of the worst leg; infinite where one stands with no other."""
+    return max(pairs.cost(chosen, k, LEAST_PARTNERS) for k in range(len(chosen)))
+
+
+def _by_hand(legs: Sequence[LegChoices]) -> Iterator[tuple[int, ...]]:
+    """The choices that are looked at, a pattern for each leg; the described one is the first."""
+    at = np.array([leg.leg.mount.xyz_m for leg in legs])
+    groups = [np.ones(len(legs), dtype=bool)]
+    for axis in (1, 0):
+        groups += [at[:, axis] > 0.0, at[:, axis] < 0.0]
+    groups += list(np.eye(len(legs), dtype=bool))
+    for group in groups:
+        for pattern in range(len(legs[0].flips)):
+            yield tuple(pattern if moved else 0 for moved in group)

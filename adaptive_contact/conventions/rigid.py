@@ -334,10 +334,7 @@ def refine(feet: Feet, readings: Sequence[Reading], moved: Sequence[Sequence[int
 
 
 def fit_readings(
-    streams: Sequence[Stream],
-    lag: int,
-    period_s: float,
-    sane: Callable[[int, Reading], bool],
+    streams: Sequence[Stream], lag: int, period_s: float, sane: Callable[[int, Reading], bool]
 ) -> Reading | None:
     """Find the signs and zeros, the same for all legs, for which standing feet are rigid.
 

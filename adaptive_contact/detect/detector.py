@@ -12,28 +12,20 @@ import math
 import numpy as np
 
 from adaptive_contact.compiled import borrow, compiled
-from adaptive_contact.detect.clock import PAUSE, follow_clock, restart_clock, vote_late
-from adaptive_contact.detect.contact_state import let_go, swing_tick
-from adaptive_contact.detect.echo import (
-    ECHO,
-    ECHO_WIDTH,
-    NONE,
-    PHASE,
-    begin_echo,
-    restart_phase,
-    take_command,
-    take_phase,
-    take_readings,
-)
-from adaptive_contact.detect.flags import (
-    BEGAN,
-    RATE_OFF,
-    RELEASE_PENDING,
-    RESOLVED,
-    RESTARTED,
-    SOURCE,
-    TOPPED,
-    TOUCHING,
+from adaptive_contact.detect.contact import (
+    begin_labels,
+    break_off,
+    context_of,
+    enter_row,
+    let_go,
+    leverage,
+    model_doubt,
+    note_contact,
+    note_fit,
+    note_hole,
+    onset,
+    statistic,
+    swing_tick,
 )
 from adaptive_contact.detect.history import (
     UNSURE_TICKS,
@@ -44,9 +36,31 @@ from adaptive_contact.detect.history import (
     restart_history,
     take,
 )
-from adaptive_contact.detect.layout import DEPTH, SLOT
+from adaptive_contact.detect.layout import (
+    BEGAN,
+    DEPTH,
+    RATE_OFF,
+    RELEASE_PENDING,
+    RESOLVED,
+    RESTARTED,
+    SLOT,
+    TOPPED,
+    TOUCHED,
+    TOUCHING,
+)
 from adaptive_contact.detect.regressors import predict, regressors
-from adaptive_contact.detect.statistic import context_of, leverage, model_doubt, onset, statistic
+from adaptive_contact.detect.source import (
+    NONE,
+    PAUSE,
+    begin_echo,
+    follow_clock,
+    follow_source,
+    restart_clock,
+    restart_phase,
+    take_command,
+    take_phase,
+    vote_late,
+)
 from adaptive_contact.detect.swing import (
     QUIET_SCORE,
     RECENT_TICKS,
@@ -57,13 +71,6 @@ from adaptive_contact.detect.swing import (
     forget_phase,
     height_gradient,
     place_foot,
-)
-from adaptive_contact.detect.swing_rows import (
-    begin_labels,
-    break_off,
-    enter_row,
-    note_fit,
-    note_hole,
 )
 
 
@@ -115,31 +122,6 @@ def restart_leg(leg, command, before, desired, doubts):
     for j in range(len(desired)):
         command[j] = before[j] = desired[j]
     restart_history(leg, doubts)
-
-
-@compiled
-def follow_source(
-    leg, measured, valid, has_valid, commands, runs, off, echoing, doubts
-):  # fmt: skip
-    """Stop judging a leg whose source copies its commands or swaps its phases, or go on."""
-    if leg.ticks == 1:
-        begin_echo(runs)
-    if leg.ticks or leg.echoes:
-        step = leg.quantum
-        most = ECHO_WIDTH * step
-        take_readings(leg, measured, valid, has_valid, step, most, commands, runs, off, echoing)
-    cause = ECHO if leg.echoes else PHASE if leg.swapped else NONE
-    if cause == leg.cause:
-        return
-    leg.cause = cause
-    leg.found |= SOURCE
-    break_off(leg)
-    if cause != NONE:
-        let_go(leg)
-        return
-    if leg.known:
-        restart_history(leg, doubts)
-    leg.loaded, leg.calm = True, 0
 
 
 @compiled
@@ -383,6 +365,8 @@ def judge_tick(
                         score, widest = within, width + 1
                 onset_ns = onset(leg, history[i], widest)
         swing_tick(leg, score, leg.distance / limits[0], onset_ns, past_lift and topped)
+        if leg.found & TOUCHED:
+            note_contact(leg)
         free = not (loaded or leg.contact)
         if loaded and not leg.loaded:
             leg.usable = 0

@@ -15,8 +15,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DEPTH", "LEG", "ROW", "SLOT", "VECTORS", "new_legs", "vectors"]
-
 DEPTH: Final = 3  # ticks of the longest window of the statistic
 HEIGHTS: Final = 12  # of the foot, remembered
 LOW_TICKS: Final = 10  # of the commanded foot, whose low a swing rises from
@@ -25,6 +23,20 @@ SWINGS: Final = 5  # lengths of swings, remembered
 PATH_TICKS: Final = 400  # commands of a swing, remembered
 RING: Final = 101  # ticks by which the rate is judged, at most
 VALUES: Final = 8  # refused readings remembered
+
+# What a tick finds of a leg, as bits: Python looks only at legs that have one.
+RESTARTED: Final = 1  # the source began again
+BROKE_OFF: Final = 2  # a gap or fault: the swing is not learned
+RESOLVED: Final = 4  # the swing before has ended: its rows can be labelled
+BEGAN: Final = 8  # a swing begins
+ENTERED: Final = 16  # a row was entered
+TOPPED: Final = 32  # the top of the lift has just been passed
+DECIDED: Final = 64  # a contact began or ended: an event
+TOUCHED: Final = 128  # and it began
+TOUCHING: Final = 256  # one of the first ticks of a contact
+RATE_OFF: Final = 512  # ticks are not as far apart as described
+SOURCE: Final = 2048  # the source begins or ceases to copy commands or swap phases
+RELEASE_PENDING: Final = 1024  # a contact is to end that no tick can decide any more
 
 f8, i8, i4, b1 = np.float64, np.int64, np.int32, np.bool_
 
@@ -196,6 +208,7 @@ LEG: Final = np.dtype(
         ("fit_n", i4),  # ticks in a row up to now that fit the model
         ("fit_before", i4),  # and of the row before
         ("misfit_ns", i8),  # the tick that ended it
+        ("fits", b1),  # the leg moved as its model says, in the lift or before a contact
         ("resolved_first", i4),  # first row of the descent that was resolved
         ("resolved_last", i4),  # and one after the last
         ("resolved_whole", b1),  # `whole`, `rise` and `fallen` of that swing

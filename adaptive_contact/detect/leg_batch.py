@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from adaptive_contact.compiled import records
 from adaptive_contact.detect.detector import finish_tick, judge_tick
-from adaptive_contact.detect.echo import COMMANDS, LAGS
 from adaptive_contact.detect.layout import DEPTH, PATH_TICKS, RING, ROW, new_legs, vectors
 from adaptive_contact.detect.regressors import term_table
+from adaptive_contact.detect.source import COMMANDS, LAGS
 from adaptive_contact.detect.swing import tabulate
 from adaptive_contact.model.free_motion import FreeMotion
 from adaptive_contact.model.library import ChangeLibrary, Library

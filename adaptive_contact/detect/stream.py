@@ -1,8 +1,7 @@
 """Checks whether a sample is the next one of its stream.  Bad ones are counted, never raised.
 
 One :class:`StreamGuard` per leg follows ``run``, ``seq`` and ``t_ns`` and sorts samples into the
-next one, the next one after a gap, the first one of a restart, and the rejected.  A
-:class:`RateWatch` reports whether ticks are as far apart as the leg's model takes them to be.
+next one, the next one after a gap, the first one of a restart, and the rejected.
 """
 
 from __future__ import annotations
@@ -10,18 +9,9 @@ from __future__ import annotations
 import math
 from typing import Any, Final, NamedTuple
 
-import msgspec
-import numpy as np
-from numpy.typing import NDArray
-
-from adaptive_contact.compiled import records
-from adaptive_contact.detect.clock import PAUSE, follow_one
-from adaptive_contact.detect.detector import unwrap
-from adaptive_contact.detect.layout import RING, new_legs
-from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.wire import MAX_ANGLE_RAD, MAX_PREVIEW_TICKS, Reject, ServoSample
 
-__all__ = ["Accepted", "RateWatch", "Seams", "StreamGuard"]
+__all__ = ["Accepted", "StreamGuard"]
 
 MAX_TIME_NS: Final = 2**63 - 1
 MIN_RUN: Final = -(2**63)
@@ -60,8 +50,6 @@ MAX_OLD_RUNS: Final = 32
 # restarted in a loop.  A window needs a tenth of that to fill.
 SHORT_RUN_SAMPLES: Final = 50
 SHORT_RUNS: Final = 3
-# Deviations above this, root mean square in periods, are worth a line to a person.
-NOTED_JITTER: Final = 0.15
 
 
 class Accepted(NamedTuple):
@@ -327,140 +315,3 @@ def _is_count(value: object) -> bool:
 
 def _is_run(value: object) -> bool:
     return isinstance(value, int) and MIN_RUN <= value <= MAX_RUN
-
-
-class RateWatch:
-    """Reports what one leg's clock shows: mean rate, jitter, whether ticks or stamps are late.
-
-    Args:
-        period_ns: what ticks should be apart.
-        place: arrays of the leg, which its tick follows; own ones where absent, to be followed
-            with :meth:`follow`.
-    """
-
-    def __init__(self, period_ns: int, place: LegPlace | None = None) -> None:
-        self._place = place
-        self._own = new_legs(1)
-        self._own["period_ns"] = period_ns
-        self._own_ring = np.zeros((1, RING, 3), dtype=np.int64)
-
-    @classmethod
-    def of(cls, place: LegPlace) -> RateWatch:
-        """Make the watch of a leg in a batch."""
-        return cls(int(place.leg["period_ns"]), place)
-
-    @property
-    def off(self) -> bool:
-        """Whether the mean rate is another than described."""
-        return bool(self._leg["rate_off"])
-
-    @property
-    def told_by(self) -> int:
-        """Ticks by which the rate is judged."""
-        return int(self._leg["told_by"])
-
-    @property
-    def found_ns(self) -> float | None:
-        """Mean distance of ticks, None while that is unknown."""
-        found = float(self._leg["found_ns"])
-        return None if math.isnan(found) else found
-
-    @property
-    def at_ns(self) -> int:
-        """Time of the newest tick, by the schedule that follows the stamps."""
-        return int(self._leg["at_ns"])
-
-    @property
-    def late(self) -> bool | None:
-        """Whether readings are as late as their stamps; None while that is not known."""
-        return (None, False, True)[int(self._leg["late"]) + 1]
-
-    @property
-    def since_ns(self) -> int:
-        """Scheduled time of the oldest tick by which the rate is judged."""
-        count = int(self._leg["ring_n"])
-        if not count:
-            return 0
-        return int(self._ring[(count - min(self.told_by, count, RING)) % RING, 2])
-
-    @property
-    def jitter(self) -> float:
-        """Root mean square of recent deviations from the schedule, periods."""
-        leg = self._leg
-        return math.sqrt(max(float(leg["jitter_square"]) - float(leg["jitter_mean"]) ** 2, 0.0))
-
-    @property
-    def jitter_ms(self) -> float:
-        """The same, ms."""
-        return self.jitter * int(self._leg["period_ns"]) / 1e6
-
-    @property
-    def note(self) -> str | None:
-        """One line for a person while the rate is off, or stamps are far off their schedule."""
-        period_ms = int(self._leg["period_ns"]) / 1e6
-        found_ns = self.found_ns
-        if self.off and found_ns is not None:
-            return (
-                f"samples are {found_ns / 1e6:.1f} ms apart, robot.toml says "
-                f"{period_ms:.1f} ms: nothing is judged or learned until they agree"
-            )
-        jitter = self.jitter
-        if jitter <= NOTED_JITTER:
-            return None
-        return (
-            f"t_ns jitters: {jitter * period_ms:.1f} ms (rms) off an even grid of "
-            f"{period_ms:.1f} ms; {_CAUSES[self.late]}"
-        )
-
-    def follow(self, t_ns: int, seq: int, *, restart: bool) -> int | None:
-        """Take in the time and number of an accepted sample.
-
-        Returns:
-            Ticks without a reading since the last one, by its number, and where readings are known
-            to be late by its time; None where the source has paused: what came before does not
-            connect.
-        """
-        own, ring = records(self._own), self._own_ring
-        missed = follow_one(own, ring, t_ns, seq, restart)
-        return None if missed == PAUSE else int(missed)
-
-    @property
-    def _leg(self) -> Any:
-        return self._own[0] if self._place is None else self._place.leg
-
-    @property
-    def _ring(self) -> NDArray[np.int64]:
-        ring: NDArray[np.int64] = self._own_ring[0]
-        return ring if self._place is None else np.asarray(self._place.batch.ring[self._place.row])
-
-
-class Seams:
-    """Removes the seam of an encoder from one leg's angles, as a tick does.
-
-    Args:
-        joints: J.
-    """
-
-    def __init__(self, joints: int) -> None:
-        self._legs = new_legs(1)
-        self._last = np.zeros(joints)
-
-    def unwrap(self, sample: ServoSample, *, restart: bool) -> ServoSample:
-        """Return the sample with its angles in one turn; itself where they already are."""
-        measured, desired = np.array(sample.measured), np.array(sample.desired)
-        preview = np.array(sample.preview or ()).reshape(-1, len(desired))
-        leg = records(self._legs)[0]
-        unwrap(leg, measured, desired, preview, self._last, restart)
-        angles = {"measured": measured.tolist(), "desired": desired.tolist()}
-        if sample.preview is not None:
-            angles["preview"] = preview.tolist()
-        if all(getattr(sample, name) == value for name, value in angles.items()):
-            return sample
-        return msgspec.structs.replace(sample, **angles)
-
-
-_CAUSES: Final[dict[bool | None, str]] = {
-    None: "whether the readings are late, too, is not known yet",
-    False: "the readings are on time, and ticks are counted by seq",
-    True: "the readings are late, too, and are moved to their ticks",
-}

@@ -30,6 +30,8 @@ SOFT_TICKS: Final = 12  # by then it is, all the same
 # A lift in which the foot has risen by less is no evidence: it may never have left the
 # ground.
 LIFTED_M: Final = 0.006
+# A command that takes the foot no further does not show whether the foot follows.
+LEAST_WAY_M: Final = 0.015
 # A foot is clear in this tick at the latest: the last pressed one let go in the 9th of its swing.
 CLEAR_TICKS: Final = 11
 # Without geometry the first half of a swing stands for its lift, if it holds enough ticks after the

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.detect.layout import ASKED, HEIGHTS, SWINGS
 from adaptive_contact.detect.leg_batch import LegPlace
-from adaptive_contact.detect.swing import LIFT_TICKS, LIFTED_M
+from adaptive_contact.detect.swing import LEAST_WAY_M, LIFT_TICKS, LIFTED_M
 from adaptive_contact.robot import Leg
 
 __all__ = ["Landings", "Rollout", "SwingJudge"]
@@ -24,9 +24,6 @@ __all__ = ["Landings", "Rollout", "SwingJudge"]
 _Point = tuple[float, float, float]  # of a foot, in its leg's frame, m
 Rollout = Callable[[Sequence[Sequence[float]]], Sequence[NDArray[np.float64]]]
 
-# A command that takes the foot no further does not show whether the foot follows; of a leg of
-# 0.256 m, and in proportion for others.
-LEAST_WAY_M: Final = 0.015
 # A foot that has come less than this share of its command's way by the top of the lift is held:
 # caught ones 95 times in 100; free ones, those of tired legs among them, 1 to 4 times.  It is taken
 # for free again above the second share, which free ones reach 9 times in 10.
@@ -107,11 +104,6 @@ class SwingJudge:
     def lifted(self) -> bool:
         """Whether the foot has come up at all; assumed without geometry."""
         return self._leg.chain is None or float(self._place.leg["rise"]) > self._lifted_m
-
-    @property
-    def moved(self) -> bool:
-        """Whether the foot has come far enough to show that it follows its command."""
-        return float(self._place.leg["moved"]) > self._least_way_m
 
     @property
     def had_lifted(self) -> bool:

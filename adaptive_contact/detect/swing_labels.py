@@ -15,20 +15,13 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from adaptive_contact.detect.flags import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
+from adaptive_contact.detect.contact import MIN_LIFT_ROWS
+from adaptive_contact.detect.layout import BEGAN, BROKE_OFF, ENTERED, RESTARTED, TOPPED, TOUCHING
 from adaptive_contact.detect.leg_batch import LegPlace
 from adaptive_contact.detect.swing_judge import Landings, Rollout, SwingJudge
-from adaptive_contact.model.labelled_swing import (
-    SEGMENTS,
-    Label,
-    LabelledSwing,
-    Push,
-    Row,
-    Touch,
-)
-from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.labelled_swing import SEGMENTS, Label, LabelledSwing, Push, Row, Touch
+from adaptive_contact.model.leg_model import LegModel, rollout
 from adaptive_contact.model.noise import UNFIT_LEVEL
-from adaptive_contact.model.rollout import rollout
 
 __all__ = ["SwingLabels", "confirmed_before", "confirmed_of", "let_go_rows"]
 
@@ -39,8 +32,6 @@ TOUCH_TICKS: Final = 3
 # A foot that lets go late shows in residuals that fall by orders of magnitude; a leg that has
 # changed shows in all of them alike.  Rows this many times above the last ones are still pressed.
 LET_GO_RATIO: Final = 10.0
-# Fewer free ticks than this say nothing about a lift.
-MIN_LIFT_ROWS: Final = 3
 # Ticks before an estimated onset that are not taken for free: estimates are late by up to two.
 GUARD_TICKS: Final = 3
 # Nearer than this nothing is.
@@ -69,8 +60,6 @@ class SwingLabels:
 
     Attributes:
         landings: how late touches come.
-        fits: whether the leg has moved as its model says in the swing in hand: in its lift, or
-            before a contact.
     """
 
     def __init__(self, place: LegPlace, swing: SwingJudge) -> None:
@@ -82,7 +71,6 @@ class SwingLabels:
         self._regions = _Regions()
         self._touch: list[Touch] = []  # the first ticks of a contact in hand
         self._travel_judged = False
-        self.fits = False
         self._rollout: Rollout | None = None  # from where the leg was before the swing
         self._unobserved = 0  # whole swings since a lift was labelled
 
@@ -148,18 +136,6 @@ class SwingLabels:
             LabelledSwing(Label.END, early=self._swing.touched_early()),
         ]
 
-    def touch(self, onset_ns: int) -> None:
-        """Note whether the ticks before a contact fit the model, where the foot came some way.
-
-        A foot that stops against something after it has moved as predicted is not one whose
-        readings are frozen or turned around, or which was held from the start.
-        """
-        leg = self._place.leg
-        row = int(leg["fit_n"])
-        if not row and int(leg["misfit_ns"]) >= onset_ns - int(leg["period_ns"]):
-            row = int(leg["fit_before"])
-        self.fits |= row >= MIN_LIFT_ROWS and self._swing.moved
-
     def alarm(self) -> list[LabelledSwing]:
         """Label what a contact that has just begun confirms, and keep its first tick."""
         leg = self._place.leg
@@ -183,7 +159,7 @@ class SwingLabels:
 
     def _begin_swing(self) -> None:
         self._travel_judged = False
-        self.fits = False
+        self._place.leg["fits"] = False
         self._rollout = None
         # By the model as it was first known: what was learned since may be of what holds the foot.
         batch, row = self._place.batch, self._place.row
@@ -205,7 +181,7 @@ class SwingLabels:
         rows = let_go_rows(self._rows(0, int(leg["lift_n"])))
         if rows is None:
             return found
-        self.fits |= sum(row.nis for row in rows) <= UNFIT_LEVEL * len(rows)
+        leg["fits"] |= sum(row.nis for row in rows) <= UNFIT_LEVEL * len(rows)
         if swing.lifted and not (swing.obstructed or leg["suspected"]):
             self._unobserved = 0
             self._region = self._regions.of(self._place.batch.desired[self._place.row].tolist())

@@ -27,11 +27,10 @@ from adaptive_contact.conventions.judge import (
     judge_hanging,
     judge_motion,
 )
-from adaptive_contact.detect.clock import LATE_PERIODS
+from adaptive_contact.detect.source import LATE_PERIODS
+from adaptive_contact.detect.source_watch import RateWatch, Seams
 from adaptive_contact.detect.stream import (
     RESET_SAMPLES,
-    RateWatch,
-    Seams,
     StreamGuard,
 )
 from adaptive_contact.errors import IdentificationError

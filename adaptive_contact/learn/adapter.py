@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,8 @@ from adaptive_contact.learn.candidate import Candidate, rows_for_refit
 from adaptive_contact.learn.drift import (
     SETTLED_LEVEL,
     DriftMonitor,
+    EarlyContacts,
 )
-from adaptive_contact.learn.early_contacts import EarlyContacts
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
@@ -39,7 +39,7 @@ from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 from adaptive_contact.wire import Doubt, RefitCounts, Status
 
-__all__ = ["Adapter"]
+__all__ = ["Adapter", "Standing"]
 
 Array = NDArray[np.float64]
 
@@ -94,6 +94,20 @@ class FirstSwings:
         if self.swings < KNOWN_SWINGS:
             return f"{self.swings} of {KNOWN_SWINGS} swings"
         return f"{self.swings} swings, not sure yet"
+
+
+class Standing(NamedTuple):
+    """Holds what the learning says of a leg, as its events report it.
+
+    Attributes:
+        status: valid, adapting or ambiguous; learning while there is no model.
+        doubt: why the leg is ambiguous; None where it is not.
+        version: of the model in force.
+    """
+
+    status: Status = "learning"
+    doubt: Doubt | None = None
+    version: int = 0
 
 
 class Adapter:
@@ -155,16 +169,6 @@ class Adapter:
         return self._active.model
 
     @property
-    def version(self) -> int:
-        """Of the model in force."""
-        return self._active.version
-
-    @property
-    def inflated(self) -> bool:
-        """Whether the recursion's covariance is inflated, so that predictions are uncertain."""
-        return self._active.inflated
-
-    @property
     def changed(self) -> bool:
         """Whether the leg has changed since the model in force was fitted, by its lifts."""
         return self._active.inflated or self.variance_in_force > 1.0
@@ -190,10 +194,12 @@ class Adapter:
         return "learning" if self.first is not None and status != "ambiguous" else status
 
     @property
-    def doubt(self) -> Doubt | None:
-        """Why the leg is ambiguous; None where it is not."""
-        doubt = self.monitor.doubt
-        return "descents" if doubt is None and self.status == "ambiguous" else doubt
+    def standing(self) -> Standing:
+        """Status, doubt and version, for events and the leg's status."""
+        status, doubt = self.status, self.monitor.doubt
+        if doubt is None and status == "ambiguous":
+            doubt = "descents"
+        return Standing(status, doubt, self._active.version)
 
     @property
     def note(self) -> str | None:

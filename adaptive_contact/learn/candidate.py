@@ -13,19 +13,21 @@ from numpy.typing import NDArray
 
 from adaptive_contact.fit.refit_job import RefitJob, RefitResult, Refitter
 from adaptive_contact.fit.sparse_regression import FitStatus
-from adaptive_contact.learn.contact_store import StoredContacts
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.learn.state import ImplausibleError, array_of, pack
 from adaptive_contact.model.factor import Factor
-from adaptive_contact.model.labelled_swing import Row
+from adaptive_contact.model.glr import statistic
+from adaptive_contact.model.labelled_swing import Row, Touch
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.training_domain import Domain
 from adaptive_contact.wire import RefitCounts
 
-__all__ = ["Candidate", "first_refit_after", "rows_for_refit"]
+__all__ = ["Candidate", "StoredContacts", "first_refit_after", "rows_for_refit"]
 
 Array = NDArray[np.float64]
 
+# Contacts stored: as many as a minute of walking brings, half of them of the ground.
+MOST_CONTACTS: Final = 40
 REFIT_EVERY_SWINGS: Final = 20
 # Or after so long, for legs that step slowly.
 REFIT_EVERY_S: Final = 30.0
@@ -70,6 +72,50 @@ def first_refit_after(leg: str) -> tuple[int, float]:
     """Compute after how many swings, or s, a leg's first refit is asked for."""
     later = 1.0 + SPREAD * zlib.crc32(leg.encode()) / 2**32
     return round(later * REFIT_EVERY_SWINGS), later * REFIT_EVERY_S
+
+
+class StoredContacts:
+    """Stores the newest contacts of one leg in its present era, to try new models on.
+
+    A sparse refit is chosen on free ticks, which say nothing about what it would make of a touch:
+    one that explains how legs stop on the ground would win there, and detect no contact.
+    """
+
+    def __init__(self) -> None:
+        self._kept: deque[tuple[Touch, ...]] = deque(maxlen=MOST_CONTACTS)
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def add(self, ticks: Sequence[Touch]) -> None:
+        """Store a contact, the ticks from its alarm on; the oldest goes if there are too many."""
+        self._kept.append(tuple(ticks))
+
+    def clear(self) -> None:
+        """Drop all, as the leg has changed: they may have been the change."""
+        self._kept.clear()
+
+    def found(self, coefficients: Array) -> NDArray[np.bool_]:
+        """Tell which of them a model reports, whatever happened before.
+
+        In any of their ticks: an alarm that came too early, which a better model would not raise,
+        is followed by the touch itself.
+
+        Args:
+            coefficients: (p, J).
+
+        Returns:
+            (n,), oldest first.
+        """
+        if not self._kept:
+            return np.zeros(0, dtype=np.bool_)
+        ticks = [touch for contact in self._kept for touch in contact]
+        theta, target, whiten, limits, usable = map(np.array, zip(*ticks, strict=True))
+        increment = theta @ coefficients
+        said = statistic(target - increment, increment, whiten, usable)
+        alarm = (np.nan_to_num(said.value) / limits).max(axis=-1) > 1.0
+        begins = np.cumsum([0, *(len(contact) for contact in self._kept)])[:-1]
+        return np.asarray(np.logical_or.reduceat(alarm, begins))
 
 
 class Candidate:

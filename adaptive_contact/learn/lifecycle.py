@@ -6,6 +6,7 @@ adapter keeps the model up to date; it is made here and nowhere else.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, Final
 
 import numpy as np
@@ -13,22 +14,24 @@ from numpy.typing import NDArray
 
 from adaptive_contact.fit.refit_job import Refitter
 from adaptive_contact.learn.adapter import Adapter
-from adaptive_contact.learn.change_terms import ready_for_changes
 from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.learn.noise_tracker import NoiseTracker
+from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.leg_prior import leg_prior, prior_tails
 from adaptive_contact.model.library import Library, leg_library, with_changes
 from adaptive_contact.model.model_file import Baseline, LegBaseline
 from adaptive_contact.model.tail import Tail
 from adaptive_contact.robot import AngleFrame, Leg, Robot
 
-__all__ = ["Lifecycle"]
+__all__ = ["Lifecycle", "ready_for_changes"]
 
 Array = NDArray[np.float64]
 
 # A prior that does not fit a leg is widened so many times, and again, up to the most.
 WIDER: Final = 3.0
 WIDEST: Final = 10.0
+# What a servo half as stiff does otherwise in a tick, over the noise: 5 to 7, walking and in pose.
+SOFT_NOISES: Final = 5.0
 
 
 class Lifecycle:
@@ -221,3 +224,29 @@ class Lifecycle:
 
     def _refused(self, why: str) -> str:
         return f"snapshot of leg '{self._leg.id}' not used: {why}"
+
+
+def ready_for_changes(known: LegBaseline) -> LegBaseline:
+    """Add to a leg's baseline the terms of what may happen to it (decision 21), with zeros.
+
+    Args:
+        known: of q terms.
+
+    Returns:
+        The same with (q + added, J) coefficients, scales of all terms, and a domain and a spread
+        that say nothing of the added ones.
+    """
+    model = known.model
+    library = with_changes(model.library, model.coefficients)
+    added = library.size - len(known.scale)
+    joints = len(library.joints)
+    scale = np.ones(added)  # friction saturates at 1
+    if library.knows_law:
+        scale[-joints:] = SOFT_NOISES * known.noise.rms
+    return dataclasses.replace(
+        known,
+        model=LegModel(library, np.pad(model.coefficients, ((0, added), (0, 0))), model.version),
+        scale=np.concatenate([known.scale, scale]),
+        spread=None if known.spread is None else np.pad(known.spread, ((0, 0), (0, 0), (0, added))),
+        domain=known.domain and dataclasses.replace(known.domain, beyond=added),
+    )

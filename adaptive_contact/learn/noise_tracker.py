@@ -71,7 +71,6 @@ class NoiseTracker:
         whiten: (contexts, windows, J, J).
         thresholds: (windows,) of the statistic.
         awaited: the same for ticks after the turn to stance, in which a touch is expected.
-        revision: raised whenever one of them changes.
     """
 
     def __init__(
@@ -90,7 +89,6 @@ class NoiseTracker:
         self.thresholds: Array = self._least
         self._least_awaited = thresholds_of(tails, AWAITED * false_alarms_per_hour)
         self.awaited: Array = self._least_awaited
-        self.revision = 0
         self._under_way: _Shaping | None = None
         # Of the statistic of one tick: ticks, those above the tail's level, and their excess.
         self._ticks = self._above = self._excess = 0.0
@@ -155,7 +153,6 @@ class NoiseTracker:
         self.thresholds = np.maximum(self._least, thresholds_of(tails, self._aim))
         awaited = thresholds_of(tails, AWAITED * self._aim)
         self.awaited = np.maximum(self._least_awaited, awaited)
-        self.revision += 1
         return True
 
     @property

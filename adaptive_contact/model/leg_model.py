@@ -6,15 +6,18 @@ r"""Defines the closed-form leg model: a library and a sparse matrix of coeffici
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import IdentificationError
-from adaptive_contact.model.library import Library
+from adaptive_contact.model.library import ChangeLibrary, Library
 from adaptive_contact.model.window import Rows
+from adaptive_contact.robot import Leg
+from adaptive_contact.wire import MAX_ANGLE_RAD, ModelReport, ModelTerm
 
-__all__ = ["LegModel"]
+__all__ = ["LegModel", "report_of", "rollout"]
 
 Array = NDArray[np.float64]
 
@@ -82,3 +85,64 @@ class LegModel:
         column = self.coefficients[:, joint]
         order = np.argsort(-np.abs(column), kind="stable")
         return [(self.library.names[i], float(column[i])) for i in order if column[i] != 0.0]
+
+
+def rollout(model: LegModel, window: Array, commands: Sequence[Sequence[float]]) -> list[Array]:
+    """Predict positions several ticks ahead, each prediction taken for the next reading.
+
+    Args:
+        model: of the leg free of contact; of a library without preview.
+        window: (w,) rad, measured and desired up to the tick before, as a prediction is made from.
+        commands: (J,) rad each, from the next tick on.
+
+    Returns:
+        (J,) rad, where the leg would be at each of those ticks; fewer where the model, left to
+        itself, runs away: one of polynomials does.
+    """
+    shape = model.library.window
+    joints = len(model.library.joints)
+    flat = window.copy()
+    past = flat.reshape(-1, joints)
+    measured, desired = past[: shape.past_measured + 1], past[shape.past_measured + 1 :]
+    places: list[Array] = []
+    for command in commands:
+        now = measured[0] + model.library.evaluate_flat(flat) @ model.coefficients
+        if not np.all(np.abs(now) <= MAX_ANGLE_RAD):  # neither does NaN
+            break
+        places.append(now)
+        for rows, newest in ((measured, now), (desired, command)):
+            rows[1:] = rows[:-1].copy()
+            rows[0] = newest
+    return places
+
+
+def report_of(leg: Leg, model: LegModel, threshold: float, origin: str | None) -> ModelReport:
+    """Report the terms, coefficients and equations of a leg's model.
+
+    Args:
+        leg: whose.
+        model: in force.
+        threshold: of the statistic over one tick.
+        origin: where the model comes from.
+    """
+    joints = range(len(leg.joints))
+    library = model.library
+    first: list[list[ModelTerm]] = []
+    if isinstance(library, ChangeLibrary) and model.support[len(library.first) :].any():
+        first = [_terms(zip(library.names, column, strict=False)) for column in library.first.T]
+    return ModelReport(
+        leg=leg.id,
+        model_version=model.version,
+        joints=list(leg.joints),
+        terms=[_terms(model.terms(joint)) for joint in joints],
+        first=first,
+        equations=model.equations(),
+        library=library.name,
+        threshold=threshold,
+        origin=origin,
+    )
+
+
+def _terms(named: Iterable[tuple[str, float]]) -> list[ModelTerm]:
+    """Those that there are."""
+    return [ModelTerm(name=name, coefficient=float(c)) for name, c in named if c != 0.0]

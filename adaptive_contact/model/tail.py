@@ -77,14 +77,6 @@ class Tail:
         mean = self.scale / (1.0 - self.shape)
         return dataclasses.replace(self, shape=shape, scale=mean * (1.0 - shape))
 
-    def exceedance(self, value: float) -> float:
-        """Compute the probability that a free tick's statistic is above ``value`` (≥ ``level``)."""
-        y = max(value - self.level, 0.0) / self.scale
-        if abs(self.shape) < 1e-9:
-            return self.rate * math.exp(-y)
-        base = 1.0 + self.shape * y
-        return 0.0 if base <= 0.0 else self.rate * math.pow(base, -1.0 / self.shape)
-
     def quantile(self, probability: float) -> float:
         """Compute the value that a free tick exceeds with the given probability.
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from adaptive_contact.detect.stream import NOTED_JITTER
+from adaptive_contact.detect.source_watch import NOTED_JITTER
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
 from adaptive_contact.service.readings import check_readings, position_step

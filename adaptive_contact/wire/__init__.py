@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from adaptive_contact.wire.bridge import BridgeStatus, Quantiles, ServoCounts
 from adaptive_contact.wire.codec import (
     JSON,
     MAX_PAYLOAD_BYTES,
@@ -39,6 +38,7 @@ from adaptive_contact.wire.messages import (
     MAX_ANGLE_RAD,
     MAX_PREVIEW_TICKS,
     VERSION,
+    BridgeStatus,
     BufferCounts,
     Command,
     ContactEvent,
@@ -55,7 +55,9 @@ from adaptive_contact.wire.messages import (
     ModelReport,
     ModelTerm,
     Phase,
+    Quantiles,
     RefitCounts,
+    ServoCounts,
     ServoSample,
     Status,
 )

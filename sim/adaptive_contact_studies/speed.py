@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from adaptive_contact.bank import LegGroup, compile_ahead
 from adaptive_contact.detect.leg_batch import LegBatch
 from adaptive_contact.errors import AdaptiveContactError
 from adaptive_contact.fit.refit_job import Job
 from adaptive_contact.learn.rls import RecursiveLeastSquares
-from adaptive_contact.leg_group import LegGroup, compile_ahead
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
@@ -113,7 +113,7 @@ class _NoRefits:
 
 
 def tick_speed(run: Run, robot: Robot, baseline: Baseline, robots: int = 100) -> TickSpeed:
-    """Measure :class:`~adaptive_contact.leg_group.LegGroup` over a run of all legs.
+    """Measure :class:`~adaptive_contact.bank.LegGroup` over a run of all legs.
 
     Args:
         run: of the robot.

@@ -87,7 +87,7 @@ def test_a_part_of_it_is_not_all(folder: Path) -> None:
     """A start that finds a part would compile the rest itself, and keep the memory for it."""
     code = """
 from adaptive_contact import compiled
-from adaptive_contact.leg_group import compile_ahead
+from adaptive_contact.bank import compile_ahead
 found = compiled.cache_folder()
 (found / "part.nbi").touch()
 print(compiled.is_cached())

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adaptive_contact.detect.echo import take_phase
+from adaptive_contact.detect.contact import begin_labels, enter_row, note_hole
 from adaptive_contact.detect.history import (
     MAX_STEP_RAD_S,
     judged,
@@ -16,11 +16,11 @@ from adaptive_contact.detect.history import (
     take,
 )
 from adaptive_contact.detect.leg_batch import LegBatch, LegPlace
+from adaptive_contact.detect.source import take_phase
 from adaptive_contact.detect.swing import follow_command, follow_foot, place_foot
 from adaptive_contact.detect.swing_judge import SwingJudge
 from adaptive_contact.detect.swing_labels import confirmed_before, confirmed_of, let_go_rows
-from adaptive_contact.detect.swing_rows import begin_labels, enter_row, note_hole
-from adaptive_contact.learn.change_terms import ready_for_changes
+from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.model import Baseline, leg_library
 from adaptive_contact.model.labelled_swing import Row
 from adaptive_contact.model.library import with_changes

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.learn.early_contacts import BEGIN, END, SWINGS, EarlyContacts
+from adaptive_contact.learn.drift import EARLY_BEGIN, EARLY_END, EARLY_SWINGS, EarlyContacts
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, parse_robot
 from adaptive_contact.robot.kinematics import inverse
@@ -135,15 +135,15 @@ SHARES = st.floats(0.3, 1.0).flatmap(
 
 
 @given(SHARES)
-@example([True] * BEGIN + [False] * 10 + [True] * 3 + [False] * SWINGS)
+@example([True] * EARLY_BEGIN + [False] * 10 + [True] * 3 + [False] * EARLY_SWINGS)
 def test_the_doubt_begins_with_three_quarters_of_the_swings_and_ends_with_half(
     swings: list[bool],
 ) -> None:
     touches, told = EarlyContacts(), False
     for k, swing in enumerate(swings):
         began = touches.take(swing)
-        count = sum(swings[max(k + 1 - SWINGS, 0) : k + 1])
-        now = count >= BEGIN or (told and count > END)
+        count = sum(swings[max(k + 1 - EARLY_SWINGS, 0) : k + 1])
+        now = count >= EARLY_BEGIN or (told and count > EARLY_END)
         assert (touches.told, began) == (now, now and not told)
         assert (touches.note is None) == (not now)
         told = now

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
-from adaptive_contact.learn.cold_start import ColdJob
 
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import InlineRefitter, RefitResult
 from adaptive_contact.learn.candidate import (
     DOMAIN_ROWS,
+    MOST_CONTACTS,
     PRIOR_ROWS,
     PROBATION_ROWS,
     REFIT_EVERY_S,
     REFIT_EVERY_SWINGS,
     Candidate,
+    StoredContacts,
     first_refit_after,
 )
-from adaptive_contact.learn.contact_store import MOST, StoredContacts
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel
 
@@ -89,11 +91,22 @@ def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
     assert trial.counts.refused == 1
 
 
+class Numbered(NamedTuple):
+    """A job."""
+
+    leg: str
+    number: int
+
+    def run(self) -> object:
+        """Nothing."""
+        return None
+
+
 def test_in_line_one_job_of_a_leg_waits() -> None:
     refitter = InlineRefitter()
     for number in range(5):
-        refitter.submit(ColdJob("rf", number, [], None, None, 0.0))  # type: ignore[arg-type]
-    refitter.submit(ColdJob("lf", 0, [], None, None, 0.0))  # type: ignore[arg-type]
+        refitter.submit(Numbered("rf", number))
+    refitter.submit(Numbered("lf", 0))
     assert {leg: job.number for leg, job in refitter._jobs.items()} == {"rf": 4, "lf": 0}
     assert refitter.collect("rf", 3) is None
 
@@ -211,9 +224,9 @@ def test_a_change_of_the_leg_forgets_its_contacts(model: LegModel) -> None:
 def test_the_newest_contacts_are_kept(model: LegModel) -> None:
     stored = StoredContacts()
     assert stored.found(model.coefficients).shape == (0,)
-    for _ in range(MOST + 5):
+    for _ in range(MOST_CONTACTS + 5):
         stored.add([stopped(model)])
-    assert len(stored) == MOST
+    assert len(stored) == MOST_CONTACTS
     assert stored.found(model.coefficients).all()
     assert not stored.found(np.zeros_like(model.coefficients)).any(), "who expects no motion"
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptive_contact.learn.change_terms import ready_for_changes
+from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.learn.rls import RecursiveLeastSquares
 from adaptive_contact.model import Baseline, LegBaseline, LegModel, Rows, stack
 from adaptive_contact.model.change_prior import change_directions, core_support

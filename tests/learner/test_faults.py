@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from adaptive_contact.bank import LearnerBank
 from adaptive_contact.compiled import records
+from adaptive_contact.detect.contact import note_fit
 from adaptive_contact.detect.layout import new_legs
-from adaptive_contact.detect.swing_rows import note_fit
 from adaptive_contact.learn.drift import OBSTRUCTED_SWINGS
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline

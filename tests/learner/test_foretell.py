@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 from adaptive_contact.model import Baseline, LegModel, leg_library
-from adaptive_contact.model.rollout import rollout
+from adaptive_contact.model.leg_model import rollout
 from adaptive_contact.robot import Robot, foot_point
 from adaptive_contact.wire import MAX_ANGLE_RAD
 

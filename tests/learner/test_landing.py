@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.statistic import context_of, statistic
+from adaptive_contact.bank import LegGroup
+from adaptive_contact.detect.contact import context_of, statistic
 from adaptive_contact.detect.swing import AFTER_TICKS, SAME_TICKS
 from adaptive_contact.detect.swing_judge import LANDINGS, Landings
 from adaptive_contact.learn.noise_tracker import AWAITED
-from adaptive_contact.leg_group import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, parse_robot

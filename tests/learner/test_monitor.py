@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from adaptive_contact.learn.drift import (
-    LEVEL_RANGE,
     LOOSEN_EVERY,
     OBSTRUCTED_SWINGS,
     PATIENCE_SWINGS,
@@ -226,15 +225,6 @@ def test_a_swing_whose_lift_is_doubted_is_not_trusted() -> None:
     assert not monitor.trusted
     hear(monitor, 20.0, 32)
     assert monitor.trusted, "the leg has changed, and is learned anew"
-
-
-def test_the_level_of_a_first_model_may_come_down() -> None:
-    hasty, known = DriftMonitor(3, LEVEL_RANGE[0]), DriftMonitor(3)
-    for k in range(100):
-        hear(hasty, 0.5, k)
-        hear(known, 0.5, k)
-    assert hasty.variance_scale == pytest.approx(0.5, rel=0.01)
-    assert known.variance_scale == 1.0
 
 
 def test_a_baseline_that_never_fitted_is_unfit_and_one_that_did_is_not() -> None:

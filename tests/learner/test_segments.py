@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from adaptive_contact.detect.contact import FREE_LIFT_TICKS, MAX_ROWS
 from adaptive_contact.detect.swing_labels import (
     GUARD_TICKS,
     HOLE_TICKS,
@@ -14,7 +15,6 @@ from adaptive_contact.detect.swing_labels import (
     TOUCHING_TICKS,
     _Regions,
 )
-from adaptive_contact.detect.swing_rows import FREE_LIFT_TICKS, MAX_ROWS
 from adaptive_contact.learn.replay_buffer import MOST_ROWS, ReplayBuffer
 from adaptive_contact.model.labelled_swing import SEGMENTS, Push, Row
 from adaptive_contact.robot import Robot

@@ -9,7 +9,6 @@ import msgpack
 import msgspec
 import numpy as np
 import pytest
-from adaptive_contact.learn.cold_start import prior_tails
 
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
@@ -105,37 +104,34 @@ def test_without_a_model_counts_and_publishers_are_kept(robot: Any) -> None:
     assert again.status.rejects["other_publisher"] == 1, "the newer one still wins"
 
 
-def test_a_leg_started_cold_goes_on_where_it_was(robot: Any) -> None:
-    """Nothing but the snapshot holds its first model."""
-    baseline = shipped_baseline(robot.name)
-    assert baseline is not None
+def test_a_leg_without_a_baseline_goes_on_where_it_was(robot: Any) -> None:
     found = ContactLearner(robot, "rf", None)
-    # As after its first fit: what a cold start found is a leg's baseline without a file.
-    lifecycle = found._lifecycle
-    lifecycle._begin(baseline.legs["rf"], prior_tails(3), version=1)
-    lifecycle.cold, lifecycle._started_cold, lifecycle.origin = None, True, "cold start: test"
+    play(found, samples(*FakeLeg(seed=3).run(14)[:3]))
     tree = msgpack.unpackb(msgpack.packb(found.snapshot()))
 
     fresh = ContactLearner(robot, "rf", None)
     assert fresh.restore(copy.deepcopy(tree)) is None
     assert msgpack.packb(fresh.snapshot()) == msgpack.packb(found.snapshot())
-    assert fresh.status.status == "valid"
+    assert fresh.status.status == found.status.status
     assert fresh.model_report is not None
-    assert fresh.model_report.origin == "cold start: test"
+    assert found.model_report is not None
+    assert fresh.model_report.equations == found.model_report.equations
+    assert fresh.model_report.origin == "what is known of any leg"
 
 
-@pytest.mark.parametrize(
-    ("start", "says"),
-    [
-        (3, "what it started from is missing"),
-        ({"known": {"library": {}, "leg": {}}}, "cannot be read"),
-    ],
-)
-def test_a_cold_start_s_snapshot_is_refused_whole(robot: Any, start: object, says: str) -> None:
-    saved = learner(robot).snapshot()
+def test_a_leg_of_an_older_version_without_a_baseline_begins_anew(robot: Any) -> None:
+    saved = {**learner(robot).snapshot(), "start": {"known": {}, "origin": "cold start"}}
     fresh = ContactLearner(robot, "rf", None)
-    line = fresh.restore({**saved, "start": start})
+    line = fresh.restore(saved)
     assert line is not None
-    assert says in line
+    assert "older version" in line
     assert fresh.status.status == "learning"
-    assert fresh.model is None
+
+
+def test_no_baseline_is_begun_with_where_there_was_none(robot: Any) -> None:
+    """What was learned from a prior says nothing of a leg that has a baseline now."""
+    bare = ContactLearner(robot, "rf", None)
+    play(bare, samples(*FakeLeg(seed=3).run(8)[:3]))
+    line = learner(robot).restore(bare.snapshot())
+    assert line is not None
+    assert "another baseline" in line

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adaptive_contact import ContactLearner
-from adaptive_contact.detect.echo import ECHO_EVIDENCE, ECHO_TICKS
+from adaptive_contact.detect.source import ECHO_EVIDENCE, ECHO_TICKS
 from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.learn.mode import WhenAmbiguous
 from adaptive_contact.leg_learner import ContactLearner as Learner

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from adaptive_contact.detect.clock import vote_late
+from adaptive_contact.detect.source import vote_late
+from adaptive_contact.detect.source_watch import RateWatch
 from adaptive_contact.detect.stream import (
     CONFIRM_SAMPLES,
     LONGEST_GAP,
@@ -19,7 +20,6 @@ from adaptive_contact.detect.stream import (
     SHORT_RUN_SAMPLES,
     TAKE_BACK_SAMPLES,
     Accepted,
-    RateWatch,
     StreamGuard,
 )
 from adaptive_contact.wire import Reject, ServoSample

@@ -7,7 +7,7 @@ import gc
 import numpy as np
 
 from adaptive_contact import ContactLearner, ServoSample
-from adaptive_contact.leg_group import LegGroup
+from adaptive_contact.bank import LegGroup
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ContactEvent

@@ -6,15 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from adaptive_contact.learn.cold_start import ColdStart
 from numpy.typing import NDArray
 
 from adaptive_contact.fit.outliers import GUARD_TICKS, inliers, untouched
 from adaptive_contact.fit.train import Stretch, cautious, learn
-from adaptive_contact.model import leg_library
 from adaptive_contact.robot import Robot
 
-from .conftest import FakeLeg, samples
+from .conftest import FakeLeg
 
 Array = NDArray[np.float64]
 
@@ -178,30 +176,3 @@ def test_a_baseline_of_swings_that_touched_is_as_good_as_one_of_free_swings(robo
     # As it would be if all were taken at their word.
     taken = learn(robot, {"rf": [dataclasses.replace(believed, certain=True)]}, origin="all")
     assert (taken.baseline.thresholds(1.0) > 3.0 * told.baseline.thresholds(1.0)).any()
-
-
-def test_a_first_model_holds_no_touch(robot: Robot) -> None:
-    """Of a leg that is stopped in every other swing, well before its last ticks."""
-    free = samples(*FakeLeg(seed=31).run(60)[:3])
-    touched = samples(*FakeLeg(seed=30).run(80, touch=lambda n: 15 if n % 2 else None)[:3])
-    described = robot.leg("rf")
-    cold = ColdStart(described, leg_library(robot, described), robot.quantum("rf"))
-    for sample in touched:
-        swing = sample.phase == "swing"
-        cold.add(sample.measured, sample.desired, swing=swing, sound=True)
-    job = cold.job()
-    assert job is not None
-    known = job.run().known
-    assert known is not None
-    off = []
-    window = known.model.library.window
-    measured, desired = (
-        np.array([getattr(s, name) for s in free]) for name in ("measured", "desired")
-    )
-    for tick in range(window.length, len(free) - 1):
-        if free[tick + 1].phase == "swing":
-            past = measured[tick - window.past_measured : tick + 1][::-1]
-            commands = desired[tick - window.past_desired : tick + 1][::-1]
-            theta = known.model.library.evaluate(past[None], commands[None], np.zeros((1, 0, 3)))[0]
-            off.append(measured[tick + 1] - measured[tick] - theta @ known.model.coefficients)
-    assert np.sqrt(np.square(off).mean(axis=0)).max() < 0.0065

@@ -36,19 +36,19 @@ class Fault:
 
 FAULTS: Final = (
     Fault(
-        "threshold of a contact", "detect/contact_state.py",
+        "threshold of a contact", "detect/contact.py",
         "if score <= 1.0:", "if score <= 1.02:", "pose-obstacles",
     ),
     Fault(
-        "calm ticks to rearm", "detect/contact_state.py",
+        "calm ticks to rearm", "detect/contact.py",
         "REARM_TICKS: Final = 4", "REARM_TICKS: Final = 5", "pose-obstacles",
     ),
     Fault(
-        "sign of the onset's share", "detect/statistic.py",
+        "sign of the onset's share", "detect/contact.py",
         "min(max(-along / power, 0.0)", "min(max(along / power, 0.0)", "pose-obstacles",
     ),
     Fault(
-        "a window that is not there yet", "detect/statistic.py",
+        "a window that is not there yet", "detect/contact.py",
         "if width + 1 > leg.usable:", "if width > leg.usable:", "caught-foot",
     ),
     Fault(
@@ -109,7 +109,7 @@ FAULTS: Final = (
         "TAKE_BACK_SAMPLES: Final = 25", "TAKE_BACK_SAMPLES: Final = 24", "two-publishers",
     ),
     Fault(
-        "a rate that is off", "detect/clock.py",
+        "a rate that is off", "detect/source.py",
         "MOST_OFF: Final = 0.10", "MOST_OFF: Final = 0.30", "other-rate",
     ),
     Fault(
@@ -129,8 +129,8 @@ FAULTS: Final = (
         "if not row.value > level:", "if not row.value > 1.1 * level:", "pose-free",
     ),
     Fault(
-        "swings of a cold start", "learn/cold_start.py",
-        "FIRST_TRY_SWINGS: Final = 20", "FIRST_TRY_SWINGS: Final = 21", "cold-start",
+        "swings until a leg is known", "learn/adapter.py",
+        "KNOWN_SWINGS: Final = 10", "KNOWN_SWINGS: Final = 11", "cold-start",
     ),
     Fault(
         "first lifts of an unfit baseline", "learn/drift.py",

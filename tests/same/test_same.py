@@ -190,7 +190,7 @@ def test_every_fault_can_be_planted_in_this_tree(sound: Tree, tmp_path: Path) ->
 
 
 def test_a_fault_whose_line_is_gone_fails_and_says_what_to_do(sound: Tree, tmp_path: Path) -> None:
-    gone = Fault("gone", "detect/contact_state.py", "no such line", "", "walk-flat")
+    gone = Fault("gone", "detect/contact.py", "no such line", "", "walk-flat")
     with (
         pytest.raises(SystemExit, match=r"0 times .* adapt this fault"),
         planted(gone, sound, tmp_path),

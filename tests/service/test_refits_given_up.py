@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from adaptive_contact.learn.cold_start import ColdJob, ColdResult
 
 from adaptive_contact.fit import FitStatus
 from adaptive_contact.fit.refit_job import Job, RefitResult
@@ -13,7 +12,6 @@ from adaptive_contact.learn.candidate import REFIT_DUE_TICKS, Candidate, first_r
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import LegModel, Library
 from adaptive_contact.model.labelled_swing import Row
-from adaptive_contact.robot import Leg
 from adaptive_contact.service.refits import _failed
 
 WHY = "the process that fits died or took too long"
@@ -36,12 +34,6 @@ class Giving:
     def collect(self, leg: str, number: int) -> object:
         """The failure."""
         return self._result
-
-
-def test_a_cold_start_whose_process_died_says_so() -> None:
-    library = Library("linear", ("a", "b"), ("pitch", "pitch"))
-    cold = ColdJob("rf", 3, Leg("rf", ("a", "b")), library, (), 0.005)
-    assert _failed(cold) == ColdResult(3, None, f"lost: {WHY}")
 
 
 def test_the_status_of_a_leg_tells_a_lost_fit_from_one_that_is_not_finite() -> None:

@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.bank import LegGroup
 from adaptive_contact.fit.recordings import untouched
 from adaptive_contact.learn.mode import LearnerMode
-from adaptive_contact.leg_group import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import shipped_baseline
 from adaptive_contact.robot import Robot

@@ -37,7 +37,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptive_contact.detect.contact_state import CALM_SCORE, CALM_TICKS, REARM_TICKS
+from adaptive_contact.detect.contact import CALM_SCORE, CALM_TICKS, REARM_TICKS
 from adaptive_contact.model.glr import stream_statistic
 from adaptive_contact.model.noise import WINDOWS, NoiseModel, context, fit_noise, lagged
 from adaptive_contact.model.tail import Tail, fit_tail

@@ -24,8 +24,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptive_contact.bank import LegGroup
 from adaptive_contact.learn.mode import LearnerMode
-from adaptive_contact.leg_group import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot, shipped_robot

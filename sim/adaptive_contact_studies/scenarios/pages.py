@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive_contact.learn.change_terms import ready_for_changes
+from adaptive_contact.learn.lifecycle import ready_for_changes
 from adaptive_contact.score import LegOutcome
 from adaptive_contact_studies.scenarios.judge import Judgement
 from adaptive_contact_studies.scenarios.learners import reference_baseline

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptive_contact
+from adaptive_contact.bank import LegGroup
 from adaptive_contact.diagnose.change_classifier import KINDS
-from adaptive_contact.leg_group import LegGroup
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model.model_file import dump_baseline
 from adaptive_contact.score import Events

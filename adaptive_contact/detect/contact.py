@@ -1,0 +1,328 @@
+"""Decides on contact, compiled: the statistic of a tick, the state of the leg, the rows held back.
+
+*Statistic.*  Residuals against their variance, over up to three ticks.
+
+*State.*  The phase gates and never causes: outside a swing nothing is decided.  A swing begins
+*loaded*: after a pressed stance the foot comes off the ground 100 ms and more after its command
+does.  It is *free* once the leg has followed the model for some ticks, or when the descent begins;
+only a free leg can touch.  A contact ends in the next swing when the leg is free, or within its own
+when the leg has followed the model again.
+
+*Rows.*  What may be learned of a swing is held back until the swing is resolved:
+``swing_labels.py`` says what it was.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from adaptive_contact.compiled import compiled
+from adaptive_contact.detect.layout import BROKE_OFF, DECIDED, DEPTH, ENTERED, TOUCHED
+from adaptive_contact.detect.swing import LEAST_WAY_M, height_gradient
+from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
+
+# A coefficient that is off puts ticks in a row off alike: the variance of sums of w grows towards
+# w² times one's, not w times.  By so much more its share counts in windows of 1, 2 and 3 ticks of a
+# leg known from a prior; in full (1.1 and 2.3 times) it delays the first contact by two swings.
+ADDS_UP: Final = (0.0, 0.25, 0.5)
+SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
+# A tick is calm when its distance from the free model is below this share of the threshold: one
+# free tick in a thousand is not, while a foot let go of is at several times the threshold.
+CALM_SCORE: Final = 0.5
+# Calm ticks in a row that show a foot to be off the ground.  A foot about to leave it may look
+# calm for one tick, while the push along and the pull back cancel.
+CALM_TICKS: Final = 3
+# And within a swing, after a contact, one more.
+REARM_TICKS: Final = 4
+# Without calm, the first tick of a lift taken for free: a foot pressed in the stance before has let
+# go by the 7th tick of the command (measured in pose, 62 of 62 cases).
+FREE_LIFT_TICKS: Final = 8
+# A swing longer than this keeps its newest ticks; 400 is a slow descent of 8 s.
+MAX_ROWS: Final = 400
+# Fewer free ticks than this say nothing about a lift, nor about the way to a contact.
+MIN_LIFT_ROWS: Final = 3
+
+
+@compiled
+def context_of(leg, command, before):
+    """Compute the context of a tick, from its command and the one before."""
+    speed = 0.0
+    for j in range(len(command)):
+        speed = max(speed, abs(command[j] - before[j]))
+    speed /= leg.quantum
+    at = SPEEDS if leg.descent else 0
+    for edge in SPEED_EDGES_QUANTA:
+        if speed >= edge:
+            at += 1
+    return at
+
+
+@compiled
+def model_doubt(theta, index, per_scale, root, size, joint):
+    """Compute a prediction's variance that comes from its coefficients, over the noise's."""
+    total = 0.0
+    for c in range(size):
+        v = 0.0
+        for k in range(size):
+            v += theta[index[joint, k]] * per_scale[joint, k] * root[joint, k, c]
+        total += v * v
+    return total
+
+
+@compiled
+def leverage(theta, reach):
+    """Compute the leverage of regressors: how far they lie outside of what the fit has seen."""
+    total = 0.0
+    for r in range(reach.shape[0]):
+        z = 0.0
+        for c in range(reach.shape[1]):
+            z += reach[r, c] * theta[c]
+        total += z * z
+    return total
+
+
+@compiled
+def statistic(
+    leg, history, whiten, unit, shrink, limits, awaited, scores, sums, gradient, against
+):  # fmt: skip
+    """Fill the (windows,) test ratios, NaN where a window reaches too far back.
+
+    A foot about to stand has arrived, and what it is predicted to do says nothing of where the
+    ground is: ``against`` the ground, a residual must be one of a push up, by the (J,) gradient of
+    the foot's height.  A window that lies after the turn to stance has the thresholds ``awaited``:
+    one that reaches back into the swing would apply them to motion judged before.  The first
+    residual after the turn is of the swing, too: it is of the way to that sample.
+
+    ``unit`` are the (J,) variances of this tick over the baseline's, ``shrink`` their reciprocal
+    roots.
+
+    Returns:
+        The squared distance of the last residual from zero, whitened.
+    """
+    joints = history.shape[2]
+    distance = 0.0
+    for j in range(joints):
+        sums[0, j] = sums[1, j] = 0.0
+    for width in range(DEPTH):
+        if leg.adds_up and width > 0:
+            for j in range(joints):
+                more = ADDS_UP[width] * max(unit[j] - leg.variance_scale * leg.inflation, 0.0)
+                shrink[j] = 1.0 / math.sqrt(unit[j] + more)
+        for j in range(joints):
+            sums[0, j] += history[0, width, j]
+            sums[1, j] += history[1, width, j]
+        square = product = 0.0
+        for r in range(joints):
+            of_residual = of_increment = 0.0
+            for c in range(joints):
+                w = whiten[leg.context, width, r, c] * shrink[c]
+                of_residual += w * sums[0, c]
+                of_increment += w * (-gradient[c] if against else sums[1, c])
+            square += of_residual * of_residual
+            product += of_residual * of_increment
+        if width == 0:
+            distance = square
+        if width + 1 > leg.usable:
+            scores[width] = np.nan
+        else:
+            limit = awaited[width] if width + 1 < leg.after else limits[width]
+            scores[width] = square / limit if product < 0.0 else 0.0
+    return distance
+
+
+@compiled
+def onset(leg, history, width):
+    """Estimate when a contact began, from the window that shows it; ns."""
+    first = width - 1
+    power = along = 0.0
+    for j in range(history.shape[2]):
+        power += history[1, first, j] ** 2
+        along += history[0, first, j] * history[1, first, j]
+    share = min(max(-along / power, 0.0), 1.0) if power > 0.0 else 1.0
+    return leg.at_ns - first * leg.period_ns - np.int64(np.rint(share * leg.period_ns))
+
+
+@compiled
+def release(leg, t_ns, score):
+    """End a contact, if there is one."""
+    if not leg.contact:
+        return
+    leg.contact = False
+    leg.found |= DECIDED
+    leg.onset_ns = leg.calm_since if leg.calm else t_ns
+    leg.score = score
+
+
+@compiled
+def swing_tick(leg, score, distance, onset_ns, past_lift):
+    """Update loaded, free or contact by a tick's test ratio; NaN changes nothing.
+
+    Args:
+        leg: its scalars.
+        score: test ratio of the tick, the largest over the windows.
+        distance: squared length of the last whitened residual over the threshold, for calm.
+        onset_ns: of the contact, if it begins here.
+        past_lift: the descent has begun, after a lift that was seen: free even if not calm.
+    """
+    if score != score:
+        return
+    leg.calm = leg.calm + 1 if distance < CALM_SCORE else 0
+    if leg.calm == 1:
+        leg.calm_since = leg.at_ns
+    if leg.loaded:
+        if leg.calm < CALM_TICKS and not past_lift:
+            return
+        leg.loaded = False
+        release(leg, leg.at_ns, score)
+        return
+    if leg.contact:
+        if leg.calm >= REARM_TICKS:
+            release(leg, leg.at_ns, score)
+        return
+    if score <= 1.0:
+        return
+    leg.contact, leg.calm = True, 0
+    leg.found |= DECIDED | TOUCHED
+    leg.onset_ns, leg.score = onset_ns, score
+
+
+@compiled
+def let_go(leg):
+    """Forget whether the leg touches: it cannot be known."""
+    leg.release_pending |= leg.reported
+    leg.contact, leg.loaded, leg.calm = False, True, 0
+
+
+@compiled
+def begin_labels(leg):
+    """Begin the rows of a swing: none is held back."""
+    leg.hole_ns = -1
+    leg.lift_n = leg.row_n = leg.commanded_n = 0
+    leg.topped = leg.closed = leg.broken = leg.top_seen = False
+    leg.fit_n = leg.fit_before = 0
+
+
+@compiled
+def note_fit(leg, level):
+    """Count ticks in a row that fit the model; ``level`` is a tick's NIS."""
+    if level <= UNFIT_LEVEL:
+        leg.fit_n += 1
+    elif leg.fit_n:
+        leg.fit_before, leg.fit_n, leg.misfit_ns = leg.fit_n, 0, leg.at_ns
+
+
+@compiled
+def note_contact(leg):
+    """Note whether the ticks before a contact fit the model, where the foot came some way.
+
+    A foot that stops against something after it has moved as predicted is not one whose readings
+    are frozen or turned around, or which was held from the start.
+    """
+    fit = leg.fit_n
+    if not fit and leg.misfit_ns >= leg.onset_ns - leg.period_ns:
+        fit = leg.fit_before
+    leg.fits |= fit >= MIN_LIFT_ROWS and leg.moved > LEAST_WAY_M * leg.size
+
+
+@compiled
+def note_hole(leg, rows):
+    """Note lost or bad readings: what went on meanwhile shows in no residual."""
+    if leg.row_n > leg.lift_n:
+        leg.hole_ns = rows[leg.row_n - 1].t_ns
+
+
+@compiled
+def break_off(leg):
+    """Break off the swing: what comes does not connect, and it is not learned."""
+    leg.found |= BROKE_OFF
+    leg.whole = leg.stood = leg.touching = False
+    begin_labels(leg)
+    leg.broken = True
+
+
+@compiled
+def push_from_ground(leg, row, aside, residual, target, whiten, unit, gradient, z):
+    """Split a residual into a push from the ground and the rest."""
+    joints = len(residual)
+    length = along = 0.0
+    for r in range(joints):
+        g = w = 0.0
+        for c in range(joints):
+            at = whiten[leg.context, 0, r, c] / math.sqrt(unit[c])
+            g += at * gradient[c]
+            w += at * residual[c]
+        length += g * g
+        along += g * w
+    length = math.sqrt(length)
+    row.push = True
+    if length == 0.0:
+        row.sigma = np.inf
+        for j in range(joints):
+            aside[j] = target[j]
+        return
+    row.sigma = along / length
+    for j in range(joints):
+        aside[j] = target[j] - gradient[j] * (row.sigma / length)
+
+
+@compiled
+def enter_row(
+    leg, rows, thetas, targets, asides, theta, history, distance, value, free, past_top,
+    whiten, unit, last_measured, links, turns, gradient, target,
+):  # fmt: skip
+    """Hold a judged tick back until its swing is resolved."""
+    joints = history.shape[2]
+    leg.found |= ENTERED
+    if not leg.gated:
+        pass
+    elif leg.broken or not (leg.topped or leg.rising or past_top):
+        return
+    elif leg.rising and not leg.topped:
+        if not (free or leg.ticks >= FREE_LIFT_TICKS):
+            return
+    elif leg.closed or (leg.adds_up and leg.after):
+        leg.topped = True
+        return
+    at = leg.row_n if leg.gated else 0  # ungated, each is learned at once
+    first, most = (
+        (0, leg.lift_n) if leg.rising and not leg.topped else (leg.lift_n, at - leg.lift_n)
+    )
+    if most >= MAX_ROWS:  # the oldest goes
+        for k in range(first, at - 1):
+            rows[k], thetas[k], targets[k], asides[k] = (
+                rows[k + 1], thetas[k + 1], targets[k + 1], asides[k + 1],
+            )  # fmt: skip
+        at -= 1
+        if first == 0:
+            leg.lift_n -= 1
+            leg.commanded_n = max(leg.commanded_n - 1, 0)
+    row = rows[at]
+    row.nis = distance * leg.variance_scale / joints
+    row.value = value
+    row.context = leg.context
+    row.t_ns = leg.at_ns
+    row.calm, row.cleared, row.push = free, leg.cleared, False
+    for j in range(joints):
+        target[j] = history[0, 0, j] + history[1, 0, j]
+        targets[at, j] = target[j]
+    thetas[at] = theta
+    if leg.changed and not leg.rising and leg.has_lengths and leg.has_measured:
+        height_gradient(last_measured, links, turns, gradient)
+        push_from_ground(
+            leg, row, asides[at], history[0, 0], target, whiten, unit, gradient, target
+        )
+    if not leg.gated:
+        row.lift = leg.rising
+        return
+    leg.row_n = at + 1
+    if leg.rising and not leg.topped:
+        row.lift = True
+        leg.lift_n = at + 1
+        if not past_top:
+            leg.commanded_n = leg.lift_n
+        return
+    leg.topped = True
+    row.lift = False

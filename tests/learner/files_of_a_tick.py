@@ -1,0 +1,49 @@
+"""Counts the files that samples pass on their way to a contact's event, uncompiled.
+
+Run it with ``NUMBA_DISABLE_JIT=1``: compiled functions enter no file.  It prints one JSON list of
+files for each contact event; ``bank.judge`` is the way from a sample to its event.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import adaptive_contact
+from adaptive_contact.bank import LearnerBank
+from adaptive_contact.robot import parse_robot
+from learner import conftest as made
+
+PACKAGE = Path(adaptive_contact.__file__).parent
+
+
+def main() -> None:
+    """Walk a leg whose every other swing touches, and print what its contact ticks enter."""
+    robot = parse_robot(made.TOML, source="test")
+    bank = LearnerBank(robot, made.baseline.__wrapped__(robot))
+    stream = made.samples(*made.FakeLeg(seed=2).run(9, touch=lambda n: 16 if n % 2 else None)[:3])
+    for sample in stream:
+        entered: dict[str, int] = {}
+
+        def enter(frame: Any, kind: str, _: Any, entered: dict[str, int] = entered) -> None:
+            path = Path(frame.f_code.co_filename)
+            if kind == "call" and PACKAGE in path.parents:
+                name = str(path.relative_to(PACKAGE))
+                entered[name] = entered.get(name, 0) + 1
+
+        sys.setprofile(enter)
+        try:
+            events = bank.judge({"rf": sample})
+        finally:
+            sys.setprofile(None)
+        bank.finish()
+        if any(event.contact for event in events):
+            print(json.dumps(entered))
+
+
+if __name__ == "__main__":
+    main()
