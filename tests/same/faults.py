@@ -141,8 +141,8 @@ FAULTS: Final = (
         'self._guard.restore(saved.get("stream"))', "pass", "service-restart",
     ),
     Fault(
-        "a foot that moved before it touched", "detect/swing_labels.py",
-        "row >= MIN_LIFT_ROWS and self._swing.moved", "row > 99 and self._swing.moved", "pose-post",
+        "a foot that moved before it touched", "detect/contact.py",
+        "leg.fits |= fit >= MIN_LIFT_ROWS and", "leg.fits |= fit > 99 and", "pose-post",
     ),
 )  # fmt: skip
 
