@@ -7,7 +7,6 @@ where nothing else is asked for.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import did_you_mean
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.elements import HEXAPOD, Layout
 from adaptive_contact_sim.gait import GaitName
@@ -151,8 +151,7 @@ def simulated_robot(name: str) -> SimulatedRobot:
         ConfigurationError: the simulator has none of that name.
     """
     if name not in ROBOTS:
-        near = difflib.get_close_matches(name, ROBOTS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(ROBOTS)}"
+        hint = did_you_mean(name, ROBOTS, f"there are {', '.join(ROBOTS)}")
         raise ConfigurationError(f"no robot '{name}' is simulated; {hint}")
     return ROBOTS[name]
 

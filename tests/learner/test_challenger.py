@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,6 @@ from adaptive_contact.learn.candidate import (
     Candidate,
     first_refit_after,
 )
-from adaptive_contact.learn.cold_start import ColdJob
 from adaptive_contact.learn.contact_store import MOST, StoredContacts
 from adaptive_contact.learn.replay_buffer import ReplayBuffer
 from adaptive_contact.model import Baseline, Domain, Factor, LegModel
@@ -78,9 +79,14 @@ def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -
 
 
 def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
-    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
-    trial._candidate = np.zeros_like(model.coefficients)
+    given = Given(np.zeros_like(model.coefficients))
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
     rng = np.random.default_rng(0)
+    buffer = ReplayBuffer()
+    fill(buffer, rng, model.library.size)
+    ask(trial, model, buffer)
+    answer(trial)
+    assert trial.trying
     while trial.trying:
         asked = trial.deciding
         new = row(rng, model.library.size, truth=0.06)
@@ -90,12 +96,22 @@ def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
 
 
 def test_in_line_one_job_of_a_leg_waits() -> None:
+    """The newest one, whose result is there once."""
+
+    class Numbered(NamedTuple):
+        leg: str
+        number: int
+
+        def run(self) -> tuple[str, int]:
+            return self.leg, self.number
+
     refitter = InlineRefitter()
-    for number in range(5):
-        refitter.submit(ColdJob("rf", number, [], None, None, 0.0))  # type: ignore[arg-type]
-    refitter.submit(ColdJob("lf", 0, [], None, None, 0.0))  # type: ignore[arg-type]
-    assert {leg: job.number for leg, job in refitter._jobs.items()} == {"rf": 4, "lf": 0}
-    assert refitter.collect("rf", 3) is None
+    for job in (*(Numbered("rf", number) for number in range(5)), Numbered("lf", 0)):
+        refitter.submit(job)  # type: ignore[arg-type]
+    assert [refitter.collect("rf", number) for number in range(4)] == [None] * 4
+    assert refitter.collect("rf", 4) == ("rf", 4)
+    assert refitter.collect("rf", 4) is None
+    assert refitter.collect("lf", 0) == ("lf", 0)
 
 
 def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:

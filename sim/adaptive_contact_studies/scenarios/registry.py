@@ -8,13 +8,13 @@ baseline that ships for its robot.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import did_you_mean
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.gait import GAITS, GaitName
 from adaptive_contact_sim.pose import PoseSettings
@@ -493,7 +493,6 @@ def named(names: Iterable[str], sizes: Sizes = FULL_SIZES) -> list[Scenario]:
     known = scenarios(sizes)
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else "`scenarios list` shows them"
+            hint = did_you_mean(name, known, "`scenarios list` shows them")
             raise ConfigurationError(f"no scenario '{name}'; {hint}")
     return [known[name] for name in dict.fromkeys(names)]
