@@ -17,6 +17,7 @@ REV ?= HEAD
 SAME_OPTIONS = $(if $(AGAINST),--against "$(AGAINST)") $(if $(TOLERANCE),--tolerance $(TOLERANCE)) \
 	$(if $(EXPECT),--expect "$(EXPECT)") $(if $(ONLY),--only "$(ONLY)") \
 	$(if $(IGNORE),--ignore "$(IGNORE)") $(if $(FRESH),--fresh)
+PICO_PATH = $(if $(PICO),PKG_CONFIG_PATH="$(abspath $(PICO))/lib/pkgconfig")
 # Processes in real time have the machine to themselves; the other tests share it, file by file.
 TOGETHER := -n 2 --dist loadfile
 
@@ -28,7 +29,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun same same-faults
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun same same-faults pico
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -122,6 +123,15 @@ rerun: env  ## an export through rerun's command line, and examples/show_in_reru
 	out/rerun/venv/bin/rerun rrd print out/rerun/script.rrd > out/rerun/script.txt
 	grep -q '/rf/measured' out/rerun/script.txt
 	grep -q '/rf/truth' out/rerun/script.txt
+
+# The tests skip without these; here their lack is an error.
+pico: env  ## examples/contacts.c compiled and run; needs cc, pkg-config, zenoh-pico 1.x (PICO=its install prefix)
+	@{ command -v cc && command -v pkg-config; } >/dev/null || { \
+	  echo "found no cc or no pkg-config; run: apt install gcc pkg-config"; exit 1; }
+	@$(PICO_PATH) pkg-config --exists zenohpico || { \
+	  echo "pkg-config knows no zenohpico; build and install zenoh-pico 1.x with cmake, then run:" \
+	       "make pico PICO=/its/install/prefix"; exit 1; }
+	$(PICO_PATH) $(BIN)/python -m pytest tests/bridge/test_examples.py -k "in_c"
 
 wheel: env  ## the wheel, in dist
 	$(BIN)/python -m build --wheel --no-isolation

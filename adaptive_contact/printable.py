@@ -7,7 +7,9 @@ and readers are misled by marks that change the direction of writing.  All of th
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Iterable
 from typing import Final
 
 # C0, DEL and C1; the soft hyphen and characters of no width, which hide text; marks of direction
@@ -31,6 +33,19 @@ def printable_lines(text: str) -> str:
     For text whose lines this program made; a value of the wire goes through :func:`printable`.
     """
     return _UNSAFE_BUT_LINES.sub(_escaped, text)
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float = 0.6) -> str:
+    """Hint at the known name nearest to one that is none of them.
+
+    Args:
+        name: that was given.
+        known: those that there are.
+        otherwise: what to say where none is near.
+        cutoff: least likeness, 0 to 1.
+    """
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return f"did you mean '{near[0]}'?" if near else otherwise
 
 
 def printable_json(text: bytes | str) -> str:

@@ -222,8 +222,7 @@ def test_references_in_docstrings_lead_somewhere() -> None:
 @pytest.fixture(scope="module")
 def program() -> Any:
     """The whole command line."""
-    if not main.app.registered_commands:
-        main._register()
+    main.load_commands()
     return get_command(main.app)
 
 

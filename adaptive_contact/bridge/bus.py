@@ -23,14 +23,14 @@ from typing import Any, Final, NamedTuple, TypeVar
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PacketHandler
 
 from adaptive_contact.bridge.packets import (
+    ALERT,
     BROADCAST_ID,
-    ERROR_BITS,
-    ERROR_NUMBERS,
     MAX_ID,
     Codec,
     Instruction,
     Protocol1,
     Protocol2,
+    alarm_names,
     split_fast_sync,
 )
 from adaptive_contact.bridge.port import SdkPort
@@ -41,7 +41,6 @@ from adaptive_contact.robot import Port
 T = TypeVar("T")
 
 _TIMEOUT: Final = -3001
-_ALERT: Final = 0x80
 # The same in every control table.
 MODEL_NUMBER: Final = Block(0, 2)
 # For what has to succeed, outside the cycle.
@@ -314,7 +313,7 @@ class Bus:
                 )
             )
             if result == COMM_SUCCESS:
-                return (int(error) & ~_ALERT) == 0
+                return (int(error) & ~ALERT) == 0
             now = self._ask(servo, register.block).data
             if now is not None and register.value(now) == value:
                 return True
@@ -334,18 +333,6 @@ class Bus:
             )
         )
         return bool(result == COMM_SUCCESS)
-
-    def alarms(self, error: int) -> tuple[str, ...]:
-        """Names for a status packet's error byte; protocol 2.0's alert bit is ``hardware``."""
-        if error == 0:
-            return ()
-        if self.protocol == 1:
-            return tuple(name for bit, name in ERROR_BITS.items() if error & bit)
-        names = ["hardware"] if error & _ALERT else []
-        number = error & ~_ALERT
-        if number:
-            names.append(ERROR_NUMBERS.get(number, f"error_{number}"))
-        return tuple(names)
 
     # -- private -------------------------------------------------------------------------------
 
@@ -379,7 +366,9 @@ class Bus:
                 return Pong(None, doubled=True, reads=False)
         if result != COMM_SUCCESS:
             return None
-        doubled = self._second_answer()
+        # Bytes that follow an answer are of another servo of the same id, a little slower.
+        self._port.setPacketTimeout(0)
+        doubled = len(self._port.readPort(1)) > 0
         for _ in range(_TRIES):
             data = self._read_one(servo, MODEL_NUMBER).data
             if data is not None:
@@ -412,8 +401,10 @@ class Bus:
             self.late[servo] += 1
             self._unanswered.discard(servo)
 
-    def _note(self, servo: int, *, answered: bool) -> None:
-        (self._unanswered.discard if answered else self._unanswered.add)(servo)
+    def _note(self, servo: int, result: int) -> None:
+        """Note what a question to one servo came to."""
+        self._count_late(servo if result == COMM_SUCCESS else None)
+        (self._unanswered.add if result == _TIMEOUT else self._unanswered.discard)(servo)
 
     def _ping_alone(self, servo: int) -> tuple[int, int | None]:
         """Ping and nothing else: the SDK's own reads the model too, and hides what failed.
@@ -427,16 +418,10 @@ class Bus:
         else:
             packet = [0, 0, 0, 0, servo, 3, 0, Instruction.PING, 0, 0]
         answer, result, _ = self._packets.txRxPacket(self._port, packet)
-        self._count_late(servo if result == COMM_SUCCESS else None)
-        self._note(servo, answered=result != _TIMEOUT)
+        self._note(servo, result)
         told = self._data(answer) if result == COMM_SUCCESS and self.protocol == 2 else ()
         number = told[0] + (told[1] << 8) if len(told) >= MODEL_NUMBER.size else None
         return int(result), number
-
-    def _second_answer(self) -> bool:
-        """Whether bytes follow an answer: another servo of the same id, a little slower."""
-        self._port.setPacketTimeout(0)
-        return len(self._port.readPort(1)) > 0
 
     def _read_one(self, servo: int, block: Block) -> Reading:
         self._drain()
@@ -448,8 +433,7 @@ class Bus:
             wide = [byte for value in place for byte in (value & 0xFF, value >> 8)]
             packet = [0, 0, 0, 0, servo, 7, 0, Instruction.READ, *wide, 0, 0]
         answer, result, error = self._packets.txRxPacket(self._port, packet)
-        self._count_late(servo if result == COMM_SUCCESS else None)
-        self._note(servo, answered=result != _TIMEOUT)
+        self._note(servo, result)
         if result != COMM_SUCCESS:
             return Reading(None, (), Fault.NO_ANSWER if result == _TIMEOUT else Fault.CORRUPT)
         return self._reading(self._data(answer), error, block, at_s)
@@ -462,7 +446,7 @@ class Bus:
         return packet[_DATA2 : _DATA2 + size]
 
     def _reading(self, data: Sequence[int], error: int, block: Block, at_s: float) -> Reading:
-        alarms = self.alarms(error)
+        alarms = alarm_names(self.protocol, error)
         if len(data) != block.size:
             if data or not error:
                 # No answer to this: another master's packet, in which protocol 1.0's instruction
@@ -481,13 +465,9 @@ class Bus:
         found: dict[int, Reading] = {}
         self._drain()
         at_s = time.monotonic()
+        fast = (self._fast,) if self._knows_fast else ()
         result = self._packets.syncReadTx(
-            self._port,
-            block.address,
-            block.size,
-            list(servos),
-            len(servos),
-            *((self._fast,) if self._knows_fast else ()),
+            self._port, block.address, block.size, list(servos), len(servos), *fast
         )
         if result != COMM_SUCCESS:
             return found, False
@@ -504,9 +484,7 @@ class Bus:
                         found[answer.id] = self._reading(answer.data, answer.error, block, at_s)
             return found, self._port.received - before > understood
         while len(found) < len(servos):
-            packet, result = self._packets.rxPacket(
-                self._port, *((False,) if self._knows_fast else ())
-            )
+            packet, result = self._packets.rxPacket(self._port, *fast)
             if result == _TIMEOUT:
                 break
             if result != COMM_SUCCESS:

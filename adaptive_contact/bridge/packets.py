@@ -168,7 +168,7 @@ _MAGIC: Final = b"\xff\xff\xfd"
 # Header, id and length; the length counts from the code on.
 _OVERHEAD_2: Final = 7
 _MAX_LENGTH_2: Final = 1024
-_ALERT: Final = 0x80
+ALERT: Final = 0x80  # bit of the error byte: the servo's own hardware is in trouble
 
 # Error numbers (low 7 bits of the error byte), by the name they are counted under.
 ERROR_NUMBERS: Final = {
@@ -180,6 +180,17 @@ ERROR_NUMBERS: Final = {
     6: "data_limit",
     7: "access",
 }
+
+
+def alarm_names(protocol: int, error: int) -> tuple[str, ...]:
+    """Names for a status packet's error byte; protocol 2.0's alert bit is ``hardware``."""
+    if protocol == 1:
+        return tuple(name for bit, name in ERROR_BITS.items() if error & bit)
+    names = ["hardware"] if error & ALERT else []
+    number = error & ~ALERT
+    if number:
+        names.append(ERROR_NUMBERS.get(number, f"error_{number}"))
+    return tuple(names)
 
 
 def _table() -> tuple[int, ...]:

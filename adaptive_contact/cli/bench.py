@@ -38,7 +38,12 @@ def bench(
         from adaptive_contact_sim.arrays import record_arrays
         from adaptive_contact_studies.headline import HEADLINE_RUNS, run_headline
         from adaptive_contact_studies.paper.compression import compare_full
-        from adaptive_contact_studies.speed import real_time_factor, restore_speed, tick_speed
+        from adaptive_contact_studies.speed import (
+            export_speed,
+            real_time_factor,
+            restore_speed,
+            tick_speed,
+        )
 
     from adaptive_contact.cli._console import table_console
 
@@ -69,6 +74,7 @@ def bench(
     tick = tick_speed(run, robot, known)
     restore = restore_speed(run, robot, known)
     simulator = real_time_factor(seconds=20.0)
+    exports = export_speed(settings)
     out.mkdir(parents=True, exist_ok=True)
     result = {
         "rows": {name: summary_json(summary) for name, summary in rows.items()},
@@ -76,6 +82,7 @@ def bench(
         "restore": restore,
         "compressed_fit": fits,
         "simulator": simulator,
+        "export": exports,
         "baseline": known.origin,
     }
     text = msgspec.json.format(msgspec.json.encode(result), indent=2)
@@ -116,6 +123,10 @@ def bench(
     speeds.add_row(
         "simulator",
         f"{simulator.factor:.1f} x real time on one core (engine alone {simulator.engine:.1f} x)",
+    )
+    speeds.add_row(
+        "export of a recording",
+        ", ".join(f"{form} {ratio:.0f} x" for form, ratio in exports.items()) + " real time",
     )
     table_console().print(speeds)
     console.print(f"figures in {out / 'bench.json'}")

@@ -85,12 +85,14 @@ def _one_of_several(
     pass
 
 
-def _register(asked: str = "") -> None:
+def load_commands(asked: str = "") -> None:
     """Load the command that is asked for, as the others take as long as a small one runs.
 
     Args:
-        asked: its name; where it is none, as for the help, all are loaded.
+        asked: its name; where it is none, as for the help, all are loaded.  Later calls do nothing.
     """
+    if app.registered_commands or app.registered_groups:
+        return
     known = asked in _COMMANDS or asked in _GROUPS
     for name in _COMMANDS:
         if not known or name == asked:
@@ -111,7 +113,7 @@ def main() -> None:
     """
     protect_output()
     try:
-        code = _run()
+        code = run()
         sys.stdout.flush()
     except OutputLost as lost:
         code = _lost(lost.cause)
@@ -135,9 +137,10 @@ def _leave(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _run() -> int:
+def run() -> int:
+    """Run the command line, and return its exit code, see :func:`main`."""
     try:
-        _register(sys.argv[1] if len(sys.argv) > 1 else "")
+        load_commands(sys.argv[1] if len(sys.argv) > 1 else "")
         code = app(prog_name="adaptive-contact", standalone_mode=False)
     except KeyboardInterrupt:  # while a command was still being loaded
         return _INTERRUPTED

@@ -115,14 +115,9 @@ class Lifecycle:
             self.begun += 1
             self.note = "the baseline does not fit this leg: fit a new one"
             return
-        if self._wide:
-            wide = min(self._wide * WIDER, WIDEST)
-            note = f"moves like no leg that is known: learning it with {wide:.0f} times the doubt"
-        else:
-            wide, note = 1.0, "the baseline does not fit this leg: learning a new model"
-        self._unfit = True
+        wide = min(self._wide * WIDER, WIDEST) if self._wide else 1.0
+        self._unfit = self._unfit or not self._wide
         self._begin_prior(wide)
-        self.note = note
 
     @property
     def note_now(self) -> str | None:
@@ -218,6 +213,12 @@ class Lifecycle:
     def _begin_prior(self, wide: float) -> None:
         """Detect and learn from what is known of any leg."""
         robot, leg, note = self._robot, self._leg, self.note
+        if wide > 1.0:
+            note = (
+                f"it moves like no leg that is known: learning it with {wide:.0f} times the doubt"
+            )
+        elif self._unfit:
+            note = "the baseline does not fit this leg: learning a new model"
         known = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), wide)
         self._begin(known, prior_tails(len(leg.joints)))
         self._wide, self.note, self.origin = wide, note, "what is known of any leg"

@@ -15,7 +15,6 @@ Reference:
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.printable import printable
+from adaptive_contact.printable import did_you_mean, printable
 from adaptive_contact.robot.description import Leg, Limits, Mount
 from adaptive_contact.robot.kinematics import Vector
 
@@ -317,8 +316,7 @@ class Urdf:
 
     def _path(self, leg: str, link: str) -> list[_Joint]:
         if link not in self.links:
-            near = difflib.get_close_matches(link, self.links, n=1, cutoff=0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"its last links: {self.last_links()}"
+            hint = did_you_mean(link, self.links, f"its last links: {self.last_links()}", 0.5)
             raise self._error(f"leg '{leg}': there is no link '{link}'; {hint}")
         return self._above(link)[::-1]
 

@@ -10,8 +10,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from adaptive_contact.service.doctor import about_learner, all_lost
 from adaptive_contact.service.findings import Cause, Fault, Finding, Level, entries
+from adaptive_contact.service.learnercheck import about_learner, all_lost
 from adaptive_contact.service.status import ServiceStatus
 from adaptive_contact.service.watch import View
 from adaptive_contact.wire import LearnerStatus

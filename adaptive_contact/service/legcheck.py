@@ -16,7 +16,8 @@ import numpy as np
 from adaptive_contact.detect.source_watch import NOTED_JITTER
 from adaptive_contact.robot import Robot
 from adaptive_contact.service.findings import Cause, Fault, Finding, entries, of_legs
-from adaptive_contact.service.readings import check_readings, position_step
+from adaptive_contact.service.position_step import position_step
+from adaptive_contact.service.readings import check_readings
 from adaptive_contact.service.status import LegFacts
 from adaptive_contact.wire import Rejected, ServoSample
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from adaptive_contact.detect.source_watch import EchoWatch
 from adaptive_contact.fit.recordings import stray_readings
 from adaptive_contact.service.findings import Cause, Fault
+from adaptive_contact.service.position_step import STEP_TOLERANCE, position_step
 from adaptive_contact.wire import ServoSample
 
 Array = NDArray[np.float64]
@@ -63,27 +64,7 @@ _ORDER_RAD: Final = 0.2
 _LAG_TICKS: Final = 6
 _MOST_ORDERED: Final = 4  # joints whose orders are all tried
 _TURN_SLACK_RAD: Final = 0.5
-# Steps are told from so many different readings, and lie between these, rad.
-_STEP_READINGS: Final = 24
-_LEAST_STEP_RAD: Final = 4e-4
-_MOST_STEP_RAD: Final = 0.1
-_STEP_SHARE: Final = 0.85  # of readings on one grid; of a grid at random it is below 0.5
-_STEP_TOLERANCE: Final = 0.05
-# What is finer than robot.toml says has to fit nearly all: readings between the lines of a grid
-# (carried to their tick's moment, interpolated) are near lines a half, a third or a sixth as far
-# apart where they are few.  Of AX-12A on a busy computer, up to a third are such.
-_FINER_SHARE: Final = 0.95
-# And no multiple of it may hold more readings than a grid's every k-th line does, but for one case
-# in so many: n phases at random have a mean longer than sqrt(2 ln(1/p) / n) with less than p, also
-# where there are but two phases.
-_STEP_CHANCE: Final = 1e-2
 _DEGREE_RAD: Final = math.pi / 180.0
-# A grid is found in so many of a joint's different readings as well as in those of an hour.
-_MOST_VALUES: Final = 400
-# Densities of lines that are looked at together, eight to a peak's half width.
-_BLOCK: Final = 256
-_PEAK: Final = 16
-_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 def check_readings(
@@ -403,9 +384,9 @@ def _glitches(measured: Array) -> tuple[int, float | None]:
 
 def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
     found = position_step(measured, quantum_rad)
-    if found is None or abs(found / quantum_rad - 1.0) <= _STEP_TOLERANCE:
+    if found is None or abs(found / quantum_rad - 1.0) <= STEP_TOLERANCE:
         return
-    if abs(found / quantum_rad * _DEGREE_RAD - 1.0) <= _STEP_TOLERANCE:
+    if abs(found / quantum_rad * _DEGREE_RAD - 1.0) <= STEP_TOLERANCE:
         yield Fault(
             "error",
             Cause.UNITS,
@@ -423,88 +404,6 @@ def _steps(measured: Array, name: str, quantum_rad: float) -> Iterator[Fault]:
         f"{name} steps by {found:.4g} rad",
         found,
     )
-
-
-def position_step(angles: Array, expected_rad: float | None = None) -> float | None:
-    """Find the grid that a joint's readings lie on.
-
-    For each step q the readings' phases 2π x / q are averaged as unit vectors: on a grid of q, or
-    of a multiple, the mean has length 1, elsewhere near 0.  The largest q of length near 1 is the
-    step; an offset and rounding to fewer decimals do not matter.  Readings that lie between the
-    lines do not make the step finer.
-
-    Args:
-        angles: (n,) rad.
-        expected_rad: looked at first; what is coarser is searched, and what is finer only where
-            readings do not lie on this one.
-
-    Returns:
-        The step in rad; None where there are too few different readings, or none is found.
-    """
-    values, times = np.unique(angles, return_counts=True)
-    # A joint comes back to a line; what lies between two lines hardly ever comes twice.
-    again = values[times > 1]
-    if len(again) >= _STEP_READINGS:
-        values = again
-    if len(values) > _MOST_VALUES:
-        # At irregular places: every second reading of a grid lies on one twice as coarse.
-        places = np.arange(_MOST_VALUES) * _GOLDEN % 1.0 * len(values)
-        values = values[np.unique(places.astype(int))]
-    span = float(values[-1] - values[0])
-    if len(values) < _STEP_READINGS or span <= 0.0:
-        return None
-    coarse, fine = 1.0 / _MOST_STEP_RAD, 1.0 / _LEAST_STEP_RAD
-    if expected_rad is None or expected_rad <= (1.0 + _STEP_TOLERANCE) * _LEAST_STEP_RAD:
-        found = _on_grid(values, coarse, fine, span, _STEP_SHARE)
-        return None if found is None else _multiple(values, found, span, None)
-    until = (1.0 + _STEP_TOLERANCE) / expected_rad
-    found = _on_grid(values, coarse, until, span, _STEP_SHARE)
-    if found is not None:
-        return found
-    found = _on_grid(values, until, fine, span, _FINER_SHARE)
-    return None if found is None else _multiple(values, found, span, expected_rad)
-
-
-def _multiple(values: Array, step_rad: float, span: float, expected_rad: float | None) -> float:
-    """The largest multiple of a grid's step, or the expected one, that values lie on but for a few.
-
-    The step itself where every multiple holds as many values as it would by chance.
-    """
-    if expected_rad is None:
-        multiples = list(range(int(_MOST_STEP_RAD / step_rad), 1, -1))
-    else:
-        k = round(expected_rad / step_rad)
-        near = k > 1 and abs(k * step_rad / expected_rad - 1.0) <= _STEP_TOLERANCE
-        multiples = [k] if near else []
-    chance = _STEP_CHANCE / max(len(multiples), 1)
-    by_chance = math.sqrt(2.0 * math.log(1.0 / chance) / len(values))
-    centred = values - values.mean()
-    for k in multiples:
-        # The step was found to a part of a line over the whole span; so is its multiple.
-        density = 1.0 / (k * step_rad) + np.linspace(-1.0, 1.0, 9) / (8.0 * span)
-        length = np.abs(np.exp(2j * math.pi * np.outer(density, centred)).mean(axis=1))
-        if length.max() > by_chance:
-            return float(1.0 / density[np.argmax(length)])
-    return step_rad
-
-
-def _on_grid(values: Array, least: float, most: float, span: float, share: float) -> float | None:
-    """The first grid, of ``least`` to ``most`` steps per rad, that so many of the values lie on."""
-    centred = values - values.mean()
-    step = 1.0 / (8.0 * span)
-    count = math.ceil((most - least) / step)
-    # Phases of a block of densities are those of its first, turned on by the same steps.
-    turns = np.exp(2j * math.pi * np.outer(np.arange(_BLOCK) * step, centred))
-    # Each block goes on a peak's width into the next, so that no peak is cut.
-    for begin in range(0, count, _BLOCK - _PEAK):
-        first = least + begin * step
-        length = np.abs(turns @ np.exp(2j * math.pi * first * centred)) / len(values)
-        above = np.flatnonzero(length[: min(_BLOCK - _PEAK, count - begin)] > share)
-        if len(above):
-            k = int(above[0])
-            peak = k + int(np.argmax(length[k : k + _PEAK]))
-            return 1.0 / (first + peak * step)
-    return None
 
 
 def _runs_backwards(measured: Array, desired: Array) -> bool:

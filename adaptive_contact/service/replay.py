@@ -134,9 +134,7 @@ def control_ticks(
             counts.rejects[Reject.UNKNOWN_LEG] += 1
             continue
         counts.samples += 1
-        if counts.first_ns is None:
-            counts.first_ns = record.log_time_ns
-        counts.last_ns = record.log_time_ns
+        counts.hand_on(record.log_time_ns)
         if leg in tick:
             counts.ticks += 1
             yield tick
@@ -157,11 +155,9 @@ def replay_events(
         bank: the learners; they are advanced.
         counts: filled on the way.
     """
-
-    def wanted(leg: str, joints: int) -> bool:
-        return bank.learner(leg, joints) is not None
-
-    for tick in control_ticks(records, wanted, counts):
+    for tick in control_ticks(
+        records, lambda leg, joints: bank.learner(leg, joints) is not None, counts
+    ):
         yield from bank.update(tick)
 
 

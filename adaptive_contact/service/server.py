@@ -8,7 +8,6 @@ learners' state come after that, when no other leg's sample waits to be judged. 
 Garbage is collected by hand, between ticks.  A collection holds up every thread for as long as it
 takes, and Python makes one when a count says so: often in the tick of an event, in which most is
 made.
-
 """
 
 from __future__ import annotations
@@ -167,9 +166,9 @@ class Service:
         self._visited = 0
         for leg in robot.legs:
             self._endpoint(leg.id, now_ns, len(leg.joints))
-        # What the first sample would wait for.
+        # What the first sample would wait for: a codec's first of a process takes half a ms.
         bank.finish()
-        _rehearse()
+        decode(encode(ServoSample(t_ns=0, seq=0, measured=[0.0], desired=[0.0])), ServoSample)
         link.subscribe(ALL_SERVO, self._queue.offer)
         link.queryable(model_key("*"), self._ask)
         link.queryable(trace_key("*"), self._ask_trace)
@@ -215,7 +214,8 @@ class Service:
         for leg, dropped in batch.overflow.items():
             self._overflow(leg, dropped, now_ns)
         if batch.strangers:
-            self._stranger(batch.stranger, batch.strangers, now_ns)
+            key = repr(batch.stranger)[:120]
+            self._refuse(Reject.UNKNOWN_LEG, now_ns, batch.strangers, key=key)
         samples: dict[str, ServoSample] = {}
         self._refused.clear()
         for leg, raw in batch.samples.items():
@@ -476,9 +476,6 @@ class Service:
             endpoint.learner.count(Reject.OVERFLOW, dropped)
         self._warn("samples dropped", Reject.OVERFLOW, now_ns, times=dropped, leg=leg)
 
-    def _stranger(self, key: str | None, times: int, now_ns: int) -> None:
-        self._refuse(Reject.UNKNOWN_LEG, now_ns, times, key=repr(key)[:120])
-
     def _refuse(self, reason: Reject, now_ns: int, times: int = 1, **facts: str) -> None:
         """Count what belongs to no leg."""
         self._rejects[reason] += times
@@ -490,11 +487,6 @@ class Service:
         stands_for = self._throttle.passes((what, reason, facts.get("leg")), now_ns, times)
         if stands_for is not None:
             _log.warning(what, reason=reason.value, times=stands_for, **facts)
-
-
-def _rehearse() -> None:
-    """Have the codec learn a sample: the first of a process takes half a millisecond."""
-    decode(encode(ServoSample(t_ns=0, seq=0, measured=[0.0], desired=[0.0])), ServoSample)
 
 
 def version() -> str:

@@ -102,7 +102,9 @@ def table(view: View, width: int = 160, height: int | None = None) -> Group:
     if height is None:
         return _drawn(head, view.legs, [], remarks, width)
     shown = list(view.legs)
-    by_need = sorted(view.legs, key=_is_well)
+    by_need = sorted(
+        view.legs, key=lambda leg: leg.status == "valid" and not leg.stale and leg.note is None
+    )
     while True:
         hidden = [leg for leg in view.legs if leg not in shown]
         drawn = _drawn(head, shown, hidden, remarks, width)
@@ -115,10 +117,6 @@ def table(view: View, width: int = 160, height: int | None = None) -> Group:
             shown = [leg for leg in view.legs if leg in kept]
         else:
             remarks = {}
-
-
-def _is_well(leg: LegView) -> bool:
-    return leg.status == "valid" and not leg.stale and leg.note is None
 
 
 def _lines(drawn: Group, width: int) -> int:

@@ -1,22 +1,9 @@
-"""A moment of a simulation, kept cheaply and shown later.
+"""Pictures of a simulation without a window: ``.png`` (the last moment), ``.gif``, ``.mp4``.
 
-Painting takes longer than simulating, so a run in real time only keeps moments; they are set
-up again on a stage of their own, and painted, when the run is over.
-
-A drawn stick figure: the picture for machines without OpenGL.
-
-The same view as the rendered one, in parallel projection: ground grid, obstacle, body outline,
-legs as limbs, feet that touch in red.  Needs pillow only.
-
-Pictures of the simulation without a window: the engine's renderer on EGL.
-
-Where EGL does not work, :func:`painter` falls back to a drawn stick figure
-(:mod:`adaptive_contact_sim.picture`), so that a picture can always be made.
-
-Pictures into files: ``.png`` (the last moment), ``.gif`` or ``.mp4``.
-
-A run keeps moments, and the film is painted when it is over: painting a frame takes longer than a
-control tick, and a run in real time must not wait for it.
+A run keeps moments, which is cheap, and they are painted when it is over: painting a frame takes
+longer than a control tick, and a run in real time must not wait for it.  The engine's renderer on
+EGL paints; where EGL does not work, :func:`painter` falls back to a stick figure in the same view,
+in parallel projection, which needs pillow only.
 """
 
 from __future__ import annotations
@@ -264,8 +251,6 @@ class StickPainter:
         draw.ellipse((x - r, y - r, x + r, y + r), fill=_TOUCHING if touching else _FREE)
 
 
-Image = NDArray[np.uint8]
-
 TOUCHING_RGBA: Final = (0.93, 0.16, 0.14, 1.0)
 FREE_RGBA: Final = (0.16, 0.55, 0.88, 1.0)
 _DISTANCE_M: Final = 0.95
@@ -279,7 +264,7 @@ _FOLLOW_FRAMES: Final = 8.0
 class Painter(Protocol):
     """Something that can paint a stage."""
 
-    def paint(self, stage: Stage) -> Image:
+    def paint(self, stage: Stage) -> Pixels:
         """Paint what is set up: (height, width, 3) RGB."""
 
     def close(self) -> None:
@@ -342,7 +327,7 @@ class EnginePainter:
         self._toes = [model.geom(f"{leg}_toe").id for leg in stage.elements.layout.legs]
         model.geom_matid[self._toes] = -1
 
-    def paint(self, stage: Stage) -> Image:
+    def paint(self, stage: Stage) -> Pixels:
         """Paint what is set up, feet that touch in red."""
         model, data = stage.model, stage.data
         model.geom_rgba[self._toes] = np.where(stage.touching[:, None], TOUCHING_RGBA, FREE_RGBA)

@@ -7,7 +7,6 @@ where nothing else is asked for.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import did_you_mean
 from adaptive_contact.robot import Robot, shipped_robot
 from adaptive_contact_sim.elements import HEXAPOD, Layout
 from adaptive_contact_sim.gait import GaitName
@@ -74,6 +74,18 @@ class SimulatedRobot:
         return ChainLegs(self.description, np.array(self.rest))
 
 
+_TROT: Final = WalkSettings(
+    gait="trot",
+    stride_m=0.05,
+    swing_s=0.26,
+    body_height_m=0.155,
+    clearance_m=0.035,
+    depth_m=(0.012, 0.02),
+    reach_m=0.075,
+    react_ms=30.0,
+    preload_m=0.006,
+    lag_s=0.1,
+)
 _MOVES: Final = (
     SimulatedRobot(
         name="hexapod",
@@ -99,35 +111,11 @@ _MOVES: Final = (
             (0.0, 0.75, -1.45),
             (0.0, 0.75, -1.45),
         ),
-        walk=WalkSettings(
-            gait="trot",
-            stride_m=0.05,
-            swing_s=0.26,
-            body_height_m=0.155,
-            clearance_m=0.035,
-            depth_m=(0.012, 0.02),
-            reach_m=0.075,
-            react_ms=30.0,
-            preload_m=0.006,
-            lag_s=0.1,
-        ),
+        walk=_TROT,
         walks=(
             # Slow swings: servos that lag press a foot down by what its command is ahead of it,
             # and of four stiff legs one that presses lifts two others off.
-            WalkSettings(
-                gait="walk",
-                stride_m=0.05,
-                swing_s=0.6,
-                body_height_m=0.155,
-                clearance_m=0.035,
-                depth_m=(0.01, 0.014),
-                reach_m=0.075,
-                react_ms=30.0,
-                preload_m=0.006,
-                lag_s=0.1,
-                sway=0.6,
-                land_m=0.001,
-            ),
+            replace(_TROT, gait="walk", swing_s=0.6, depth_m=(0.01, 0.014), sway=0.6, land_m=0.001),
         ),
         relief_m=0.025,
     ),
@@ -163,8 +151,7 @@ def simulated_robot(name: str) -> SimulatedRobot:
         ConfigurationError: the simulator has none of that name.
     """
     if name not in ROBOTS:
-        near = difflib.get_close_matches(name, ROBOTS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(ROBOTS)}"
+        hint = did_you_mean(name, ROBOTS, f"there are {', '.join(ROBOTS)}")
         raise ConfigurationError(f"no robot '{name}' is simulated; {hint}")
     return ROBOTS[name]
 

@@ -10,7 +10,6 @@ The shipped scenarios' names and seeds are permanent: a figure published for one
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -23,6 +22,7 @@ import msgspec
 
 from adaptive_contact.durations import DURATIONS, seconds_of
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import did_you_mean
 from adaptive_contact.wire import Drift
 from adaptive_contact_sim.drift import KINDS, Injection, check
 from adaptive_contact_sim.elements import HEXAPOD, Layout
@@ -127,18 +127,18 @@ def _known(name: str, known: Iterable[str], what: str, where: str) -> None:
     names = list(known)
     if name in names:
         return
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(names)}"
+    hint = did_you_mean(name, names, f"expected one of {', '.join(names)}")
     raise ConfigurationError(f"{where}: no {what} '{name}'; {hint}")
 
 
-def _refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+def _refuse_unknown(
+    table: Mapping[str, Any], known: Iterable[str], where: str, what: str = "no setting"
+) -> None:
     names = list(known)
     for name in table:
         if name not in names:
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"expected {', '.join(names)}"
-            raise ConfigurationError(f"{where}: no setting '{name}'; {hint}")
+            hint = did_you_mean(name, names, f"expected {', '.join(names)}")
+            raise ConfigurationError(f"{where}: {what} '{name}'; {hint}")
 
 
 def _number(key: str, value: str, text: str) -> float | int:
@@ -212,8 +212,7 @@ def load_scenario(name: str) -> Scenario:
         shipped = shipped_scenarios()
         if name in shipped:
             return shipped[name]
-        near = difflib.get_close_matches(name, shipped, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else "`adaptive-contact sim list` shows them"
+        hint = did_you_mean(name, shipped, "`adaptive-contact sim list` shows them")
         raise ConfigurationError(f"no scenario '{name}' ships, and it is no .toml file; {hint}")
     try:
         text = path.read_text(encoding="utf-8")
@@ -237,7 +236,7 @@ def parse_scenario(text: str, *, name: str, source: str | None = None) -> Scenar
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{source}: not valid TOML: {error}") from error
-    _only(table, _TOP, source)
+    _refuse_unknown(table, _TOP, source, "unknown setting")
     mode = table.get("mode")
     if mode not in ("pose", "walk"):
         raise ConfigurationError(f'{source}: mode is {mode!r}; expected "pose" or "walk"')
@@ -295,7 +294,7 @@ def _settings(table: Any, base: T, where: str) -> T:
         raise ConfigurationError(f"{where} is not a table; write its settings below {where[-20:]}")
     known = msgspec.inspect.type_info(kind)
     assert isinstance(known, msgspec.inspect.DataclassType)
-    _only(table, [entry.name for entry in known.fields], where)
+    _refuse_unknown(table, [entry.name for entry in known.fields], where, "unknown setting")
     try:
         given = msgspec.convert(table, kind, strict=True)
         return replace(base, **{name: getattr(given, name) for name in table})  # type: ignore[type-var]
@@ -303,15 +302,6 @@ def _settings(table: Any, base: T, where: str) -> T:
         raise ConfigurationError(f"{where}: {error}") from error
     except ConfigurationError as error:
         raise ConfigurationError(f"{where}: {error}") from error
-
-
-def _only(table: Mapping[str, Any], known: Any, where: str) -> None:
-    names = list(known)
-    for name in table:
-        if name not in names:
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"expected {', '.join(names)}"
-            raise ConfigurationError(f"{where}: unknown setting '{name}'; {hint}")
 
 
 def _is_number(value: object) -> bool:

@@ -90,7 +90,7 @@ def build(
     _add_surroundings(spec)
     terrain.add_to(spec)
     for owner in obstacles:
-        bit = _bit_of(owner, layout)
+        bit = _OBSTACLE_BIT << (0 if owner is None else 1 + layout.legs.index(owner))
         # The engine's body filter is the union of the geoms' bits as compiled: legs must start
         # with all of them, or `expose` could never let them through.
         for leg in layout.legs if owner is None else (owner,):
@@ -121,10 +121,6 @@ def expose(model: mujoco.MjModel, elements: Elements, leg: str | None) -> None:
     for i, name in enumerate(elements.layout.legs):
         bits = _GROUND_BIT | (_OBSTACLE_BIT if name == leg else 0)
         model.geom_contype[elements.leg_geoms[i]] = bits
-
-
-def _bit_of(owner: str | None, layout: Layout) -> int:
-    return _OBSTACLE_BIT if owner is None else _OBSTACLE_BIT << (1 + layout.legs.index(owner))
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:

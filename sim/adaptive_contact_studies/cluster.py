@@ -112,12 +112,12 @@ def _check(client: Any, scheduler: str, folder: Path | None) -> None:
     except Exception as error:  # of any kind that a foreign process may raise
         found["the scheduler"] = error
     for who, answer in sorted(found.items()):
-        why = _why_not(answer, ours, folder)
+        why = why_not(answer, ours, folder)
         if why is not None:
             raise ConfigurationError(f"--scheduler {scheduler}: {who} {why}")
 
 
-def _why_not(answer: Any, ours: dict[str, str], folder: Path | None) -> str | None:
+def why_not(answer: Any, ours: dict[str, str], folder: Path | None) -> str | None:
     """Say what is wrong with a worker, and what to do; None if nothing is."""
     if isinstance(answer, ModuleNotFoundError):
         return (

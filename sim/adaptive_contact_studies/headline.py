@@ -8,7 +8,7 @@ of every leg; ``walk_rough`` is half an hour of tripod walking over rough ground
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import as_completed
+from functools import partial
 from typing import Final, NamedTuple
 
 from adaptive_contact.model import Baseline
@@ -22,7 +22,7 @@ from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import play, score_run
-from adaptive_contact_studies.workers import worker_pool
+from adaptive_contact_studies.workers import completed
 
 __all__ = ["HEADLINE_RUNS", "HeadlineRun", "run_headline"]
 
@@ -33,11 +33,6 @@ class HeadlineRun(NamedTuple):
     row: str
     settings: SimulationSettings
     seconds: float
-
-
-class _Outcome(NamedTuple):
-    row: str
-    outcomes: list[LegOutcome]
 
 
 def _pose(
@@ -91,19 +86,16 @@ def run_headline(
     Returns:
         The figures of every row.
     """
-    done: dict[int, _Outcome] = {}
-    with worker_pool(processes) as pool:
-        futures = {pool.submit(_one, r, robot, baseline): i for i, r in enumerate(runs)}
-        for future in as_completed(futures):
-            done[futures[future]] = future.result()
-            progress(runs[futures[future]])
+    done: dict[HeadlineRun, list[LegOutcome]] = {}
+    for spec, outcomes in completed(partial(_one, robot, baseline), runs, processes):
+        done[spec] = outcomes
+        progress(spec)
     rows: dict[str, list[LegOutcome]] = {}
-    for index in range(len(runs)):
-        rows.setdefault(done[index].row, []).extend(done[index].outcomes)
+    for spec in runs:
+        rows.setdefault(spec.row, []).extend(done[spec])
     return {row: summarise(outcomes) for row, outcomes in rows.items()}
 
 
-def _one(spec: HeadlineRun, robot: Robot, baseline: Baseline) -> _Outcome:
+def _one(robot: Robot, baseline: Baseline, spec: HeadlineRun) -> list[LegOutcome]:
     run = record_arrays(spec.settings, spec.seconds)
-    played = play(run, robot, baseline)
-    return _Outcome(spec.row, score_run(run, robot, played.events))
+    return score_run(run, robot, play(run, robot, baseline).events)

@@ -1,7 +1,4 @@
-"""How fast the learners are, in one process.
-
-How fast the simulator is.
-"""
+"""How fast the learners, the simulator and the export of recordings are, in one process."""
 
 from __future__ import annotations
 
@@ -19,22 +16,25 @@ from threadpoolctl import threadpool_limits
 
 from adaptive_contact.bank import LegGroup, compile_ahead
 from adaptive_contact.detect.leg_batch import LegBatch
-from adaptive_contact.errors import AdaptiveContactError
+from adaptive_contact.errors import AdaptiveContactError, MissingExtraError
 from adaptive_contact.fit.refit_job import Job
 from adaptive_contact.learn.rls import RecursiveLeastSquares
 from adaptive_contact.leg_learner import ContactLearner
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
+from adaptive_contact.service.recording import read_recording
+from adaptive_contact.service.recording.export import ExportFormat, export_recording
 from adaptive_contact.service.refits import ProcessRefitter
 from adaptive_contact.service.state import Identity, Record, Refused, StateStore
 from adaptive_contact.wire import ServoSample
 from adaptive_contact_sim.arrays import Run
+from adaptive_contact_sim.recorder import record_file
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
 from adaptive_contact_studies.evaluate import samples_of
 
-__all__ = ["Speed", "real_time_factor", "restore_speed", "tick_speed"]
+__all__ = ["Speed", "export_speed", "real_time_factor", "restore_speed", "tick_speed"]
 
 
 @dataclass(frozen=True)
@@ -312,3 +312,28 @@ def real_time_factor(
         mujoco.mj_step(plant.model, plant.data)
     bare = time.process_time() - start
     return Speed(factor=seconds / whole, engine=engine_seconds / bare)
+
+
+def export_speed(settings: SimulationSettings, seconds: float = 60.0) -> dict[str, float]:
+    """Measure how fast a recording is exported, reading and writing included, imports apart.
+
+    Args:
+        settings: what is recorded.
+        seconds: simulated time.
+
+    Returns:
+        Recorded seconds per second, by format; without those whose library is not installed.
+
+    Raises:
+        RecordingError: the recording cannot be written or read.
+    """
+    ratios = {}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "walk.mcap"
+        record_file(settings, seconds, file)
+        for form in (*ExportFormat, *ExportFormat):  # the second time counts: all is imported
+            with contextlib.suppress(MissingExtraError):
+                start = time.perf_counter()
+                exported = export_recording(read_recording(file), Path(folder) / form, form)
+                ratios[form.value] = exported.span_s / (time.perf_counter() - start)
+    return ratios

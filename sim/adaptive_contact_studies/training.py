@@ -9,8 +9,7 @@ the hexapod, 2000 and up of the quadruped, 3000 and up of the leg, tests and ben
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import as_completed
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -25,7 +24,7 @@ from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import SimulationSettings
 from adaptive_contact_sim.terrain import TerrainKind, TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.workers import alone, worker_pool
+from adaptive_contact_studies.workers import completed
 
 __all__ = ["TRAINING_RUNS", "TrainingRun", "learn_shipped", "stretch_of"]
 
@@ -126,7 +125,11 @@ def learn_shipped(
     robot = simulated_robot(name).description
     runs = TRAINING_RUNS[name] if runs is None else runs
     streams: dict[str, list[Stretch]] = {leg: [] for leg in robot.leg_ids}
-    for run in _record(runs, processes, progress):
+    recorded: dict[str, Run] = {}
+    for spec, run in completed(_record, runs, processes):
+        recorded[spec.name] = run
+        progress(f"recorded {spec.name}")
+    for run in (recorded[spec.name] for spec in runs):
         for leg in robot.leg_ids:
             if run.legs[leg].swing.any():
                 streams[leg].append(stretch_of(run, leg, robot.period_s))
@@ -143,20 +146,5 @@ def learn_shipped(
     )
 
 
-def _record(
-    runs: tuple[TrainingRun, ...], processes: int, progress: Callable[[str], None]
-) -> Iterator[Run]:
-    """The runs in their order, however many at a time."""
-    if alone(processes, len(runs)):
-        for spec in runs:
-            yield record_arrays(spec.settings, spec.seconds)
-            progress(f"recorded {spec.name}")
-        return
-    with worker_pool(processes) as pool:
-        futures = {pool.submit(record_arrays, s.settings, s.seconds): s for s in runs}
-        for future in as_completed(futures):
-            future.result()  # a failed run ends the others early
-            progress(f"recorded {futures[future].name}")
-        done = {spec.name: future.result() for future, spec in futures.items()}
-    for spec in runs:
-        yield done[spec.name]
+def _record(spec: TrainingRun) -> Run:
+    return record_arrays(spec.settings, spec.seconds)

@@ -7,16 +7,21 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextvars import ContextVar
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 from adaptive_contact.service.refit_process import ONE_BLAS_THREAD
 
-__all__ = ["alone", "on_cluster", "worker_pool"]
+__all__ = ["alone", "completed", "on_cluster", "worker_pool"]
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 # How a worker ends that was interrupted.
 _INTERRUPTED: Final = 130
@@ -70,6 +75,32 @@ def worker_pool(processes: int, *, finish: bool = False) -> Iterator[Executor]:
 
     with cluster_pool(*cluster) as far:
         yield far
+
+
+def completed(
+    work: Callable[[T], R], items: Sequence[T], processes: int, *, finish: bool = False
+) -> Iterator[tuple[T, R]]:
+    """Do work on items, in order of completion; in this process where others do not speed it up.
+
+    Args:
+        work: a module-level function, or a partial of one.
+        items: what to do it on.
+        processes: at most so many of this computer.
+        finish: as of :func:`worker_pool`.
+
+    Yields:
+        Items with their results; a failed one ends the others early.
+    """
+    if alone(processes, len(items)):
+        for item in items:
+            with threadpool_limits(1):  # as in a worker
+                result = work(item)
+            yield item, result
+        return
+    with worker_pool(min(processes, len(items)), finish=finish) as pool:
+        futures = {pool.submit(work, item): item for item in items}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
 
 
 @contextlib.contextmanager

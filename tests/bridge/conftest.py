@@ -41,8 +41,7 @@ PERIOD_S = 0.02
 
 @pytest.fixture(scope="session", autouse=True)
 def _commands() -> None:
-    if not cli.app.registered_groups:
-        cli._register()
+    cli.load_commands()
 
 
 @pytest.fixture(autouse=True)

@@ -108,7 +108,12 @@ class Stage:
 
     def told(self) -> float:
         """Where the joint is by the servo's own numbers, rad."""
-        return self.joint.angle(self.servo._steps(self.horns.angle(0)))
+        register = self.servo.model.registers["present_position"]
+        short, self.servo.short = self.servo.short, 0.0
+        data = self.servo.read(register.address, register.size)
+        self.servo.short = short
+        assert isinstance(data, bytes)
+        return self.joint.angle(register.value(data))
 
     def tick(self, command: float | None) -> None:
         """One tick: the horn moves at most a step towards the command, or not at all."""

@@ -44,8 +44,7 @@ STEPS = ("--resolution", "0.00153", "--rate", "100")
 def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("walker.urdf").write_text(quadruped())
-    if not cli.app.registered_commands:
-        cli._register()
+    cli.load_commands()
 
 
 def invoke(*words: str, answers: str | None = None) -> str:

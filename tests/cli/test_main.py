@@ -57,13 +57,13 @@ def test_no_command_is_the_help() -> None:
         assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("where", ["_register", "app"])
+@pytest.mark.parametrize("where", ["load_commands", "app"])
 def test_an_interrupt_says_nothing(where: str) -> None:
     """While commands are loaded, and in one that does not deal with it itself."""
     code = (
         "import adaptive_contact.cli.main as cli\n"
         "def interrupted(*_, **__): raise KeyboardInterrupt\n"
-        "cli._register = lambda asked: None\n"
+        "cli.load_commands = lambda asked: None\n"
         f"cli.{where} = interrupted\n"
         "cli.main()"
     )

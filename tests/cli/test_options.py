@@ -19,8 +19,7 @@ from adaptive_contact.durations import seconds_of
 
 @pytest.fixture(scope="module")
 def program() -> Any:
-    if not main.app.registered_commands:
-        main._register()
+    main.load_commands()
     return get_command(main.app)
 
 
@@ -34,8 +33,7 @@ def test_no_help_shows_a_type_behind_a_flag(program: Any, monkeypatch: Any) -> N
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("NO_COLOR", "1")
     seen = 0
-    if not main.app.registered_commands:
-        main._register()
+    main.load_commands()
     for path, _ in _all(program):
         text = CliRunner().invoke(main.app, [*path, "--help"], prog_name="adaptive-contact").output
         assert re.search(r"--help +(-h +)?Show", text), text
@@ -151,10 +149,8 @@ def test_what_is_no_duration_is_one_line(
     words: list[str], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
     monkeypatch.setattr("sys.argv", ["adaptive-contact", *words])
-    if not main.app.registered_commands:
-        main._register()
-    monkeypatch.setattr(main, "_register", lambda asked: None)
-    assert main._run() == 2
+    main.load_commands()
+    assert main.run() == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert says in said

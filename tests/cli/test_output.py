@@ -129,7 +129,7 @@ def test_an_unexpected_fault_keeps_its_code() -> None:
         "def broken(*_, **__):\n"
         "    print('half a table')\n"
         "    raise ValueError('a fault')\n"
-        "cli._register, cli.app = (lambda asked: None), broken\n"
+        "cli.load_commands, cli.app = (lambda asked: None), broken\n"
         "cli.main()"
     )
     with FULL.open("w") as full:
@@ -152,7 +152,7 @@ def test_a_file_on_a_full_disk_is_named() -> None:
         "import errno\n"
         "import adaptive_contact.cli.main as cli\n"
         "def broken(*_, **__): raise OSError(errno.ENOSPC, 'No space left on device', 'a.json')\n"
-        "cli._register, cli.app = (lambda asked: None), broken\n"
+        "cli.load_commands, cli.app = (lambda asked: None), broken\n"
         "cli.main()"
     )
     done = subprocess.run(

@@ -29,8 +29,7 @@ def exec_start(unit: Path) -> list[str]:
 def test_the_command_of_a_unit_has_its_options(unit: Path) -> None:
     program, *words = exec_start(unit)
     assert program == PROGRAM
-    if not main.app.registered_commands:
-        main._register()
+    main.load_commands()
     command: Any = get_command(main.app)
     while hasattr(command, "commands"):
         command = command.commands[words.pop(0)]

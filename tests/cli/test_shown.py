@@ -48,13 +48,11 @@ def test_commands_print_through_one_helper() -> None:
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Run a command in this process, and return what it says."""
-    if not main.app.registered_commands:
-        main._register()
-    monkeypatch.setattr(main, "_register", lambda asked: None)
+    main.load_commands()
 
     def run_(*words: object) -> str:
         monkeypatch.setattr("sys.argv", ["adaptive-contact", *map(str, words)])
-        main._run()
+        main.run()
         said = capsys.readouterr()
         return said.out + said.err
 

@@ -124,7 +124,7 @@ def test_a_service_without_fault(walk: Path, tmp_path: Path, robot: Robot) -> No
         late = level.over_floor[level.t_ns > DRIFT_S * 1e9]
         assert np.median(late) > 2.0 if leg == "rf" else np.median(late) < 1.5, leg
 
-    first, (second, third) = touches_words(SETTINGS, verdict), outcome_words(SETTINGS, verdict)
+    first, (second, third) = touches_words(verdict), outcome_words(SETTINGS, verdict)
     assert "no false alarm" in first
     assert "a frozen model finds" in second
     assert third.startswith("The service follows the leg at once: ")

@@ -80,9 +80,14 @@ def test_a_lost_refit_of_a_changed_leg_is_asked_for_once_more(model: LegModel) -
 
 
 def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
-    trial = Candidate("rf", NOISE, np.ones(model.library.size), Given(model.coefficients))
-    trial._candidate = np.zeros_like(model.coefficients)
+    given = Given(np.zeros_like(model.coefficients))
+    trial = Candidate("rf", NOISE, np.ones(model.library.size), given)
     rng = np.random.default_rng(0)
+    buffer = ReplayBuffer()
+    fill(buffer, rng, model.library.size)
+    ask(trial, model, buffer)
+    answer(trial)
+    assert trial.trying
     while trial.trying:
         asked = trial.deciding
         new = row(rng, model.library.size, truth=0.06)
@@ -91,24 +96,23 @@ def test_who_cannot_be_compared_is_not_promoted(model: LegModel) -> None:
     assert trial.counts.refused == 1
 
 
-class Numbered(NamedTuple):
-    """A job."""
-
-    leg: str
-    number: int
-
-    def run(self) -> object:
-        """Nothing."""
-        return None
-
-
 def test_in_line_one_job_of_a_leg_waits() -> None:
+    """The newest one, whose result is there once."""
+
+    class Numbered(NamedTuple):
+        leg: str
+        number: int
+
+        def run(self) -> tuple[str, int]:
+            return self.leg, self.number
+
     refitter = InlineRefitter()
-    for number in range(5):
-        refitter.submit(Numbered("rf", number))
-    refitter.submit(Numbered("lf", 0))
-    assert {leg: job.number for leg, job in refitter._jobs.items()} == {"rf": 4, "lf": 0}
-    assert refitter.collect("rf", 3) is None
+    for job in (*(Numbered("rf", number) for number in range(5)), Numbered("lf", 0)):
+        refitter.submit(job)  # type: ignore[arg-type]
+    assert [refitter.collect("rf", number) for number in range(4)] == [None] * 4
+    assert refitter.collect("rf", 4) == ("rf", 4)
+    assert refitter.collect("rf", 4) is None
+    assert refitter.collect("lf", 0) == ("lf", 0)
 
 
 def test_a_candidate_that_fits_no_better_is_refused(model: LegModel) -> None:

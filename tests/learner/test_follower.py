@@ -38,6 +38,11 @@ def adapter(baseline: Baseline) -> Adapter:
     return Adapter("rf", known, recent, LearnerMode.RLS, InlineRefitter())
 
 
+@pytest.fixture
+def scale(baseline: Baseline) -> Array:
+    return baseline.legs["rf"].scale
+
+
 def rows_of(theta: Array, target: Array, *, level: float = 1.0, t_ns: int = 0) -> list[Row]:
     """Free ticks of a lift, one after the other."""
     return [
@@ -55,28 +60,30 @@ def swing(adapter: Adapter, rows: list[Row], number: int) -> None:
     adapter.learn(LabelledSwing(Label.END))
 
 
-def lifts(adapter: Adapter, swings: int, spoil: Callable[[Row], Row] = lambda row: row) -> None:
+def lifts(
+    adapter: Adapter, scale: Array, swings: int, spoil: Callable[[Row], Row] = lambda row: row
+) -> None:
     """Swings of a leg that does what the model says, each row changed on its way."""
     rng = np.random.default_rng(swings)
     model = adapter.model
     for number in range(swings):
-        theta = rng.normal(size=(8, model.library.size)) * adapter._scale
+        theta = rng.normal(size=(8, model.library.size)) * scale
         target = theta @ model.coefficients + 1e-3 * rng.normal(size=(8, 3))
         swing(adapter, [spoil(row) for row in rows_of(theta, target)], number)
 
 
-def test_a_model_that_fits_stays(adapter: Adapter) -> None:
+def test_a_model_that_fits_stays(adapter: Adapter, scale: Array) -> None:
     before = adapter.model.coefficients
-    lifts(adapter, 10)
+    lifts(adapter, scale, 10)
     np.testing.assert_allclose(adapter.model.coefficients, before, atol=1e-3)
     assert adapter.refits.rolled_back == 0
 
 
 @pytest.mark.parametrize("wild", [np.nan, np.inf, 1e3])
 def test_a_model_that_went_wild_gives_way_to_the_last_good_one(
-    adapter: Adapter, wild: float
+    adapter: Adapter, scale: Array, wild: float
 ) -> None:
-    lifts(adapter, 10)
+    lifts(adapter, scale, 10)
     good = adapter.model.coefficients
     adapter._active._rls._xi[0, 0] = wild / adapter._active._rls._to_raw[0, 0]
     adapter._active._moved = True
@@ -85,7 +92,7 @@ def test_a_model_that_went_wild_gives_way_to_the_last_good_one(
     assert adapter.refits.last_reason == (
         "rolled back: a coefficient was not finite, or implausible: the last good model again"
     )
-    lifts(adapter, 5)  # and it goes on from there
+    lifts(adapter, scale, 5)  # and it goes on from there
     assert adapter.refits.rolled_back == 1
     assert np.isfinite(adapter.model.coefficients).all()
 
@@ -100,16 +107,16 @@ def test_one_that_goes_wild_before_there_was_a_good_swing_gives_way_to_the_basel
     assert "the baseline again" in (adapter.refits.last_reason or "")
 
 
-def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter) -> None:
+def test_no_row_makes_it_predict_what_no_servo_can_do(adapter: Adapter, scale: Array) -> None:
     """Rows of a leg that jumps by radians, let loose as after a change."""
-    lifts(adapter, 5)
+    lifts(adapter, scale, 5)
     rng = np.random.default_rng(0)
 
     def jump(row: Row) -> Row:
         return row._replace(target=rng.normal(size=3) * 50.0, nis=300.0, value=900.0)
 
-    lifts(adapter, 40, jump)
-    moved = np.abs(adapter.model.coefficients * adapter._scale[:, None]).max()
+    lifts(adapter, scale, 40, jump)
+    moved = np.abs(adapter.model.coefficients * scale[:, None]).max()
     assert moved <= max(MAX_TERM_RAD, adapter._active._most_rad)
     assert np.isfinite(adapter.model.coefficients).all()
     assert adapter.status != "valid"
@@ -163,7 +170,7 @@ def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> 
     adapter, recent = fresh()
     assert known.domain is not None
     theta = np.random.default_rng(7).normal(size=len(known.scale)) * known.scale
-    lifts(adapter, 60)
+    lifts(adapter, known.scale, 60)
     grown = float(recent.domain.leverage(theta)) if recent.domain else 0.0
     assert grown < 0.8 * float(known.domain.leverage(theta)), "refits have widened it"
     again, restored = fresh()
@@ -172,9 +179,9 @@ def test_where_the_leg_has_been_is_known_after_a_restart(baseline: Baseline) -> 
     assert float(restored.domain.leverage(theta)) <= grown * 1.05
 
 
-def rows_at(adapter: Adapter, level: float, t_ns: int) -> list[Row]:
+def rows_at(adapter: Adapter, scale: Array, level: float, t_ns: int) -> list[Row]:
     """Eight rows of the model's own leg, as far off as is said."""
-    theta = np.random.default_rng(t_ns).normal(size=(8, len(adapter._scale))) * adapter._scale
+    theta = np.random.default_rng(t_ns).normal(size=(8, len(scale))) * scale
     return rows_of(theta, theta @ adapter.model.coefficients, level=level, t_ns=t_ns)
 
 
@@ -182,21 +189,21 @@ def rows_at(adapter: Adapter, level: float, t_ns: int) -> list[Row]:
     ("second", "distrusted", "learned"), [(20.0, False, 24), (1.0, False, 8), (20.0, True, 16)]
 )
 def test_the_descent_of_a_doubted_lift_waits_for_the_next(
-    adapter: Adapter, second: float, distrusted: bool, learned: int
+    adapter: Adapter, scale: Array, second: float, distrusted: bool, learned: int
 ) -> None:
     """It is learned with the change, is dropped where there was none, or its ticks were none."""
     for t_ns in range(1000, 1005):
         adapter.monitor.begin_swing()
-        adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, 1.0, 100 * t_ns), 0, 0))
+        adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, scale, 1.0, 100 * t_ns), 0, 0))
     before = len(adapter.confirmed_ns)
     adapter.monitor.begin_swing()
-    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, 20.0, 10_000_000), 0, 0))
-    adapter.learn(LabelledSwing(Label.DESCENT, rows_at(adapter, 20.0, 11_000_000), 0))
+    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, scale, 20.0, 10_000_000), 0, 0))
+    adapter.learn(LabelledSwing(Label.DESCENT, rows_at(adapter, scale, 20.0, 11_000_000), 0))
     assert len(adapter.confirmed_ns) == before
     if distrusted:
         adapter.distrust(11_000_000)
     adapter.monitor.begin_swing()
-    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, second, 12_000_000), 0, 0))
+    adapter.learn(LabelledSwing(Label.LIFT, rows_at(adapter, scale, second, 12_000_000), 0, 0))
     assert len(adapter.confirmed_ns) - before == learned
 
 
@@ -276,7 +283,7 @@ def test_what_came_at_another_rate_is_dropped_wherever_it_lies(adapter: Adapter)
     adapter.distrust(0)
     assert len(adapter.buffer.segments) == 2, "of another clock"
     adapter.buffer.add(rows(50), 0, 0)
-    assert adapter.buffer._held == 12
+    assert sum(len(segment.target) for segment in adapter.buffer.segments) == 12
 
 
 @pytest.mark.parametrize(("seed", "at", "stop"), [(7, 8, 16), (6, 10, 18), (8, 6, 14)])

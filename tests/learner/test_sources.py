@@ -86,9 +86,8 @@ def test_a_copy_is_told_within_one_swing(lag: int, rounding: Rounding) -> None:
     for begin in (PERIOD, 2 * PERIOD, 3 * PERIOD):
         made = echoed(stream, begin - lag, begin + SWING, lag=lag, rounding=rounding)
         watch = EchoWatch(3, STEP)
-        told(watch, made[:begin])
-        watch._echoing[:] = False
-        watch.begin()
+        for sample in made[:begin]:
+            watch.command(sample.desired)
         assert told(watch, made[begin : begin + SWING]) >= {1, 2}
 
 

@@ -1,4 +1,4 @@
-"""What is known of any leg: units of its own, any number of joints, and what it does not depend on."""
+"""What is known of any leg: its units, and legs of any number of joints."""
 
 from __future__ import annotations
 

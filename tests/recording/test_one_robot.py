@@ -69,14 +69,12 @@ def _write(
 def run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Callable[[str, Path], tuple[int, str, str]]:
-    if not main.app.registered_commands:
-        main._register()
-    monkeypatch.setattr(main, "_register", lambda asked: None)
+    main.load_commands()
     more = {"replay": ["--events", "-"], "score": ["--json"], "fit": ["-o", str(tmp_path / "out")]}
 
     def run_(command: str, path: Path) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["adaptive-contact", command, str(path), *more[command]])
-        code = main._run()
+        code = main.run()
         said = capsys.readouterr()
         return code, said.out, said.err
 

@@ -69,8 +69,7 @@ def learn_live(
     """The command, beside a source that publishes all samples; ends when they are taken in."""
     monkeypatch.chdir(tmp_path)
     Path("robot.toml").write_text(TOML)
-    if not cli.app.registered_groups:
-        cli._register()
+    cli.load_commands()
     threads: list[threading.Thread] = []
 
     def run(samples: list[tuple[str, ServoSample]], *words: str) -> Any:
@@ -206,8 +205,7 @@ def test_other_legs_are_named(learn_live: Callable[..., Any]) -> None:
     ],
 )
 def test_options_of_the_other_source_are_refused(words: tuple[str, ...], says: str) -> None:
-    if not cli.app.registered_groups:
-        cli._register()
+    cli.load_commands()
     result = CliRunner().invoke(cli.app, ["robot", "learn", *words])
     assert isinstance(result.exception, ConfigurationError)
     assert says in str(result.exception)

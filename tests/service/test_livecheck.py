@@ -249,8 +249,7 @@ def run_live(monkeypatch: pytest.MonkeyPatch, router: Link) -> Iterator[Callable
     """The command, beside a source that publishes all samples; ends when they are taken in."""
     from adaptive_contact.cli import _options
 
-    if not cli.app.registered_groups:
-        cli._register()
+    cli.load_commands()
     threads = []
 
     def run(samples: list[tuple[str, ServoSample]], *words: str):
@@ -304,8 +303,7 @@ def test_over_zenoh_a_wrong_sign_ends_with_1_and_json_says_which(run_live: Calla
 
 
 def test_errors_are_one_line() -> None:
-    if not cli.app.registered_groups:
-        cli._register()
+    cli.load_commands()
 
     def raised(*words: str) -> BaseException | None:
         return CliRunner().invoke(cli.app, ["robot", "check", *words]).exception

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from adaptive_contact.service.findings import Cause
-from adaptive_contact.service.readings import check_readings, position_step
+from adaptive_contact.service.position_step import position_step
+from adaptive_contact.service.readings import check_readings
 from adaptive_contact.wire import ServoSample
 
 AX = math.radians(300.0) / 1023

@@ -17,7 +17,7 @@ from adaptive_contact_sim.servo import QUANTUM_RAD
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.terrain import TerrainSettings
 from adaptive_contact_sim.walk import WalkSettings
-from adaptive_contact_studies.speed import real_time_factor
+from adaptive_contact_studies.speed import export_speed, real_time_factor
 
 EVERYTHING = {
     "pose": SimulationSettings(
@@ -208,3 +208,11 @@ def test_speed_is_measured() -> None:
     speed = real_time_factor(seconds=0.5, engine_seconds=0.2)
     assert speed.engine > 1.0
     assert speed.factor > 1.0  # 20 and more where nothing else runs; `make bench` holds it to that
+
+
+def test_export_is_measured_in_every_format() -> None:
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("google.protobuf")
+    ratios = export_speed(SimulationSettings(motion=WalkSettings(), seed=1), seconds=4.0)
+    assert set(ratios) == {"json", "protobuf", "csv", "parquet"}
+    assert min(ratios.values()) > 1.0  # 50 and more; `adaptive-contact bench` prints it

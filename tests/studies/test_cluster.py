@@ -136,11 +136,11 @@ def test_what_cannot_work_is_one_line(
 def test_a_worker_that_lacks_something_is_told_what_to_install() -> None:
     here = cluster.same_here()
     lacking = ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
-    assert "lacks mujoco; install there" in str(cluster._why_not(lacking, here, None))
-    assert "cannot be asked (gone)" in str(cluster._why_not(OSError("gone"), here, None))
+    assert "lacks mujoco; install there" in str(cluster.why_not(lacking, here, None))
+    assert "cannot be asked (gone)" in str(cluster.why_not(OSError("gone"), here, None))
     seen = {**here, "sees": False}
-    assert "does not see out; give an --out" in str(cluster._why_not(seen, here, Path("out")))
-    assert cluster._why_not({**here, "sees": True}, here, Path("out")) is None
+    assert "does not see out; give an --out" in str(cluster.why_not(seen, here, Path("out")))
+    assert cluster.why_not({**here, "sees": True}, here, Path("out")) is None
 
 
 def test_without_the_extra_it_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from adaptive_contact.errors import ConfigurationError
-from adaptive_contact.web import WebSettings, server
+from adaptive_contact.web import WebSettings, http, server
 from adaptive_contact.web.server import MOST_STREAMS, History, Site
 
 FRAME = b'{"t":1}'
@@ -295,7 +295,7 @@ def test_requests_that_are_none(shared: Running, request_: bytes, status: int) -
 
 def test_half_a_request_is_ended(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch, running.connect() as one:
-        patch.setattr(server, "HEAD_WITHIN_S", 0.2)
+        patch.setattr(http, "HEAD_WITHIN_S", 0.2)
         one.sendall(b"GET / HTTP/1.1\r\nHost:")
         assert answer_of(everything(one))[0] == 408
     with running.connect() as one:

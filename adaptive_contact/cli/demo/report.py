@@ -85,7 +85,7 @@ def drawn(settings: DemoSettings, verdict: Verdict) -> Figure:
 
 
 def _title(figure: Figure, settings: DemoSettings, verdict: Verdict) -> None:
-    first = touches_words(settings, verdict)
+    first = touches_words(verdict)
     then = "\n".join(outcome_words(settings, verdict))
     figure.text(0.012, 0.978, first, size=17.5, weight="bold", va="top")
     figure.text(0.012, 0.935, then, size=13.5, va="top", linespacing=1.35)

@@ -24,7 +24,7 @@ from adaptive_contact.score.tables import as_json
 from adaptive_contact.service.server import version
 
 
-def touches_words(settings: DemoSettings, verdict: Verdict) -> str:
+def touches_words(verdict: Verdict) -> str:
     """How well contacts are found before the drift."""
     total = verdict.service.before.total
     counted = total.counted
@@ -94,7 +94,7 @@ def figures(settings: DemoSettings, take: Take, verdict: Verdict) -> dict[str, A
     """Everything that was found, as a tree of numbers and texts; what is not known is None."""
     return {
         "v": VERSION,
-        "result": [touches_words(settings, verdict), *outcome_words(settings, verdict)],
+        "result": [touches_words(verdict), *outcome_words(settings, verdict)],
         "settings": {
             "seconds": settings.seconds,
             "seed": settings.seed,
@@ -157,7 +157,7 @@ def as_table(settings: DemoSettings, verdict: Verdict) -> RenderableType:
         shown.add_section()
         shown.add_row(name, *_cells(judged.before.total), *_cells(judged.after.total))
     return Group(
-        Text(touches_words(settings, verdict), style="bold"),
+        Text(touches_words(verdict), style="bold"),
         *(Text(line, style="bold") for line in outcome_words(settings, verdict)),
         shown,
     )

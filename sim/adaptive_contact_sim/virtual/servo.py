@@ -14,7 +14,7 @@ addresses are used.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -286,13 +286,12 @@ class VirtualServo:
 
     def _goals(self) -> tuple[int, int]:
         """Goals that are taken."""
-        lower, upper = self.value("lower_limit"), self.value("upper_limit")
         if self._multi_turn:
             most = _MULTI_TURN_STEPS if self.model.compact else _MOST_STEPS
             return -most, most
         if not self._follows:  # the register is kept, and means nothing
             return -_MOST_STEPS, _MOST_STEPS
-        return lower, upper
+        return self.value("lower_limit"), self.value("upper_limit")
 
     @property
     def _multi_turn(self) -> bool:
@@ -323,7 +322,7 @@ class VirtualServo:
                 # An AX servo that is given a goal switches its torque on.
                 self.store("torque_enable", 1)
                 self._backend.set_torque(self._index, self.drives)
-            elif not self.torque and self._torque_by_goal:
+            elif not self.torque and self._has("drive_mode") & DriveMode.TORQUE_BY_GOAL:
                 self._settle_turns()
                 self.store("torque_enable", 1)
                 self._backend.set_torque(self._index, True)
@@ -349,15 +348,9 @@ class VirtualServo:
                     self.store("goal_position", self._steps(self._backend.angle(self._index)))
                 self._drive()
 
-    @property
-    def _torque_by_goal(self) -> bool:
-        return not self.model.compact and bool(self.value("drive_mode") & DriveMode.TORQUE_BY_GOAL)
-
     def _set_slope(self) -> None:
-        values: dict[str, int] = {
-            name: self.value(name) for name in _LAW if name in self.model.registers
-        }
-        slope = slope_rad(self.model, values)
+        known = _LAW & self.model.registers.keys()
+        slope = slope_rad(self.model, {name: self.value(name) for name in known})
         if slope is not None:
             self._backend.set_slope(self._index, slope)
 
@@ -447,16 +440,19 @@ class VirtualServo:
             "return_delay": return_delay,
             "lower_limit": model.lowest,
             "upper_limit": model.highest,
-            "shutdown": _fatal(model),
+            "shutdown": 0x34 if not model.compact else 0x24 if model.protocol == 1 else 0x03,
             "status_return": 2,
             "resolution_divider": 1,
             "control_mode": _JOINT,
             "operating_mode": _POSITION,
             "pwm_limit": 885,
         }
-        for name, value in initial.items():
-            if name in model.registers:
-                self.store(name, value)
+        self._store_known(initial)
+
+    def _store_known(self, values: Mapping[str, int]) -> None:
+        """Store what the model has registers for."""
+        for name in values.keys() & self.model.registers.keys():
+            self.store(name, values[name])
 
     def _baud(self) -> int:
         register = self.value("baud")
@@ -481,6 +477,7 @@ class VirtualServo:
         initial = {
             "temperature": 35,
             "voltage": 120 if model.protocol == 1 else 50,
+            "torque_control": 0,
             "goal_position": self._steps(self._backend.angle(self._index)),
         }
         if model.compact:
@@ -489,11 +486,7 @@ class VirtualServo:
         else:
             gain = 400 if "330" in model.name else 800
             initial |= {"position_p": gain, "hardware_error": 0, "status_return": 2}
-        for name, value in initial.items():
-            if name in model.registers:
-                self.store(name, value)
-        if "torque_control" in model.registers:
-            self.store("torque_control", 0)
+        self._store_known(initial)
         for addresses, first, count in self._indirect:
             for i in range(count):  # each stands for itself
                 place = addresses + 2 * i
@@ -504,10 +497,3 @@ class VirtualServo:
         self._backend.set_torque(self._index, on)
         if starts:
             self._drive()
-
-
-def _fatal(model: ServoModel) -> int:
-    """What shuts a servo down as it is delivered, bits of its register."""
-    if not model.compact:
-        return 0x34
-    return 0x24 if model.protocol == 1 else 0x03

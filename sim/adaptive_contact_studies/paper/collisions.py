@@ -113,25 +113,23 @@ def ten_collisions(
     heard = _Listener(sim, leg)
     rows: list[tuple[Array, Array, bool]] = []
     touches: list[tuple[int, float, float]] = []
-    while len(touches) < count and sim.time_s < _LONGEST_S:
+
+    def advance() -> None:
         sim.advance()
         own = slice(3 * leg, 3 * leg + 3)
         rows.append(
             (sim.reading.angle_rad[own].copy(), sim.desired[own].copy(), sim.phase[leg] == "swing")
         )
+
+    while len(touches) < count and sim.time_s < _LONGEST_S:
+        advance()
         for change in sim.changes:
             if change.leg == leg and change.contact and change.touch is not None:
                 touches.append((change.step, change.touch.speed_m_s, change.force_n))
     # The last touch's own swing, and the force that follows it.
     for _ in range(2 * _MARGIN):
-        sim.advance()
-        own = slice(3 * leg, 3 * leg + 3)
-        rows.append(
-            (sim.reading.angle_rad[own].copy(), sim.desired[own].copy(), sim.phase[leg] == "swing")
-        )
-    measured = np.array([r[0] for r in rows])
-    desired = np.array([r[1] for r in rows])
-    swing = np.array([r[2] for r in rows])
+        advance()
+    measured, desired, swing = map(np.array, zip(*rows, strict=True))
 
     progress(0.2)
     model, status = fitted(robot, train, "paper", PAPER_WINDOW, _THRESHOLD)

@@ -21,7 +21,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +74,6 @@ def paper_fit(
     Returns:
         The fit with its status; never raises for bad data.
     """
-    from pysindy.optimizers import STLSQ
-
     empty = np.zeros((factor.terms, factor.outputs))
     if factor.rows < factor.terms:
         return PaperFit(FitStatus.TOO_FEW_ROWS, empty)
@@ -86,18 +84,27 @@ def paper_fit(
     used = np.square(r).sum(axis=0) > 0.0
     if not used.any():
         return PaperFit(FitStatus.EMPTIED, empty)
-    optimizer = STLSQ(threshold=threshold, alpha=ridge, normalize_columns=normalised)
-    with warnings.catch_warnings():
-        # Read off the result instead: an emptied state from the support.
-        warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
-        warnings.filterwarnings("ignore", message=".*did not converge")
-        optimizer.fit(r[:, used], qty)
     coefficients = empty.copy()
-    coefficients[used] = np.asarray(optimizer.coef_, dtype=np.float64).T
+    coefficients[used] = _stlsq(
+        r[:, used], qty, threshold=threshold, alpha=ridge, normalize_columns=normalised
+    )
     if not np.isfinite(coefficients).all():
         return PaperFit(FitStatus.NOT_FINITE, empty)
     emptied = not (coefficients != 0.0).any(axis=0).all()
     return PaperFit(FitStatus.EMPTIED if emptied else FitStatus.OK, coefficients)
+
+
+def _stlsq(rows: Array, target: Array, **settings: Any) -> Array:
+    """(p, states) coefficients of PySINDy's STLSQ."""
+    from pysindy.optimizers import STLSQ
+
+    optimizer = STLSQ(**settings)
+    with warnings.catch_warnings():
+        # Read off the result instead: an emptied state from the support.
+        warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
+        warnings.filterwarnings("ignore", message=".*did not converge")
+        optimizer.fit(rows, target)
+    return np.asarray(optimizer.coef_, dtype=np.float64).T
 
 
 _COMPARED: Final[tuple[tuple[LibraryName, Window, float], ...]] = (
@@ -148,8 +155,6 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
         threshold: λ, in units of the residual.
         repeats: of each.
     """
-    from pysindy.optimizers import STLSQ
-
     windows = free_rows(stream, library).windows
     theta, library_s = _timed(
         lambda: library.evaluate(windows.measured, windows.desired, windows.preview), repeats
@@ -170,13 +175,8 @@ def compare(stream: Stream, library: Library, threshold: float, *, repeats: int 
 
     def raw() -> Array:
         # The same problem in PySINDy's words: its ridge term is per problem, ours per row.
-        optimizer = STLSQ(threshold=threshold, alpha=settings.ridge * len(theta))
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
-            warnings.filterwarnings("ignore", message=".*did not converge")
-            optimizer.fit(scaled, wanted)
-        scaled_back: Array = np.asarray(optimizer.coef_, dtype=np.float64).T / scale[:, None]
-        return scaled_back * unit
+        ridge = settings.ridge * len(theta)
+        return _stlsq(scaled, wanted, threshold=threshold, alpha=ridge) / scale[:, None] * unit
 
     coefficients, raw_s = _timed(raw, repeats)
     return Comparison(

@@ -7,7 +7,6 @@ without loss: ten robot-hours take some tens of megabytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,7 +27,7 @@ from adaptive_contact_studies.paper.recording import (
     require_unchanged_source,
 )
 from adaptive_contact_studies.training import stretch_of
-from adaptive_contact_studies.workers import alone, worker_pool
+from adaptive_contact_studies.workers import alone, completed
 
 __all__ = ["Stream", "join", "load", "parallel", "record_all"]
 
@@ -225,15 +224,9 @@ def parallel(work: Callable[[T], R], items: Sequence[T], workers: int) -> Iterat
     Raises:
         ConfigurationError: the source was changed since this process began.
     """
-    if alone(workers, len(items)):
-        for item in items:
-            yield item, work(item)
-        return
-    require_unchanged_source()
-    with worker_pool(min(workers, len(items)), finish=True) as pool:
-        futures = {pool.submit(work, item): item for item in items}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
+    if not alone(workers, len(items)):
+        require_unchanged_source()
+    yield from completed(work, items, workers, finish=True)
 
 
 def _record(job: _Job) -> float:

@@ -111,17 +111,7 @@ def at_other_aims(plan: Plan, piece: Piece) -> bool:
 def play_at(
     per_hour: float, robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
 ) -> list[Events]:
-    """The default detector with another aim.
-
-    Args:
-        per_hour: false alarms per robot-hour that its thresholds aim at.
-        robot: its description.
-        baselines: what the learners start from, by seed of the robot.
-        streams: of any length.
-
-    Returns:
-        The events of each.
-    """
+    """Play as :func:`play_streams`, with thresholds of ``per_hour`` false alarms per robot-hour."""
     detector = msgspec.structs.replace(robot.detector, false_alarms_per_hour=per_hour)
     return play_streams(msgspec.structs.replace(robot, detector=detector), baselines, streams)
 
@@ -129,16 +119,7 @@ def play_at(
 def play_ungated(
     robot: Robot, baselines: Mapping[int, Baseline], streams: Sequence[Stream]
 ) -> list[Events]:
-    """Learners that take every tick for free motion, one stream after the other.
-
-    Args:
-        robot: its description.
-        baselines: what the learners start from, by seed of the robot.
-        streams: of any length.
-
-    Returns:
-        The events of each.
-    """
+    """Play as :func:`play_streams`, one after the other, every tick taken for free motion."""
     found = []
     for stream in streams:
         learner = ContactLearner(

@@ -30,9 +30,8 @@ __all__ = [
 # ``stand`` as in the paper), collisions.
 Role = Literal["train", "tune", "free", "stand", "touch"]
 
-# Ticks of a trial in pose: ascent, descent, hold; and swing ticks among them.
+# Ticks of a trial in pose: ascent, descent, hold.
 _TRIAL_TICKS: Final = 23
-_TRIAL_SWING: Final = 20
 # Soft ground: foam, turf, packed soil under a foot of 8 mm radius (assumed range of the simulator).
 STIFFNESS_N_M: Final = (300.0, 1000.0, 3000.0)
 # Seeds by role: ranges that cannot meet.

@@ -1,24 +1,20 @@
-"""Scenarios in which the leg changes: steps of every kind, ramps, a pulse, several at once.
+"""The scenarios: permanent names, in the order of the table.
 
-Scenarios in which the leg stays as it is: contacts only, standing, trouble, starts, hours.
-
-Scenarios of robots other than the hexapod: nothing changes, and joints that rub.
-
-A quadruped that trots and walks over rough ground at 100 Hz, and a leg of five joints on a stand
-that meets plates.  Each learner starts from the baseline that ships for its robot.
-
-The scenarios: permanent names, in the order of the table.
+In some the leg changes: steps of every kind, ramps, a pulse, several at once.  In others it stays
+as it is: contacts only, standing, trouble, starts, hours.  Two robots more, a quadruped that trots
+and walks at 100 Hz and a leg of five joints on a stand, have both; each learner starts from the
+baseline that ships for its robot.
 """
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
 
 from adaptive_contact.errors import ConfigurationError
+from adaptive_contact.printable import did_you_mean
 from adaptive_contact_sim.encoder import EncoderSettings
 from adaptive_contact_sim.gait import GAITS, GaitName
 from adaptive_contact_sim.pose import PoseSettings
@@ -300,20 +296,18 @@ def trouble(sizes: Sizes) -> list[Scenario]:
         twin=without_staging,
         poisonous=True,
     )
-    trailing = Scenario(
+    trailing = replace(
+        caught,
         name="trailing-2N",
         about=f"a foot trails a branch for {sizes.caught_s:g} s, 2 N against its motion",
-        motion="pose",
-        expect=Expect.RECOVER,
         recordings=lone_runs(sizes, end_s, Staging(caught_s=(at_s, free_s), trails_n=2.0)),
         phases=(
             Phase("before", 0.0, at_s),
             Phase("trailing", at_s, free_s),
             *around(free_s, end_s, POSE_SWING_S)[1:],
         ),
-        judged=("after",),
         marks=(Mark("tangled", at_s), Mark("free again", free_s + POSE_SWING_S)),
-        twin=without_staging,
+        poisonous=False,
     )
     faults = EncoderSettings(dropped=0.03, repeated=0.03)
     readings = Scenario(
@@ -499,7 +493,6 @@ def named(names: Iterable[str], sizes: Sizes = FULL_SIZES) -> list[Scenario]:
     known = scenarios(sizes)
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else "`scenarios list` shows them"
+            hint = did_you_mean(name, known, "`scenarios list` shows them")
             raise ConfigurationError(f"no scenario '{name}'; {hint}")
     return [known[name] for name in dict.fromkeys(names)]

@@ -8,13 +8,11 @@ same numbers, however many processes there are.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 from zipfile import is_zipfile
-
-from threadpoolctl import threadpool_limits
 
 from adaptive_contact.errors import ConfigurationError, SimulationDivergedError
 from adaptive_contact_studies.scenarios.recording import file_of, key_of, made
@@ -25,7 +23,7 @@ from adaptive_contact_studies.scenarios.replay import (
     save_replay,
 )
 from adaptive_contact_studies.scenarios.spec import RecordingSpec, ReplaySpec, Scenario
-from adaptive_contact_studies.workers import alone, worker_pool
+from adaptive_contact_studies.workers import completed
 
 __all__ = ["FULL", "RESULTS", "Done", "Folders", "Job", "jobs", "run"]
 
@@ -144,22 +142,11 @@ def run(
         KeyboardInterrupt: interrupted; what was done is kept.
     """
     problems: list[str] = []
-
-    def note(done: Done) -> None:
-        if done.problem:
-            problems.append(done.problem)
-        progress(done)
-
-    if alone(processes, len(work)):
-        with threadpool_limits(1):  # as in a worker
-            for job in work:
-                note(_do(job, folders))
-        return problems
     try:
-        with worker_pool(processes) as pool:
-            futures = [pool.submit(_do, job, folders) for job in work]
-            for future in as_completed(futures):
-                note(future.result())
+        for _, done in completed(partial(_do, folders), work, processes):
+            if done.problem:
+                problems.append(done.problem)
+            progress(done)
     except BrokenProcessPool as error:
         raise ConfigurationError(
             "a process ended that was at work (out of memory?); run the same command again to go "
@@ -168,7 +155,7 @@ def run(
     return sorted(problems)
 
 
-def _do(job: Job, folders: Folders) -> Done:
+def _do(folders: Folders, job: Job) -> Done:
     try:
         recording = made(job.recording, folders.recordings)
     except SimulationDivergedError as error:
