@@ -113,8 +113,7 @@ def test_a_leg_without_a_baseline_goes_on_where_it_was(robot: Any) -> None:
 
     fresh = ContactLearner(robot, "rf", None)
     assert fresh.restore(copy.deepcopy(tree)) is None
-    assert msgpack.packb(fresh.snapshot()) == msgpack.packb(found.snapshot())
-    assert fresh.status.status == found.status.status
+    assert fresh.status == found.status
     assert fresh.model_report is not None
     assert found.model_report is not None
     assert fresh.model_report.equations == found.model_report.equations

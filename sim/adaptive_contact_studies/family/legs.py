@@ -288,7 +288,7 @@ class _Plan:
 
     def swing(self, plates: float) -> None:
         """Add a swing and the stance after it."""
-        rng, leg = self._rng, self._leg
+        rng = self._rng
         top, end = self._points()
         ticks = max(5, round(self._half * rng.uniform(0.85, 1.15)))
         self._go(top, ticks, swing=True)

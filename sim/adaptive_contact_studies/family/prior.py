@@ -136,7 +136,10 @@ def _joints_of(seed: int) -> list[_Joint]:
     for joint in range(len(library.joints)):
         at = columns_of(library, joint)
         columns = np.concatenate(
-            [theta[:, at.own] / at.own_unit, theta[:, at.common], theta[:, at.others] / at.other_unit],
+            [
+                theta[:, at.own] / at.own_unit, theta[:, at.common],
+                theta[:, at.others] / at.other_unit,
+            ],
             axis=1,
         )  # fmt: skip
         target = increment[:, joint]
