@@ -6,9 +6,9 @@ joints and axes, lengths, masses, the servo (gain, torque, speed, back-EMF, fric
 and load, dead zone, punch, position step, noise), the latency of its commands, the control rate and
 the gait.
 
-Two generators: legs of the first have servos of the law in :mod:`adaptive_contact_sim.servo`.  Those
-of the second have a cascade of a position and a speed loop, friction that grows with the square of
-the speed, and other profiles: nothing is learned from them.
+Two generators: legs of the first have servos of the law in :mod:`adaptive_contact_sim.servo`.
+Those of the second have a cascade of a position and a speed loop, friction that grows with the
+square of the speed, and other profiles: nothing is learned from them.
 """
 
 from __future__ import annotations

@@ -101,8 +101,8 @@ def table(found: Sequence[LegTrial]) -> str:
     rows = {kind: [leg for leg in found if leg.kind == kind] for kind in KINDS}
     rows["all"] = list(found)
     lines = [
-        "| legs without a baseline | legs | first touch found: swing, median / p95 | after chances | "
-        "found from there to swing 100 | false alarms per robot-hour | from swing 100 on | "
+        "| legs without a baseline | legs | first touch found: swing, median / p95 "
+        "| after chances | found from there to swing 100 | false alarms per robot-hour | from swing 100 on | "
         "with baseline |",
         "|---|---|---|---|---|---|---|---|",
     ]
