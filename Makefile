@@ -29,7 +29,7 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --progress-bar of
 PROGRESS = sed -unE 's/^(Collecting|Downloading|Installing|Building) /  &/p'
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun same same-faults pico
+.PHONY: help env demo test test-all check bench bench-bridge scenarios baseline soak fuzz kills links many unseen lock wheel clean rerun same same-faults pico prior strangers
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -73,6 +73,12 @@ check: env  ## ruff, types, import contracts
 
 same: env  ## revision REV against the working tree on recorded runs, bit by bit (or TOLERANCE=1e-9)
 	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
+
+prior: env  ## what is known of any leg, learned anew from drawn legs, as it ships
+	$(BIN)/python -m adaptive_contact_studies.family learn models/adaptive_contact_models/family.json
+
+strangers: env  ## legs without a baseline: swings to the first touch, touches found, false alarms
+	$(BIN)/python -m adaptive_contact_studies.family try
 
 unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
 	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)

@@ -23,7 +23,7 @@ _LEVELS: Final = {"valid": OK, "adapting": OK, "learning": WARN, "ambiguous": WA
 _MEANS: Final = {
     "valid": "follows its model",
     "adapting": "has changed; its model follows",
-    "learning": "has no model yet: no contacts",
+    "learning": "is being learned: contacts by what is known of any leg",
     "ambiguous": "cannot be judged: contacts are withheld",
     "silent": "sends no usable samples",
 }

@@ -50,8 +50,8 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
             "Check that the baseline, the legs' ids, signs and offsets belong to this robot.",
         ),
         (
-            r"no baseline|baseline has no leg|not good enough yet|a first model is being fitted",
-            "Let the leg swing freely, in many directions; a first model takes some 40 swings.",
+            r"no baseline|baseline has no leg|moves like no leg",
+            "Let the leg swing, in many directions; it is known after some 10 swings.",
         ),
         (
             r"no phase|no lengths_m",

@@ -93,16 +93,16 @@ def _learning(status: LearnerStatus, service: ServiceStatus | None) -> Fault:
         return Fault(
             "warning",
             Cause.LEARNING,
-            "learning: no contact is reported before the leg has its first model",
-            f"let the leg swing freely, in many directions, or start with --baseline; {_NOTES}",
+            "learning: contacts are reported by what is known of any leg, until this one is known",
+            f"let the leg swing, in many directions, or start with --baseline; {_NOTES}",
             status.note,
         )
     return Fault(
         "error",
         Cause.LEARNING,
-        "learning: no contact is reported, although the service has a baseline",
-        "check that the baseline, the legs' ids, signs and offsets belong to this robot; until a "
-        f"first model is learned, let the leg swing freely; {_NOTES}",
+        "learning: the baseline is not used, contacts are reported by what is known of any leg",
+        "check that the baseline, the legs' ids, signs and offsets belong to this robot; until the "
+        f"leg is known, let it swing; {_NOTES}",
         status.note,
     )
 

@@ -102,8 +102,8 @@ def table(found: Sequence[LegTrial]) -> str:
     rows["all"] = list(found)
     lines = [
         "| legs without a baseline | legs | first touch found: swing, median / p95 "
-        "| after chances | found from there to swing 100 | false alarms per robot-hour | from swing 100 on | "
-        "with baseline |",
+        "| after chances | found from there to swing 100 | false alarms per robot-hour "
+        "| from swing 100 on | with baseline |",
         "|---|---|---|---|---|---|---|---|",
     ]
     lines += [_row(kind, legs) for kind, legs in rows.items() if legs]
