@@ -113,7 +113,9 @@ def test_a_leg_without_a_baseline_goes_on_where_it_was(robot: Any) -> None:
 
     fresh = ContactLearner(robot, "rf", None)
     assert fresh.restore(copy.deepcopy(tree)) is None
-    assert fresh.status == found.status
+    kept = ("status", "model_version", "noise_floor", "drift", "refits", "note")
+    for name in kept:
+        assert getattr(fresh.status, name) == getattr(found.status, name), name
     assert fresh.model_report is not None
     assert found.model_report is not None
     assert fresh.model_report.equations == found.model_report.equations

@@ -54,7 +54,8 @@ class _Joint:
         rest: sum of squares that no coefficient explains.
         ticks: rows.
         own, common: how many columns.
-        kind: (r,) of other joints' columns, see :class:`~adaptive_contact.model.leg_prior.OwnColumns`.
+        kind: (r,) of other joints' columns, see
+            :class:`~adaptive_contact.model.leg_prior.OwnColumns`.
         z: (5,) covariates.
         quantum: over the slope.
         size: (q,) root mean square of the own columns.
