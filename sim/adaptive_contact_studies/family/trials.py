@@ -32,14 +32,14 @@ __all__ = ["KINDS", "LegTrial", "table", "trials"]
 # What is tried, and how many runs; of a hexapod's walk six legs each, in pose three, of a
 # quadruped's four.
 KINDS: Final = {
-    "hexapod walking": 12,
-    "hexapod in pose, obstacles": 6,
-    "quadruped12 trotting": 12,
-    "leg5 in pose, plates": 12,
-    "drawn legs in pose": 30,
-    "drawn legs stepping": 30,
-    "second generator in pose": 15,
-    "second generator stepping": 15,
+    "hexapod walking": 4,
+    "hexapod in pose, obstacles": 3,
+    "quadruped12 trotting": 4,
+    "leg5 in pose, plates": 4,
+    "drawn legs in pose": 14,
+    "drawn legs stepping": 14,
+    "second generator in pose": 7,
+    "second generator stepping": 7,
 }
 EARLY: Final = 100  # swings
 _FIRST_SEED: Final = 20_000
