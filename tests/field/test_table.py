@@ -166,7 +166,7 @@ def test_a_leg_that_its_baseline_lacks(walk: list[m.Sent]) -> None:
     diagnosis = listen(last(walk, SHORT_S), shipped_robot(), given)
     (finding,) = diagnosis.findings
     assert (finding.level, finding.cause, finding.legs) == ("error", Cause.LEARNING, ["lf"])
-    assert "of 20 swings" in finding.what
+    assert "of 10 swings" in finding.what
 
 
 @pytest.mark.parametrize("period_s", [0.033, 0.01, 0.005], ids=["30 Hz", "100 Hz", "200 Hz"])
@@ -179,7 +179,7 @@ def test_a_good_robot_at_another_rate_has_no_findings(period_s: float) -> None:
         for leg, sample in tick.samples.items()
     ]
     assert check_recording(robot, of_legs(sent), {}) == []
-    # So short a walk gives no first model, and nothing else is wrong.
+    # After so short a walk a leg is not known yet, and nothing else is wrong.
     diagnosis = listen(last(sent, 4.0), robot, None)
     assert causes(diagnosis, notes=True) == [Cause.LEARNING], diagnosis.findings
     # By a robot.toml of another rate, it is named.

@@ -275,7 +275,7 @@ def test_refusals_of_old_are_notes_and_new_ones_warnings() -> None:
     ("status", "remedy"),
     [
         ("ambiguous", "look at the foot and its servos"),
-        ("learning", "let the leg swing freely"),
+        ("learning", "until the leg is known, let it swing"),
         ("valid", "docs/operating.md says what each note asks for"),
     ],
 )
