@@ -164,12 +164,13 @@ class FakeRefitter:
 
 
 def no_process(**_: object) -> None:
-    """There is nothing to refit."""
+    """There is nothing to refit, or to compile."""
 
 
 def main() -> None:
     bank = types.ModuleType("adaptive_contact.bank")
     bank.LearnerBank = FakeBank  # type: ignore[attr-defined]
+    bank.compile_ahead = no_process  # type: ignore[attr-defined]
     sys.modules["adaptive_contact.bank"] = bank
     refits = types.ModuleType("adaptive_contact.service.refits")
     refits.ProcessRefitter = FakeRefitter  # type: ignore[attr-defined]
