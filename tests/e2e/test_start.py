@@ -28,8 +28,8 @@ COMMANDS = ("", "serve", "watch", "doctor", "record", "replay", "score", "fit", 
 # Prints what was imported once each command has shown its help, as one line of JSON.
 CODE = """
 import json, sys
-from adaptive_contact.cli.main import app, _register
-_register()
+from adaptive_contact.cli.main import app, load_commands
+load_commands()
 imported = {}
 for command in json.loads(sys.argv[1]):
     app([*command.split(), "--help"], standalone_mode=False)
