@@ -5,13 +5,13 @@ is what makes six legs cost little more than one.  A tick has two halves.  The f
 :meth:`LegGroup.judge`, goes from samples to contact events.  The second, :meth:`LegGroup.finish`,
 learns from the tick and predicts the next; no event waits for it.
 
-Whatever a step of one leg raises resets that leg and no other: each step is in a `try` of its own.
+Whatever a step of one leg raises resets that leg and no other (:meth:`LegGroup._step`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -30,6 +30,8 @@ from adaptive_contact.robot import Leg, Robot
 from adaptive_contact.wire import ContactEvent, ServoSample, is_leg_id
 
 __all__ = ["MAX_LEGS", "LearnerBank", "LegGroup", "OnFault", "compile_ahead"]
+
+T = TypeVar("T")
 
 # Called with the leg and what its learning raised.
 OnFault = Callable[[str, Exception], None]
@@ -91,23 +93,16 @@ class LegGroup:
         for i, (learner, sample) in enumerate(zip(self.learners, samples, strict=True)):
             if sample is None:
                 continue
-            try:
-                if learner.take(sample):
-                    here.append(i)
-            except Exception as fault:  # of any kind: it is this leg's alone
-                self._fault(learner, fault)
+            if self._step(learner, learner.take, sample):
+                here.append(i)
         if not here:
             return events
         self._open.update(here)
         for batch, members in [pair for pair in self._batches if pair[0].judge() & EVENTS]:
             for i, flags in zip(members, batch.flags, strict=True):
                 learner = self.learners[i]
-                if not flags & EVENTS or not batch.accepted[learner.place.row]:
-                    continue
-                try:
-                    events[i] = learner.event_of(flags)
-                except Exception as fault:  # of any kind: it is this leg's alone
-                    self._fault(learner, fault)
+                if flags & EVENTS and batch.accepted[learner.place.row]:
+                    events[i] = self._step(learner, learner.event_of, flags)
         return events
 
     def finish(self) -> None:
@@ -123,26 +118,28 @@ class LegGroup:
                     if i not in self._open:
                         continue
                     learner = self.learners[i]
-                    try:
-                        if learner.finish(flags):
-                            taking_over.append(learner)
-                    except Exception as fault:  # of any kind: it is this leg's alone
-                        self._fault(learner, fault)
+                    if self._step(learner, learner.finish, flags):
+                        taking_over.append(learner)
                 batch.finish()
             for learner in taking_over:
-                try:
-                    learner.take_up_model()
-                except Exception as fault:  # of any kind: it is this leg's alone
-                    self._fault(learner, fault)
+                self._step(learner, learner.take_up_model)
             self._open.clear()
         self._regroup()
 
-    def _fault(self, learner: ContactLearner, fault: Exception) -> None:
-        """Reset the leg whose step raised, so that the others go on; raise without ``on_fault``."""
-        if self._on_fault is None:
-            raise fault
-        learner.reset_after_fault(fault)
-        self._on_fault(learner.leg.id, fault)
+    def _step(self, learner: ContactLearner, step: Callable[..., T], *given: object) -> T | None:
+        """Make one leg's step; reset that leg if it raises, so that the others go on.
+
+        Returns:
+            What the step does; None where it raised.  Without ``on_fault`` it is raised again.
+        """
+        try:
+            return step(*given)
+        except Exception as fault:  # of any kind, as the other legs must go on
+            if self._on_fault is None:
+                raise
+            learner.reset_after_fault(fault)
+            self._on_fault(learner.leg.id, fault)
+            return None
 
     def _regroup(self) -> None:
         """Put learners of equal libraries into one batch, where a leg's batch is another now."""
@@ -173,7 +170,7 @@ class LearnerBank:
     Args:
         robot: its description.
         baseline: what is known of its legs' free motion.
-        refitter: does the sparse refits and cold starts; in line where absent.
+        refitter: does the sparse refits; in line where absent.
         on_fault: called with a fault in one leg's learning, after which that leg is reset;
             without it, faults are raised.
         when_ambiguous: whether contacts are reported while a leg is ambiguous.

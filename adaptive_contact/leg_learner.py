@@ -214,13 +214,12 @@ class ContactLearner:
         usable = int(leg["usable"])
         if recent is None or not usable:
             return None
-        batch, row = self.place.batch, self.place.row
-        unit = batch.unit[row]
-        whiten = recent.whiten[int(leg["context"])] / np.sqrt(unit)
+        units = self.place.units
+        whiten = recent.whiten[int(leg["context"])] / np.sqrt(units)[:, None]
         found = statistic(self.place.residuals, self.place.increments, whiten, np.array(usable))
         thresholds = recent.thresholds
         residual = self.place.residuals[0].copy()
-        return JudgedTick(residual, found.value / thresholds, thresholds * float(unit.mean()))
+        return JudgedTick(residual, found.value / thresholds, thresholds * units.mean(axis=1))
 
     def drain_confirmed(self) -> list[int]:
         """Return the times of the ticks confirmed as free since the last call, ns."""

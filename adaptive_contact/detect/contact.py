@@ -27,7 +27,7 @@ from adaptive_contact.model.noise import SPEED_EDGES_QUANTA, UNFIT_LEVEL
 # A coefficient that is off puts ticks in a row off alike: the variance of sums of w grows towards
 # w² times one's, not w times.  By so much more its share counts in windows of 1, 2 and 3 ticks of a
 # leg known from a prior; in full (1.1 and 2.3 times) it delays the first contact by two swings.
-ADDS_UP: Final = (0.0, 0.25, 0.5)
+CORRELATED: Final = (0.0, 0.25, 0.5)
 SPEEDS: Final = len(SPEED_EDGES_QUANTA) + 1
 # A tick is calm when its distance from the free model is below this share of the threshold: one
 # free tick in a thousand is not, while a foot let go of is at several times the threshold.
@@ -107,9 +107,9 @@ def statistic(
     for j in range(joints):
         sums[0, j] = sums[1, j] = 0.0
     for width in range(DEPTH):
-        if leg.adds_up and width > 0:
+        if leg.from_prior and width > 0:
             for j in range(joints):
-                more = ADDS_UP[width] * max(unit[j] - leg.variance_scale * leg.inflation, 0.0)
+                more = CORRELATED[width] * max(unit[j] - leg.variance_scale * leg.inflation, 0.0)
                 shrink[j] = 1.0 / math.sqrt(unit[j] + more)
         for j in range(joints):
             sums[0, j] += history[0, width, j]
@@ -283,7 +283,7 @@ def enter_row(
     elif leg.rising and not leg.topped:
         if not (free or leg.ticks >= FREE_LIFT_TICKS):
             return
-    elif leg.closed or (leg.adds_up and leg.after):
+    elif leg.closed or (leg.from_prior and leg.after):
         leg.topped = True
         return
     at = leg.row_n if leg.gated else 0  # ungated, each is learned at once

@@ -186,7 +186,7 @@ LEG: Final = np.dtype(
         ("context", i4),  # index of the whitening
         ("variance_scale", f8),  # in force
         ("inflated", b1),  # the covariance is
-        ("adds_up", b1),  # what the coefficients add to residuals is alike in ticks in a row
+        ("from_prior", b1),  # the model goes on from a prior
         ("root_n", i4),  # terms of a joint in its root
         ("clock_most", f8),  # largest stretch in question, periods
         ("clock_left", i4),  # ticks it stays in question

@@ -20,9 +20,15 @@ from adaptive_contact.model.labelled_swing import Row, residuals_of
 from adaptive_contact.model.leg_model import LegModel
 from adaptive_contact.model.model_file import LegBaseline
 
-__all__ = ["ActiveModel"]
+__all__ = ["ActiveModel", "FirstSwings"]
 
 Array = NDArray[np.float64]
+
+# A leg that began with a prior is known after so many swings at least, when its coefficients have
+# added less than this share of the noise's variance in each of the last.
+KNOWN_SWINGS: Final = 10
+KNOWN_UNCERTAINTY: Final = 0.5
+KNOWN_IN_A_ROW: Final = 3
 
 # A term never moves a tick by more than this: the fastest servos make it in one, and no term of the
 # shipped models moves a typical tick by more than an eighth of it.
@@ -37,6 +43,39 @@ RETURN_SWINGS: Final = 3
 PRIOR_BOUND: Final = 500.0
 
 
+class FirstSwings:
+    """Follows how well a leg is known that began with a prior.
+
+    Attributes:
+        swings: resolved so far.
+    """
+
+    def __init__(self) -> None:
+        self.swings = 0
+        self._known = 0  # swings in a row
+        self._largest: float | None = None  # uncertainty of this swing, None without a row
+
+    def note(self, uncertainty: float) -> None:
+        """Note the uncertainty of the rows of a lift, or of a descent."""
+        self._largest = max(self._largest or 0.0, uncertainty)
+
+    def end_swing(self, *, valid: bool) -> bool:
+        """End a swing; return whether the leg is known."""
+        self.swings += 1
+        if self._largest is not None:
+            known = valid and self._largest < KNOWN_UNCERTAINTY
+            self._known = self._known + 1 if known else 0
+        self._largest = None
+        return self.swings >= KNOWN_SWINGS and self._known >= KNOWN_IN_A_ROW
+
+    @property
+    def progress(self) -> str:
+        """Progress for people, such as ``4 of 10 swings``."""
+        if self.swings < KNOWN_SWINGS:
+            return f"{self.swings} of {KNOWN_SWINGS} swings"
+        return f"{self.swings} swings, and its model is still uncertain"
+
+
 class _Good(NamedTuple):
     """Holds a model that fitted, with the recursion that went on from it."""
 
@@ -49,7 +88,7 @@ class ActiveModel:
     """Owns one leg's model in force, its recursion and the last good model.
 
     Args:
-        known: the baseline.
+        known: the baseline, or a prior.
         on_fall: called with the name of the model that replaces an implausible one.
 
     Attributes:
@@ -57,14 +96,8 @@ class ActiveModel:
         inflated: whether the recursion's covariance was, since the recursion began.
     """
 
-    def __init__(
-        self,
-        known: LegBaseline,
-        *,
-        on_fall: Callable[[str], None],
-    ) -> None:
+    def __init__(self, known: LegBaseline, *, on_fall: Callable[[str], None]) -> None:
         self.baseline = known.model
-        self.inflated = known.spread is not None
         self._spread = known.spread
         self._settings = None if known.spread is None else RlsSettings(bound=PRIOR_BOUND)
         self._on_fall = on_fall
@@ -73,7 +106,7 @@ class ActiveModel:
         self._model = known.model
         self._coefficients = known.model.coefficients
         self._moved = False  # the recursion has, since they were made
-        self._rls = self._recursion(known.model)
+        _, self._rls, self.inflated = self._start()
         # What a term may move a tick by, at most.
         own = np.abs(known.model.coefficients * known.scale[:, None]).max()
         self._most_rad = max(MAX_TERM_RAD, BALANCE * float(own))
@@ -123,7 +156,7 @@ class ActiveModel:
         self._moved = True
         return self._rls.update(row.theta, row.target)
 
-    def doubt(self, rows: Sequence[Row]) -> float:
+    def uncertainty(self, rows: Sequence[Row]) -> float:
         """Compute the variance of predictions that comes from the coefficients, over the noise's.
 
         Returns:
@@ -170,8 +203,8 @@ class ActiveModel:
         return True
 
     def revert_to_baseline(self) -> None:
-        """Put the baseline in force; the version goes on."""
-        self._rls, self.inflated = self._recursion(self.baseline), self._spread is not None
+        """Put the baseline, or the prior, in force again; the version goes on."""
+        _, self._rls, self.inflated = self._start()
         self._moved = True
 
     def snapshot(self) -> dict[str, Any]:
@@ -202,17 +235,24 @@ class ActiveModel:
         self._put(self._model.moved(state.coefficients, state.version))
         self._rls, self.inflated = rls, state.inflated
 
-    def _recursion(self, model: LegModel) -> RecursiveLeastSquares:
+    def _start(self) -> _Good:
+        """Return the baseline, with a recursion that begins at it and at its spread."""
+        if self._spread is None:
+            return _Good(self.baseline, self._recursion(self.baseline), inflated=False)
+        rls = self._recursion(self.baseline, (self._spread != 0.0).any(axis=1).T)
+        rls.inflate(self._spread)
+        return _Good(self.baseline, rls, inflated=True)
+
+    def _recursion(
+        self, model: LegModel, more: NDArray[np.bool_] | None = None
+    ) -> RecursiveLeastSquares:
+        """Return a recursion at a model, over its terms and (p, J) more of them."""
         support = core_support(model)
-        spread = self._spread if model is self.baseline else None
-        if spread is not None:
-            support |= (spread != 0.0).any(axis=1).T
-        rls = RecursiveLeastSquares(
+        if more is not None:
+            support |= more
+        return RecursiveLeastSquares(
             model.coefficients, support, self._scale, self._noise, self._settings
         )
-        if spread is not None:
-            rls.inflate(spread)
-        return rls
 
     def _error(self, rows: Sequence[Row], coefficients: Array) -> float:
         _, residual = residuals_of(rows, coefficients)
@@ -231,9 +271,7 @@ class ActiveModel:
         if moves_at_most(coefficients, self._scale, self._most_rad):
             self._coefficients = coefficients
             return
-        good = self._good or _Good(
-            self.baseline, self._recursion(self.baseline), inflated=self._spread is not None
-        )
+        good = self._good or self._start()
         self._coefficients = good.model.coefficients.copy()
         self._rls, self.inflated = good.rls.copy(), good.inflated
         self._on_fall("the baseline" if self._good is None else "the last good model")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.diagnose.change_classifier import ChangeClassifier
 from adaptive_contact.fit.refit_job import Refitter
-from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel
+from adaptive_contact.learn.active_model import RETURN_SWINGS, ActiveModel, FirstSwings
 from adaptive_contact.learn.candidate import Candidate, rows_for_refit
 from adaptive_contact.learn.drift import (
     SETTLED_LEVEL,
@@ -56,51 +56,13 @@ REFRESH_SWINGS: Final = 4
 # Within so many ticks of the swing that makes it due, each leg at its own: a tripod's three do not
 # fall into one tick.
 REFRESH_TICKS: Final = 16
-# A leg is known after so many swings at least, when its coefficients have added less than this
-# share of the noise's variance in each of the last.
-KNOWN_SWINGS: Final = 10
-KNOWN_DOUBT: Final = 0.5
-KNOWN_IN_A_ROW: Final = 3
-
-
-class FirstSwings:
-    """Follows how well a leg is known that began with a prior.
-
-    Attributes:
-        swings: resolved so far.
-    """
-
-    def __init__(self) -> None:
-        self.swings = 0
-        self._sure = 0  # swings in a row
-        self._doubt = 0.0  # the largest of this swing
-        self._told = False
-
-    def doubt(self, doubt: float) -> None:
-        """Take in how uncertain the rows of a lift, or a descent, were."""
-        self._doubt, self._told = max(self._doubt, doubt), True
-
-    def end_swing(self, *, valid: bool) -> bool:
-        """End a swing; return whether the leg is known."""
-        self.swings += 1
-        if self._told:
-            self._sure = self._sure + 1 if valid and self._doubt < KNOWN_DOUBT else 0
-        self._doubt, self._told = 0.0, False
-        return self.swings >= KNOWN_SWINGS and self._sure >= KNOWN_IN_A_ROW
-
-    @property
-    def progress(self) -> str:
-        """What a person is told."""
-        if self.swings < KNOWN_SWINGS:
-            return f"{self.swings} of {KNOWN_SWINGS} swings"
-        return f"{self.swings} swings, not sure yet"
 
 
 class Standing(NamedTuple):
     """Holds what the learning says of a leg, as its events report it.
 
     Attributes:
-        status: valid, adapting or ambiguous; learning while there is no model.
+        status: learning where a leg has no model, or began with a prior and is not known yet.
         doubt: why the leg is ambiguous; None where it is not.
         version: of the model in force.
     """
@@ -187,7 +149,7 @@ class Adapter:
 
     @property
     def status(self) -> Status:
-        """Status of the leg."""
+        """Status of the leg; learning while one that began with a prior is not known yet."""
         status = self.monitor.status
         if status == "valid" and self._early.told:
             return "ambiguous"
@@ -263,7 +225,7 @@ class Adapter:
             self._change(first=found.first)
         if found.rows:
             if self.first is not None:
-                self.first.doubt(self._active.doubt(found.rows))
+                self.first.note(self._active.uncertainty(found.rows))
             self._consider_baseline(found.rows)
             self._confirm(found.rows, region)
         if found.changed:
@@ -272,7 +234,7 @@ class Adapter:
     def _descent(self, rows: list[Row], region: int) -> None:
         """Learn the confirmed part of a descent; after a suspected lift it waits for the next."""
         if self.first is not None:
-            self.first.doubt(self._active.doubt(rows))
+            self.first.note(self._active.uncertainty(rows))
         if self.monitor.trusted:
             self._confirm(rows, region)
         else:

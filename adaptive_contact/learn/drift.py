@@ -42,10 +42,9 @@ TAKE_BACK_LEVEL: Final = 1.5
 # Share of a new lift in the followed level, and while adapting.
 LEVEL_SHARE: Final = 0.1
 LEVEL_SHARE_ADAPTING: Final = 0.8
-LEVEL_RANGE: Final = (0.2, 400.0)
-# A baseline's noise is that of many swings: below it nothing is gained.  A first model's is that of
-# a hasty fit, and what is learned may bring it down as far as the range goes.
-LEAST_LEVEL: Final = 1.0
+# A baseline's noise is that of many swings, a prior's that of a noisy leg: no level below it is
+# followed.
+LEVEL_RANGE: Final = (1.0, 400.0)
 # Calm lifts in a row after which an adapting leg is valid again.
 SETTLED_SWINGS: Final = 3
 SETTLED_LEVEL: Final = 2.5
@@ -103,7 +102,6 @@ class DriftMonitor:
     """
 
     def __init__(self, joints: int) -> None:
-        self._range = (LEAST_LEVEL, LEVEL_RANGE[1])
         self.variance_scale = 1.0
         self.status: Status = "valid"
         self.kind: str | None = None
@@ -202,7 +200,7 @@ class DriftMonitor:
         self._far_swings = 0
         self._note_free()
         if self.obstructed:
-            self._swing_level = float(np.clip(level, self.variance_scale, self._range[1]))
+            self._swing_level = float(np.clip(level, self.variance_scale, LEVEL_RANGE[1]))
             return LiftAssessment([])
         if level > _suspicion_limit(self._joints * len(kept)) * self.variance_scale:
             return self._suspect(list(rows), level, t_ns)
@@ -240,14 +238,14 @@ class DriftMonitor:
         """
         doubted = self._swing_level is not None and self._suspicions == 1
         moving = self._swings_adapting and self._trusted and self._swings_loose <= SETTLED_SWINGS
-        if not (doubted or (moving and self.variance_in_force > LEAST_LEVEL)):
+        if not (doubted or (moving and self.variance_in_force > LEVEL_RANGE[0])):
             return
         self._newest.append(level)
         if len(self._newest) < TAKE_BACK_TICKS:
             return
         now = TAKE_BACK_LEVEL * sum(self._newest) / TAKE_BACK_TICKS
         if not doubted:
-            self._swing_level = min(self.variance_in_force, max(now, self._range[0]))
+            self._swing_level = min(self.variance_in_force, max(now, LEVEL_RANGE[0]))
         elif now < TAKE_BACK_LEVEL**2 * self.variance_scale:
             self._swing_level = None
             self._drop_suspicions()
@@ -304,7 +302,7 @@ class DriftMonitor:
         self._suspicions, self._suspected = 0, []
 
     def _suspect(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
-        self._swing_level = float(np.clip(level, *self._range))
+        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
         self._newest.clear()
         self._suspicions += 1
         self._settled = 0
@@ -320,7 +318,7 @@ class DriftMonitor:
 
     def _assess_far(self, rows: list[Row], level: float, t_ns: int) -> LiftAssessment:
         """Assess a lift further off than any drift: obstructed, or, if it lasts, another leg."""
-        self._swing_level = float(np.clip(level, *self._range))
+        self._swing_level = float(np.clip(level, *LEVEL_RANGE))
         self._newest.clear()
         self._settled = 0
         self._far_swings += 1
@@ -380,7 +378,7 @@ class DriftMonitor:
     def _follow_level(self, level: float) -> None:
         share = LEVEL_SHARE_ADAPTING if self._swings_adapting else LEVEL_SHARE
         mean = (1 - share) * self.variance_scale + share * level
-        self.variance_scale = float(np.clip(mean, *self._range))
+        self.variance_scale = float(np.clip(mean, *LEVEL_RANGE))
 
     def _settle(self, level: float) -> None:
         if self.status == "valid":

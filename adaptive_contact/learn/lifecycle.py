@@ -70,14 +70,14 @@ class Lifecycle:
         self.start()
 
     def start(self) -> None:
-        """Begin as if nothing had been learned: from the baseline, or cold."""
+        """Begin as if nothing had been learned: from the baseline, or from a prior."""
         baseline = self._baseline
         self.recent: NoiseTracker | None = None
         self.adapter: Adapter | None = None
         self.begun += 1
         self.origin = None if baseline is None else baseline.origin
         self.note: str | None = None
-        self._wide = 0.0  # of the prior; 0 for a leg with a baseline
+        self._widening = 0.0  # factor on the prior's spread; 0 for a leg with a baseline
         self._unfit = False
         self._known = self._choose(baseline)
         if self._known is not None:
@@ -109,27 +109,26 @@ class Lifecycle:
         return floor
 
     def forget(self) -> None:
-        """Start anew: the baseline, or the prior, was never this leg's."""
+        """Start again from a prior, or a wider one: what it began with was never this leg's."""
         if not self._mode.recursive:
             self._known = self.adapter = self.recent = None
             self.begun += 1
             self.note = "the baseline does not fit this leg: fit a new one"
             return
-        wide = min(self._wide * WIDER, WIDEST) if self._wide else 1.0
-        self._unfit = self._unfit or not self._wide
-        self._begin_prior(wide)
+        self._unfit = self._unfit or not self._widening
+        self._begin_prior(min(self._widening * WIDER, WIDEST) if self._widening else 1.0)
 
     @property
     def note_now(self) -> str | None:
         """The note, with how many swings a leg has of those it needs to be known."""
         first = None if self.adapter is None else self.adapter.first
-        if not self._wide or self.note is None:
+        if not self._widening or self.note is None:
             return self.note
         return None if first is None else f"{self.note} ({first.progress})"
 
     def snapshot(self) -> dict[str, Any]:
         """Return what has been learned, as a tree that msgpack can write."""
-        tree: dict[str, Any] = {"unfit": self._unfit, "wide": self._wide, **self._frame}
+        tree: dict[str, Any] = {"unfit": self._unfit, "widening": self._widening, **self._frame}
         if self.adapter is not None:
             tree["follower"] = self.adapter.snapshot()
         self._saved = tree
@@ -176,15 +175,15 @@ class Lifecycle:
     def _restore(self, saved: dict[str, Any]) -> str | None:
         if saved.get("angles") != self._frame.get("angles"):
             return self._refused("robot.toml had other [leg.angles] when it was learned")
-        inner, wide = saved.get("follower"), saved.get("wide")
+        inner, widening = saved.get("follower"), saved.get("widening", 0.0)
         if "start" in saved:
             return self._refused("it began without a baseline, in an older version")
-        if isinstance(wide, float) and 1.0 <= wide <= WIDEST and self._mode.recursive:
-            self._unfit = saved.get("unfit") is True
-            if self._wide or self._unfit:
-                self._begin_prior(wide)
-        if not isinstance(inner, dict):
-            return self._refused("it holds no model")
+        if saved.get("unfit") is True and not self._unfit and self.adapter is not None:
+            self.forget()
+        if self._widening and widening > self._widening:
+            self._begin_prior(min(widening, WIDEST))
+        if not isinstance(inner, dict):  # there was no model
+            return None if isinstance(saved.get("unfit"), bool) else self._refused("it is no state")
         if self.adapter is None:
             return self._refused("there is no baseline to go with it")
         return self.adapter.restore(inner)
@@ -210,18 +209,18 @@ class Lifecycle:
         self.recent, self.begun = recent, self.begun + 1
         self.adapter = Adapter(self._leg.id, known, recent, self._mode, self._refitter)
 
-    def _begin_prior(self, wide: float) -> None:
+    def _begin_prior(self, widening: float) -> None:
         """Detect and learn from what is known of any leg."""
         robot, leg, note = self._robot, self._leg, self.note
-        if wide > 1.0:
+        if widening > 1.0:
             note = (
-                f"it moves like no leg that is known: learning it with {wide:.0f} times the doubt"
+                f"no leg that is known moves like this one: the prior is {widening:.0f} times wider"
             )
         elif self._unfit:
             note = "the baseline does not fit this leg: learning a new model"
-        known = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), wide)
+        known = leg_prior(leg_library(robot, leg), robot.quantum(leg.id), widening)
         self._begin(known, prior_tails(len(leg.joints)))
-        self._wide, self.note, self.origin = wide, note, "what is known of any leg"
+        self._widening, self.note, self.origin = widening, note, "what is known of any leg"
 
     def _refused(self, why: str) -> str:
         return f"snapshot of leg '{self._leg.id}' not used: {why}"

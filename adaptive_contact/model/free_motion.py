@@ -40,7 +40,8 @@ class FreeMotion(NamedTuple):
             them.
         variance_scale: of the residuals, over the baseline's; 1 for a leg as it was first known.
         covariance: of the coefficients while it is inflated, else None.
-        adds_up: what the coefficients add to the residuals is alike in ticks in a row.
+        from_prior: the model goes on from a prior: what its coefficients add to residuals is alike
+            in ticks in a row.
         changed: the leg has changed since the model in force was fitted.
         whiten: (contexts, windows, J, J) of sums of residuals.
         thresholds: (windows,) of the statistic.
@@ -51,7 +52,7 @@ class FreeMotion(NamedTuple):
     coefficients: Array | None
     variance_scale: float
     covariance: Covariance | None
-    adds_up: bool
+    from_prior: bool
     changed: bool
     whiten: Array
     thresholds: Array

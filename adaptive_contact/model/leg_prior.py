@@ -1,4 +1,4 @@
-r"""Gives what is known of a leg of which nothing is known: the prior of any leg's model.
+r"""Makes the prior of a leg's model: what is known of any leg.
 
 Legs are alike in units of their own.  With increments, positions and command steps over the
 servo's slope s, the coefficients of a joint's own terms form a family: a Gaussian whose mean
@@ -92,7 +92,7 @@ class FamilyFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class OwnColumns(NamedTuple):
-    """Columns of a library that one joint's prior speaks of, each with its unit.
+    """Holds the columns of a library that one joint's prior covers, each with its unit.
 
     Attributes:
         own: (q,) the joint's own, and ``own_unit``.
@@ -154,13 +154,13 @@ def columns_of(library: Library, joint: int) -> OwnColumns:
     )  # fmt: skip
 
 
-def leg_prior(library: Library, quantum_rad: float, wide: float = 1.0) -> LegBaseline:
-    """Make the prior of a leg, as a baseline that says how far it is to be trusted.
+def leg_prior(library: Library, quantum_rad: float, widening: float = 1.0) -> LegBaseline:
+    """Make the prior of a leg, as a baseline with the spread of its coefficients.
 
     Args:
         library: of the servos, with the usual window.
         quantum_rad: position step.
-        wide: factor on all deviations, for a leg that the family does not fit.
+        widening: factor on all deviations, for a leg that the family does not fit.
 
     Returns:
         A baseline of no rows, with :attr:`~LegBaseline.spread`.
@@ -189,7 +189,7 @@ def leg_prior(library: Library, quantum_rad: float, wide: float = 1.0) -> LegBas
         deviation[len(at.common) :] = apart[at.kind] / at.other_unit
         single = np.zeros((len(rest), p))
         single[np.arange(len(rest)), rest] = deviation * slope
-        spread.append(wide * np.concatenate([own, single]))
+        spread.append(widening * np.concatenate([own, single]))
     sigma = NOISY * math.hypot(of.noise_quanta * quantum_rad, of.noise_slopes * slope)
     covariance = np.zeros((CONTEXTS, len(WINDOWS), joints, joints))
     covariance[:] = np.multiply.outer(np.array(of.sums) * sigma**2, np.eye(joints))

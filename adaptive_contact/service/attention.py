@@ -50,7 +50,7 @@ _REMEDIES: Final[tuple[tuple[re.Pattern[str], str], ...]] = tuple(
             "Check that the baseline, the legs' ids, signs and offsets belong to this robot.",
         ),
         (
-            r"no baseline|baseline has no leg|moves like no leg",
+            r"no baseline|baseline has no leg|no leg that is known",
             "Let the leg swing, in many directions; it is known after some 10 swings.",
         ),
         (

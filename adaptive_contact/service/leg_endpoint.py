@@ -11,7 +11,8 @@ passing.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Final, TypeVar
 
 import msgspec
 import structlog
@@ -34,6 +35,8 @@ from adaptive_contact.wire import (
     contact_key,
     learner_key,
 )
+
+T = TypeVar("T")
 
 _log = structlog.get_logger()
 
@@ -265,7 +268,7 @@ class LegEndpoint:
 
     def status(self, now_ns: int) -> LearnerStatus:
         """The learner's status, with what only the service can know put in."""
-        status = self._told()
+        status = self._ask(lambda: self.learner.status)
         missed_down = self._admission.missed_down
         if missed_down:
             status = msgspec.structs.replace(status, missed=status.missed + missed_down)
@@ -305,22 +308,16 @@ class LegEndpoint:
 
     def report(self) -> ModelReport | None:
         """The leg's model, None before there is one."""
+        return self._ask(lambda: self.learner.model_report)
+
+    def _ask(self, question: Callable[[], T]) -> T:
+        """Ask the learner; one that raises is reset, and asked again."""
         try:
-            return self.learner.model_report
+            return question()
         except Exception as fault:  # of one leg, which must not end the others' service
-            self._restart_leg(fault)
-            return self.learner.model_report
-
-    def _told(self) -> LearnerStatus:
-        try:
-            return self.learner.status
-        except Exception as fault:  # of one leg, as in `report`
-            self._restart_leg(fault)
-            return self.learner.status
-
-    def _restart_leg(self, fault: Exception) -> None:
-        self.learner.reset_after_fault(fault)
-        self._faults(self.leg, fault)
+            self.learner.reset_after_fault(fault)
+            self._faults(self.leg, fault)
+            return question()
 
     def _silence(self, now_ns: int) -> str:
         """One line on a silent leg: samples that are all refused are another fault than none."""

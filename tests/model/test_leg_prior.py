@@ -72,7 +72,7 @@ def test_its_spread_is_the_family_s_covariance() -> None:
     assert ours[at.common[0], at.common[0]] == pytest.approx(
         (family().constant * of.slope_rad) ** 2
     )
-    wide = leg_prior(of, 0.0015, wide=3.0).spread
+    wide = leg_prior(of, 0.0015, widening=3.0).spread
     np.testing.assert_allclose(wide, 3.0 * spread)
 
 

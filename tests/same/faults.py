@@ -129,7 +129,7 @@ FAULTS: Final = (
         "if not row.value > level:", "if not row.value > 1.1 * level:", "pose-free",
     ),
     Fault(
-        "swings until a leg is known", "learn/adapter.py",
+        "swings until a leg is known", "learn/active_model.py",
         "KNOWN_SWINGS: Final = 10", "KNOWN_SWINGS: Final = 11", "cold-start",
     ),
     Fault(
