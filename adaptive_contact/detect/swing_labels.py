@@ -147,7 +147,7 @@ class SwingLabels:
         self._swing.touched(round((now_ns - onset_ns) / period_ns))
         self.landings.touched(int(leg["after"]) - (now_ns - onset_ns) // period_ns)
         rows = self._close(onset_ns, period_ns)
-        if leg["from_prior"] and rows:
+        if leg["from_prior"] and leg["after"] and rows:
             last_ns = min(onset_ns, rows[-1].t_ns + period_ns) - CAUTIOUS_TICKS * period_ns
             rows = [row for row in rows if row.t_ns < last_ns]
         found = self._confirmed(rows, lifted=self._swing.lifted)

@@ -27,6 +27,7 @@ ROOM = MAX_SAMPLE_BYTES - 200
 # A step of plain Python is some 10 ns.  Three times what the worst of these takes, and a tenth of
 # what a preview took while its rows were put together one by one.
 STEPS_PER_BYTE = 50
+TRIES = 20
 
 
 def as_json(**fields: str) -> bytes:
@@ -107,7 +108,8 @@ def test_the_largest_payload_takes_few_steps_per_byte(what: str) -> None:
         for _ in payload:
             pass
 
-    assert shortest(judge) < STEPS_PER_BYTE * shortest(step)
+    # A computer that is busy may take its time in some tries; what is not linear does in all.
+    assert any(shortest(judge) < STEPS_PER_BYTE * shortest(step) for _ in range(TRIES))
 
 
 @pytest.mark.parametrize("encoding", [JSON, MSGPACK])
