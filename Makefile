@@ -74,11 +74,11 @@ check: env  ## ruff, types, import contracts
 same: env  ## revision REV against the working tree on recorded runs, bit by bit (or TOLERANCE=1e-9)
 	PYTHONPATH=tests $(BIN)/python -m same --rev "$(REV)" $(SAME_OPTIONS)
 
-prior: env  ## what is known of any leg, learned anew from drawn legs, as it ships
+prior: env  ## what is known of any leg, from drawn legs, as it ships
 	$(BIN)/python -m adaptive_contact_studies.family learn models/adaptive_contact_models/family.json
 
 strangers: env  ## legs without a baseline: swings to the first touch, touches found, false alarms
-	$(BIN)/python -m adaptive_contact_studies.family try
+	$(BIN)/python -m adaptive_contact_studies.family try out/strangers
 
 unseen: env  ## fits of a real arm, recorded in DATA, on motions and moments that they have not seen
 	$(BIN)/python tests/fit/bench_unseen.py "$(DATA)" $(UNSEEN_OPTIONS)

@@ -1,19 +1,25 @@
 """Tries what is known of any leg on legs of which nothing is known.
 
 No leg here was learned from: the robots that ship, each with its own servos, drawn legs of other
-seeds, and legs of the second generator.  Each starts without a baseline; those that ship one start
-with it as well, for what comes after swing 100.
+seeds, and legs of the second generator.  Each is played without a baseline and again with one: the
+shipped one, or one fitted to free swings of the same drawn leg.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 
+from adaptive_contact.errors import IdentificationError
+from adaptive_contact.fit.train import learn
 from adaptive_contact.model import Baseline, shipped_baseline
+from adaptive_contact.model.leg_prior import family
 from adaptive_contact.robot import ROBOT_HOUR_TICKS, Robot
 from adaptive_contact.score import LegOutcome
 from adaptive_contact.score.summary import clopper_pearson, poisson_mean
@@ -23,56 +29,75 @@ from adaptive_contact_sim.pose import PoseSettings
 from adaptive_contact_sim.pose_group import TRIPODS, PoseGroupSettings
 from adaptive_contact_sim.robots import simulated_robot
 from adaptive_contact_sim.simulation import SimulationSettings
+from adaptive_contact_studies.cache import Store, name_of, sources_digest
 from adaptive_contact_studies.evaluate import play, score_run
-from adaptive_contact_studies.family.legs import draw_leg, record
-from adaptive_contact_studies.workers import worker_pool
+from adaptive_contact_studies.family.legs import LEG, DrawnLeg, Motion, draw_leg, record
+from adaptive_contact_studies.scenarios.recording import simulator_fingerprint
+from adaptive_contact_studies.scenarios.replay import learner_fingerprint
+from adaptive_contact_studies.training import stretch_of
+from adaptive_contact_studies.workers import completed
 
 __all__ = ["KINDS", "LegTrial", "table", "trials"]
 
 # What is tried, and how many runs; of a hexapod's walk six legs each, in pose three, of a
 # quadruped's four.
 KINDS: Final = {
-    "hexapod walking": 4,
-    "hexapod in pose, obstacles": 3,
-    "quadruped12 trotting": 4,
-    "leg5 in pose, plates": 4,
-    "drawn legs in pose": 14,
-    "drawn legs stepping": 14,
-    "second generator in pose": 7,
-    "second generator stepping": 7,
+    "hexapod walking": 10,
+    "hexapod in pose, obstacles": 12,
+    "quadruped12 trotting": 9,
+    "leg5 in pose, plates": 24,
+    "drawn legs in pose": 24,
+    "drawn legs stepping": 24,
+    "second generator in pose": 18,
+    "second generator stepping": 18,
 }
 EARLY: Final = 100  # swings
 _FIRST_SEED: Final = 20_000
-_PLATES: Final = {"pose": 0.5, "stepping": 0.9}
+_PLATES: Final = {"pose": 0.5, "gait": 0.9}
+# A drawn leg's own baseline: some ten minutes of free swings.
+_FREE_SWINGS: Final = 800
+_FREE_SEEDS: Final = 50_000  # further on
+
+
+class Figures(NamedTuple):
+    """What one leg did from the swing of its first touch found without a baseline.
+
+    Attributes:
+        touches, found: from the swing after that one to swing 100.
+        alarms: false ones up to swing 100, from the start.
+        later: touches and those found from swing 100 on.
+    """
+
+    touches: int
+    found: int
+    alarms: int
+    later: tuple[int, int]
 
 
 class LegTrial(NamedTuple):
-    """What one leg did without a baseline.
+    """What one leg did without a baseline, and with one.
 
     Attributes:
         kind: of :data:`KINDS`.
         first: swing of the first touch found, None for none; from 1.
         chances: swings until then with a touch to be found, that one included.
-        touches, found: from that swing to swing 100.
-        alarms, ticks: false ones, and those judged, up to swing 100.
-        later: touches and those found from swing 100 on.
-        with_baseline: the same with the shipped baseline; None where there is none.
+        ticks: judged up to swing 100.
+        without: baseline.
+        known: the same with a baseline; None where none could be fitted.
         status: at the end.
     """
 
     kind: str
     first: int | None
     chances: int
-    touches: int
-    found: int
-    alarms: int
     ticks: int
-    later: tuple[int, int]
-    with_baseline: tuple[int, int] | None
+    without: Figures
+    known: Figures | None
     status: str
 
 
 def trials(
+    folder: Path,
     kinds: Sequence[str] = tuple(KINDS),
     *,
     runs: int | None = None,
@@ -82,18 +107,21 @@ def trials(
     """Try every kind.
 
     Args:
+        folder: holds what each run gave; a run that is there is not made again.
         kinds: of :data:`KINDS`.
         runs: of each; as many as :data:`KINDS` says where None.
         processes: to work in; the result does not depend on it.
         progress: called with what is done.
+
+    Raises:
+        ConfigurationError: the folder cannot be written to.
     """
     wanted = [(kind, number) for kind in kinds for number in range(runs or KINDS[kind])]
-    found: list[LegTrial] = []
-    with worker_pool(processes) as pool:
-        for done, legs in enumerate(pool.map(_of_run, *zip(*wanted, strict=True)), 1):
-            found += legs
-            progress(f"{done} of {len(wanted)} runs")
-    return found
+    found: dict[tuple[str, int], list[LegTrial]] = {}
+    for run, legs in completed(functools.partial(_kept, Store(folder)), wanted, processes):
+        found[run] = legs
+        progress(f"{len(found)} of {len(wanted)} runs")
+    return [leg for run in wanted for leg in found[run]]
 
 
 def table(found: Sequence[LegTrial]) -> str:
@@ -102,9 +130,9 @@ def table(found: Sequence[LegTrial]) -> str:
     rows["all"] = list(found)
     lines = [
         "| legs without a baseline | legs | first touch found: swing, median / p95 "
-        "| after chances | found from there to swing 100 | false alarms per robot-hour "
-        "| from swing 100 on | with baseline |",
-        "|---|---|---|---|---|---|---|---|",
+        "| after chances | found from there to swing 100 | with a baseline "
+        "| false alarms per robot-hour | with a baseline | from swing 100 on | with a baseline |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [_row(kind, legs) for kind, legs in rows.items() if legs]
     return "\n".join(lines)
@@ -113,54 +141,69 @@ def table(found: Sequence[LegTrial]) -> str:
 # -- private -------------------------------------------------------------------------------------
 
 
+def _kept(store: Store, wanted: tuple[str, int]) -> list[LegTrial]:
+    kind, number = wanted
+    tree = store.tree(kind.replace(" ", "-"), (number, _code()), lambda: _of_run(kind, number))
+    return msgspec.convert(tree, list[LegTrial])
+
+
+@functools.cache
+def _code() -> str:
+    """Hash of all that decides a run."""
+    digest = sources_digest(sorted(Path(__file__).parent.glob("*.py")))
+    robots = [simulator_fingerprint(name) for name in ("hexapod", "quadruped12", "leg5")]
+    prior = msgspec.json.encode(family()).decode()
+    return name_of(digest.hexdigest(), learner_fingerprint(), robots, prior)
+
+
 def _of_run(kind: str, number: int) -> list[LegTrial]:
     run, robot, baseline = _recorded(kind, _FIRST_SEED + number)
     played = play(run, robot, None)
-    outcomes = score_run(run, robot, played.events)
     known: dict[str, LegOutcome] = {}
     if baseline is not None:
         again = score_run(run, robot, play(run, robot, baseline).events)
         known = {outcome.leg: outcome for outcome in again}
     found = []
-    for outcome in outcomes:
+    for outcome in score_run(run, robot, played.events):
         touches, swings = outcome.touches, outcome.swings
-        counted = touches.counted
-        hits = touches.swing[counted & touches.found]
+        hits = touches.swing[touches.counted & touches.found]
         first = int(hits[0]) if len(hits) else None
-        tried = counted & (touches.swing < EARLY)
-        after = tried & (touches.swing >= (EARLY if first is None else first))
-        before = tried & ~after
-        alarms = np.concatenate([outcome.alarm_swing, outcome.after_swing])
+        after = EARLY if first is None else first
+        before = touches.counted & (touches.swing < min(after, EARLY))
         found.append(
             LegTrial(
                 kind,
                 None if first is None else first + 1,
                 len(np.unique(touches.swing[before])) + (first is not None),
-                int(after.sum()),
-                int((after & touches.found).sum()),
-                int((alarms < EARLY).sum()),
                 int(swings.judged[:EARLY].sum() + swings.judged_after[:EARLY].sum()),
-                _later(outcome),
-                _later(known[outcome.leg]) if known else None,
+                _figures(outcome, after),
+                _figures(known[outcome.leg], after) if known else None,
                 played.learners[outcome.leg].status.status,
             )
         )
     return found
 
 
-def _later(outcome: LegOutcome) -> tuple[int, int]:
+def _figures(outcome: LegOutcome, after: int) -> Figures:
     touches = outcome.touches
+    early = touches.counted & (touches.swing > after) & (touches.swing < EARLY)
     late = touches.counted & (touches.swing >= EARLY)
-    return int(late.sum()), int((late & touches.found).sum())
+    alarms = np.concatenate([outcome.alarm_swing, outcome.after_swing])
+    return Figures(
+        int(early.sum()),
+        int((early & touches.found).sum()),
+        int((alarms < EARLY).sum()),
+        (int(late.sum()), int((late & touches.found).sum())),
+    )
 
 
 def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
-    """A run of a kind, of a robot with servos of its own."""
+    """A run of a kind, of a robot with servos of its own, and its baseline."""
     if kind.startswith(("drawn", "second")):
         leg = draw_leg(seed, second=kind.startswith("second"))
-        way = "stepping" if kind.endswith("stepping") else "pose"
-        run = record(leg, "gait" if way == "stepping" else "pose", 200, seed, plates=_PLATES[way])
-        return run, leg.robot, None
+        motion: Motion = "gait" if kind.endswith("stepping") else "pose"
+        run = record(leg, motion, 200, seed, plates=_PLATES[motion])
+        return run, leg.robot, _own_baseline(leg, motion, seed + _FREE_SEEDS)
     name, how = kind.split()[0], kind.split()[1]
     settings = SimulationSettings.of(name, "walk" if how in ("walking", "trotting") else "pose")
     seconds = {"hexapod walking": 290.0, "quadruped12 trotting": 140.0}.get(kind, 200.0)
@@ -178,34 +221,56 @@ def _recorded(kind: str, seed: int) -> tuple[Run, Robot, Baseline | None]:
     return record_arrays(settings, seconds), robot, shipped_baseline(robot.name)
 
 
+def _own_baseline(leg: DrawnLeg, motion: Motion, seed: int) -> Baseline | None:
+    """Fit a drawn leg to free swings of its own; None where they do not suffice."""
+    free = stretch_of(record(leg, motion, _FREE_SWINGS, seed), LEG, leg.robot.period_s)
+    try:
+        return learn(leg.robot, {LEG: [free]}, origin="free swings of its own").baseline
+    except IdentificationError:
+        return None
+
+
 def _row(kind: str, legs: Sequence[LegTrial]) -> str:
     never = sum(leg.first is None for leg in legs)
     first = [np.inf if leg.first is None else leg.first for leg in legs]
     chances = [np.inf if leg.first is None else leg.chances for leg in legs]
-    touches, found = sum(leg.touches for leg in legs), sum(leg.found for leg in legs)
-    alarms, hours = sum(leg.alarms for leg in legs), sum(leg.ticks for leg in legs)
-    rate = poisson_mean(alarms)
-    each = ROBOT_HOUR_TICKS / hours
+    without = [leg.without for leg in legs]
+    known = [leg.known for leg in legs if leg.known]
     cells = [
         kind, str(len(legs)), _middle(first) + (f" ({never} none)" if never else ""),
-        _middle(chances), _share(found, touches),
-        f"{alarms * each:.0f} ({rate.low * each:.0f} to {rate.high * each:.0f})",
-        _share(*_sum([leg.later for leg in legs])[::-1]),
-        _share(*_sum([leg.with_baseline for leg in legs if leg.with_baseline])[::-1]),
+        _middle(chances),
+        _early(without), _early(known),
+        _alarms(without, sum(leg.ticks for leg in legs)),
+        _alarms(known, sum(leg.ticks for leg in legs if leg.known)),
+        _later(without), _later(known),
     ]  # fmt: skip
     return "| " + " | ".join(cells) + " |"
 
 
 def _middle(values: Sequence[float]) -> str:
-    middle, late = np.quantile(values, (0.5, 0.95), method="higher")
-    return f"{middle:g} / {late:g}"
+    middle, late = (
+        "none" if value == np.inf else f"{value:g}"
+        for value in np.quantile(values, (0.5, 0.95), method="higher")
+    )
+    return f"{middle} / {late}"
 
 
-def _sum(pairs: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    return sum(pair[0] for pair in pairs), sum(pair[1] for pair in pairs)
+def _early(legs: Iterable[Figures]) -> str:
+    return _share([(leg.touches, leg.found) for leg in legs])
 
 
-def _share(found: int, touches: int) -> str:
+def _later(legs: Iterable[Figures]) -> str:
+    return _share([leg.later for leg in legs])
+
+
+def _alarms(legs: Iterable[Figures], ticks: int) -> str:
+    alarms, each = sum(leg.alarms for leg in legs), ROBOT_HOUR_TICKS / max(ticks, 1)
+    ends = poisson_mean(alarms)
+    return f"{alarms * each:.0f} ({ends.low * each:.0f} to {ends.high * each:.0f})"
+
+
+def _share(pairs: Sequence[tuple[int, int]]) -> str:
+    touches, found = (sum(column) for column in zip(*pairs, strict=True))
     if not touches:
         return ""
     ends = clopper_pearson(found, touches)
