@@ -18,7 +18,7 @@ from adaptive_contact_sim.servo import ServoParameters
 from adaptive_contact_sim.simulation import Simulation, SimulationSettings
 from adaptive_contact_sim.truth import Change
 
-__all__ = ["LegArrays", "Onset", "Run", "record_arrays", "record_run"]
+__all__ = ["LegArrays", "Onset", "Run", "contact_at", "record_arrays", "record_run"]
 
 Array = NDArray[np.float64]
 
@@ -185,7 +185,7 @@ def record_run(
                 desired=desired[:, i],
                 valid=valid[:, i],
                 swing=swing[:, i],
-                contact=_contact(t_ns, onsets[row], releases[row]),
+                contact=contact_at(t_ns, onsets[row], releases[row]),
                 force_n=force[:, i],
                 angle=angle[:, i],
                 onsets=tuple(onsets[row]),
@@ -212,7 +212,7 @@ def _onset(sim: Simulation, change: Change) -> Onset:
     )
 
 
-def _contact(
+def contact_at(
     t_ns: NDArray[np.int64], onsets: list[Onset], releases_ns: list[int]
 ) -> NDArray[np.bool_]:
     """Contact at every tick, from the times of change."""

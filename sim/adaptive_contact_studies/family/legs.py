@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from adaptive_contact.errors import SimulationDivergedError
 from adaptive_contact.robot import Robot, parse_robot
-from adaptive_contact_sim.arrays import LegArrays, Onset, Run
+from adaptive_contact_sim.arrays import LegArrays, Onset, Run, contact_at
 from adaptive_contact_sim.servo import ServoBank, ServoKind, ServoParameters
 from adaptive_contact_sim.truth import TruthTracker
 
@@ -436,12 +436,10 @@ def _play(leg: DrawnLeg, plan: _Plan, rng: np.random.Generator) -> Run:
                 releases.append(t_ns)
         changes = []
     t_ns = np.arange(n, dtype=np.int64) * round(period_s * 1e9)
-    begun = np.searchsorted([o.t_ns for o in onsets], t_ns, side="right")
-    ended = np.searchsorted(releases[1:], t_ns, side="right")  # the first is of the start
     arrays = LegArrays(
         measured=measured, desired=desired, valid=np.ones((n, joints), dtype=np.bool_),
-        swing=np.array(plan.phases), contact=np.asarray(begun > ended), force_n=force, angle=angle,
-        onsets=tuple(onsets), releases_ns=tuple(releases),
+        swing=np.array(plan.phases), contact=contact_at(t_ns, onsets, releases),
+        force_n=force, angle=angle, onsets=tuple(onsets), releases_ns=tuple(releases),
     )  # fmt: skip
     return Run(t_ns, {LEG: arrays}, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)))
 

@@ -32,7 +32,7 @@ from adaptive_contact.robot.gait_phase import LIFT_OFF_TICKS
 from adaptive_contact_studies.family.legs import LEG, draw_leg, record
 from adaptive_contact_studies.workers import worker_pool
 
-__all__ = ["SEEDS", "learn_family", "save_family"]
+__all__ = ["SEEDS", "JointRows", "learn_family", "maximise", "save_family"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,8 +46,8 @@ _FEW: Final = 1e-8  # added to a covariance, so that it can be inverted
 
 
 @dataclass(eq=False)
-class _Joint:
-    """One joint's rows, in units of the slope.
+class JointRows:
+    """Holds one joint's rows, in units of the slope.
 
     Attributes:
         r, q: (p, p) and (p,) of the own, common and other columns.
@@ -90,20 +90,72 @@ def learn_family(
         processes: to record in; the result does not depend on it.
         progress: called with what is being done.
     """
-    found: dict[int, list[_Joint]] = {}
+    found: dict[int, list[JointRows]] = {}
     with worker_pool(processes) as pool:
         waiting = {pool.submit(_joints_of, seed): seed for seed in seeds}
         for done in as_completed(waiting):
             found[waiting[done]] = done.result()
             progress(f"{len(found)} of {len(seeds)} legs recorded")
     joints = [joint for seed in seeds for joint in found[seed]]
-    family = _maximise(joints, progress)
+    family = maximise(joints, progress)
     legs = sum(bool(own) for own in found.values())
     return msgspec.structs.replace(
         family,
         origin=f"make prior: {legs} drawn legs, {len(joints)} joints, "
         f"seeds {min(seeds)} to {max(seeds)}, {_SWINGS} swings each",
     )
+
+
+def maximise(
+    joints: Sequence[JointRows], progress: Callable[[str], None] = lambda _: None
+) -> FamilyFile:
+    """Find the family whose joints these are, and the noise of each, which is set in them."""
+    own = joints[0].own
+    mean, covariance = np.zeros((own, len(joints[0].z))), 0.3 * np.eye(own)
+    common, others = np.array([0.1, 0.1]), np.full(2 * len(OTHERS), 0.05)  # deviations
+    z = np.array([joint.z for joint in joints])
+    for turn in range(_ROUNDS):
+        at = np.zeros((len(joints), own))
+        spread = np.zeros((own, own))
+        of_common, of_others = np.zeros((2, 2)), np.zeros((len(others), 2))
+        for i, joint in enumerate(joints):
+            first, p = np.zeros(len(joint.q)), np.zeros((len(joint.q),) * 2)
+            first[:own] = mean @ joint.z
+            p[:own, :own] = covariance
+            kinds = np.minimum(np.arange(joint.common), 1)
+            apart = np.concatenate([common[kinds], others[joint.kind]])
+            p[own:, own:] = np.diag(np.square(apart))
+            inner = joint.r @ p @ joint.r.T + joint.variance * np.eye(len(first))
+            gain = np.linalg.solve(inner, joint.r @ p).T
+            best = first + gain @ (joint.q - joint.r @ first)
+            left = p - gain @ joint.r @ p
+            off = joint.q - joint.r @ best
+            unknown = float(np.einsum("ij,jk,ik->", joint.r, left, joint.r))
+            variance = (joint.rest + float(off @ off) + unknown) / joint.ticks
+            joint.variance = max(variance, joint.quantum**2 / 12.0)
+            at[i] = best[:own]
+            spread += left[:own, :own]
+            square = np.square(best[own:]) + np.diagonal(left)[own:]
+            np.add.at(of_common, kinds, np.stack([square[: joint.common], kinds * 0 + 1.0], axis=1))
+            rest = square[joint.common :]
+            np.add.at(of_others, joint.kind, np.stack([rest, np.ones_like(rest)], axis=1))
+        mean = np.linalg.solve(z.T @ z + 1e-3 * np.eye(z.shape[1]), z.T @ at).T
+        away = at - z @ mean.T
+        covariance = (away.T @ away + (spread + spread.T) / 2) / len(joints) + _FEW * np.eye(own)
+        common = np.sqrt(of_common[:, 0] / of_common[:, 1])
+        others = np.sqrt(of_others[:, 0] / np.maximum(of_others[:, 1], 1.0))
+        progress(f"{turn + 1} of {_ROUNDS} rounds")
+    quanta, slopes = _noise(joints)
+    typical = np.sqrt(np.mean([np.square(joint.size) for joint in joints], axis=0))
+    pairs, triples = np.median([joint.sums for joint in joints], axis=0)
+    leg = draw_leg(0)
+    forms = tuple(g.form for g in leg_library(leg.robot, leg.robot.leg(LEG)).groups)
+    near, far = others[: len(OTHERS)], others[len(OTHERS) :]
+    return FamilyFile(
+        "", forms, mean.tolist(), covariance.tolist(), float(common[0]), float(common[1]),
+        (tuple(near.tolist()), tuple(far.tolist())), tuple(typical.tolist()), quanta, slopes,
+        (1.0, float(pairs), float(triples)),
+    )  # fmt: skip
 
 
 def save_family(family: FamilyFile, path: Path) -> None:
@@ -116,7 +168,7 @@ def save_family(family: FamilyFile, path: Path) -> None:
 # -- private -------------------------------------------------------------------------------------
 
 
-def _joints_of(seed: int) -> list[_Joint]:
+def _joints_of(seed: int) -> list[JointRows]:
     """Record one leg and compress its free swing ticks, joint by joint."""
     leg = draw_leg(seed)
     try:
@@ -151,7 +203,7 @@ def _joints_of(seed: int) -> list[_Joint]:
         rest = float(whole[p, p] ** 2)
         quantum = robot.quantum_rad / library.slope_rad
         found.append(
-            _Joint(
+            JointRows(
                 whole[:p, :p], whole[:p, p], rest, len(target), len(at.own), len(at.common),
                 at.kind, covariates(robot.period_s, library.slope_rad), quantum,
                 np.sqrt(np.square(columns[:, : len(at.own)]).mean(axis=0)),
@@ -171,56 +223,7 @@ def _sums(residual: Array, tick: Ints) -> tuple[float, float]:
     return float(np.square(pairs).mean()) / one, float(np.square(triples).mean()) / one
 
 
-def _maximise(joints: Sequence[_Joint], progress: Callable[[str], None]) -> FamilyFile:
-    own = joints[0].own
-    mean, covariance = np.zeros((own, len(joints[0].z))), 0.3 * np.eye(own)
-    common, others = np.array([0.1, 0.1]), np.full(2 * len(OTHERS), 0.05)  # deviations
-    z = np.array([joint.z for joint in joints])
-    for turn in range(_ROUNDS):
-        at = np.zeros((len(joints), own))
-        spread = np.zeros((own, own))
-        of_common, of_others = np.zeros((2, 2)), np.zeros((len(others), 2))
-        for i, joint in enumerate(joints):
-            first, p = np.zeros(len(joint.q)), np.zeros((len(joint.q),) * 2)
-            first[:own] = mean @ joint.z
-            p[:own, :own] = covariance
-            kinds = np.minimum(np.arange(joint.common), 1)
-            apart = np.concatenate([common[kinds], others[joint.kind]])
-            p[own:, own:] = np.diag(np.square(apart))
-            inner = joint.r @ p @ joint.r.T + joint.variance * np.eye(len(first))
-            gain = np.linalg.solve(inner, joint.r @ p).T
-            best = first + gain @ (joint.q - joint.r @ first)
-            left = p - gain @ joint.r @ p
-            off = joint.q - joint.r @ best
-            doubt = float(np.einsum("ij,jk,ik->", joint.r, left, joint.r))
-            variance = (joint.rest + float(off @ off) + doubt) / joint.ticks
-            joint.variance = max(variance, joint.quantum**2 / 12.0)
-            at[i] = best[:own]
-            spread += left[:own, :own]
-            square = np.square(best[own:]) + np.diagonal(left)[own:]
-            np.add.at(of_common, kinds, np.stack([square[: joint.common], kinds * 0 + 1.0], axis=1))
-            rest = square[joint.common :]
-            np.add.at(of_others, joint.kind, np.stack([rest, np.ones_like(rest)], axis=1))
-        mean = np.linalg.solve(z.T @ z + 1e-3 * np.eye(z.shape[1]), z.T @ at).T
-        away = at - z @ mean.T
-        covariance = (away.T @ away + (spread + spread.T) / 2) / len(joints) + _FEW * np.eye(own)
-        common = np.sqrt(of_common[:, 0] / of_common[:, 1])
-        others = np.sqrt(of_others[:, 0] / np.maximum(of_others[:, 1], 1.0))
-        progress(f"{turn + 1} of {_ROUNDS} rounds")
-    quanta, slopes = _noise(joints)
-    typical = np.sqrt(np.mean([np.square(joint.size) for joint in joints], axis=0))
-    pairs, triples = np.median([joint.sums for joint in joints], axis=0)
-    leg = draw_leg(0)
-    forms = tuple(g.form for g in leg_library(leg.robot, leg.robot.leg(LEG)).groups)
-    near, far = others[: len(OTHERS)], others[len(OTHERS) :]
-    return FamilyFile(
-        "", forms, mean.tolist(), covariance.tolist(), float(common[0]), float(common[1]),
-        (tuple(near.tolist()), tuple(far.tolist())), tuple(typical.tolist()), quanta, slopes,
-        (1.0, float(pairs), float(triples)),
-    )  # fmt: skip
-
-
-def _noise(joints: Sequence[_Joint]) -> tuple[float, float]:
+def _noise(joints: Sequence[JointRows]) -> tuple[float, float]:
     """Shares of the position step and of the slope that make up a residual's deviation.
 
     Fitted to the logarithm, so that a noisy leg counts no more than a quiet one.
