@@ -137,7 +137,7 @@ class DriftMonitor:
         """Whether the baseline was never this leg's: its first lifts were all, or nearly, far off.
 
         Not while something may hold the foot: a leg that starts on a leash is this leg all the
-        same, and a start anew would learn it with its leash.
+        same, and a new start would learn it with its leash.
         """
         far, lifts = self._lifts_far, self._lifts
         if self.obstructed or far < UNFIT_LIFTS:

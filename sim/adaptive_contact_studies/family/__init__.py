@@ -1,1 +1,1 @@
-"""Legs of robots that nobody knows: a family to learn a prior from, and strangers to try it on."""
+"""Draws legs of random robots, learns the prior of any leg from them, and tries it on others."""
