@@ -1,4 +1,8 @@
-"""A real servo whose gain is halved: one number says what becomes of its model (decision 21)."""
+"""A real servo whose gain changes: what becomes of its model, and how soon that is followed.
+
+One number says what half the gain does (decision 21); the recursion follows any gain within two
+seconds (decision 46).
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,12 @@ import numpy as np
 import pytest
 
 from adaptive_contact.fit import FitSettings, fit_sparse
+from adaptive_contact.learn.active_model import PRIOR_BOUND
+from adaptive_contact.learn.rls import RecursiveLeastSquares, RlsSettings
 from adaptive_contact.model import Factor, Library, Window, stack, with_changes
+from adaptive_contact.model.change_prior import change_directions, core_support
+from adaptive_contact.model.leg_model import LegModel
+from adaptive_contact.model.leg_prior import leg_prior
 from adaptive_contact_studies.paper.log_files import Recording, load_logs
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "xl330"
@@ -56,3 +65,65 @@ def test_half_the_gain_is_twice_the_slope(gain: float) -> None:
         moved += float(np.square(off - told[-1] * theta[:, -1]).sum())
     assert np.mean(told) == pytest.approx(1.0, abs=0.35), "1 is a servo half as stiff"
     assert moved < 0.85 * frozen
+
+
+FOLLOWED_TICKS = 100  # two seconds
+QUANTUM_RAD = 0.001534  # 4096 steps a turn
+SLOPE_RAD = {100.0: 2.56, 200.0: 1.28, 400.0: 0.64, 800.0: 0.32}
+PAIRS = [(before, after) for before in SLOPE_RAD for after in SLOPE_RAD if before != after]
+
+
+@pytest.mark.skipif(
+    not REAL.is_dir(),
+    reason="no ../shared/data/xl330: recordings of github.com/Rhoban/bam, not part of the project",
+)
+@pytest.mark.parametrize(("before", "after"), PAIRS)
+def test_another_gain_is_followed_within_two_seconds(before: float, after: float) -> None:
+    """By the model of the gain before, let loose, and by the prior with the slope of that gain.
+
+    The reference has seen the very ticks it is tried on: a fit to all runs of the gain.  Each run
+    begins afresh; what its first two seconds hold is not counted.
+    """
+    runs = load_logs(REAL).recordings
+    library = Library("servo", ("joint",), ("pitch",), slope_rad=SLOPE_RAD[before], period_s=0.02)
+    first, again = (fitted(library, [r for r in runs if r.gain == g]) for g in (before, after))
+    changing = with_changes(library, first)
+    grown = np.concatenate([first, np.zeros((changing.size - library.size, 1))])
+    noise = np.full(1, QUANTUM_RAD)
+    prior = leg_prior(library, QUANTUM_RAD)
+    assert prior.spread is not None
+    off: dict[str, list[np.ndarray]] = {"frozen": [], "loose": [], "prior": [], "again": []}
+    for run in (r for r in runs if r.gain == after):
+        theta, increment = rows(library, [run])
+        more, _ = rows(changing, [run])
+        kept = slice(FOLLOWED_TICKS, None)
+        off["frozen"].append((increment - theta @ first)[kept, 0])
+        off["again"].append((increment - theta @ again)[kept, 0])
+        scale = np.sqrt(np.square(more).mean(axis=0))
+        model = LegModel(changing, grown)
+        loose = RecursiveLeastSquares(grown, core_support(model), scale, noise)
+        loose.inflate(change_directions(model, scale, noise))
+        off["loose"].append(followed(loose, more, increment)[kept])
+        support = core_support(prior.model) | (prior.spread != 0.0).any(axis=1).T
+        begun = RecursiveLeastSquares(
+            prior.model.coefficients, support, prior.scale, prior.noise.rms,
+            RlsSettings(bound=PRIOR_BOUND),
+        )  # fmt: skip
+        begun.inflate(prior.spread)
+        off["prior"].append(followed(begun, theta, increment)[kept])
+    rms = {name: float(np.sqrt(np.square(np.concatenate(e)).mean())) for name, e in off.items()}
+    print(f"{before:g} to {after:g}:", *(f"{n} {e / rms['again']:.2f}" for n, e in rms.items()))
+    assert rms["frozen"] > 1.25 * rms["again"]
+    assert rms["loose"] < 1.3 * rms["again"]
+    assert rms["prior"] < 1.3 * rms["again"]
+
+
+def followed(
+    recursion: RecursiveLeastSquares, theta: np.ndarray, increment: np.ndarray
+) -> np.ndarray:
+    """(n,) rad: what each tick differs from its prediction, before it is learned."""
+    off = []
+    for row, moved in zip(theta, increment, strict=True):
+        off.append(moved[0] - row @ recursion.coefficients[:, 0])
+        recursion.update(row, moved)
+    return np.array(off)
