@@ -7,6 +7,9 @@ import pytest
 
 from adaptive_contact import ContactLearner
 from adaptive_contact.detect.swing_labels import CAUTIOUS_TICKS
+from adaptive_contact.fit.refit_job import InlineRefitter
+from adaptive_contact.learn.lifecycle import Lifecycle
+from adaptive_contact.learn.mode import LearnerMode
 from adaptive_contact.model import Baseline
 from adaptive_contact.robot import Robot
 from adaptive_contact.wire import ServoSample
@@ -56,3 +59,63 @@ def gaps(learner: ContactLearner, stream: list[ServoSample]) -> list[int]:
             learned = [t for t in learner.drain_confirmed() if t < event.t_ns]
             found.append((event.onset_ns - max(learned)) // PERIOD)
     return found
+
+
+def started(robot: Robot, baseline: Baseline | None = None) -> Lifecycle:
+    return Lifecycle(robot, robot.leg("rf"), baseline, LearnerMode.FULL, InlineRefitter())
+
+
+def spread_of(life: Lifecycle) -> np.ndarray:
+    """(J, p) deviations of the coefficients, as far as they may move."""
+    adapter = life.adapter
+    assert adapter is not None
+    covariance = adapter.free_motion(wanted=True).covariance
+    assert covariance is not None
+    return np.sqrt(np.square(covariance.root).sum(axis=2))
+
+
+def test_a_leg_that_no_prior_fits_gets_a_wider_one(robot: Robot) -> None:
+    life = started(robot)
+    variances = [np.square(spread_of(life))]
+    for times in (3, 10, 10):  # and no wider
+        life.forget()
+        variances.append(np.square(spread_of(life)))
+        assert life.note_now is not None
+        assert f"the prior is {times} times wider (0 of 10 swings)" in life.note_now
+    # Each is the prior's with its factor squared, and what any recursion begins with besides.
+    one, three, ten, last = variances
+    np.testing.assert_allclose(ten - one, (three - one) * 99.0 / 8.0, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(last, ten)
+
+
+def test_a_wider_prior_is_kept_over_a_restart(robot: Robot) -> None:
+    life = started(robot)
+    life.forget()
+    again = started(robot)
+    assert again.restore(life.snapshot()) is None
+    np.testing.assert_allclose(spread_of(again), spread_of(life), rtol=1e-9)
+    assert again.note_now == life.note_now
+
+
+def test_a_baseline_that_is_not_the_leg_s_is_followed_by_the_prior(
+    robot: Robot, baseline: Baseline
+) -> None:
+    life = started(robot, baseline)
+    life.forget()
+    np.testing.assert_allclose(spread_of(life), spread_of(started(robot)), rtol=1e-9)
+    assert life.note_now == (
+        "the baseline does not fit this leg: learning a new model (0 of 10 swings)"
+    )
+    again = started(robot, baseline)
+    assert again.restore(life.snapshot()) is None
+    assert again.note_now == life.note_now
+
+
+@pytest.mark.parametrize("widening", ["3", None, -1.0, float("nan"), 1e9, [3.0]])
+def test_a_widening_that_is_none_leaves_a_leg_that_works(robot: Robot, widening: object) -> None:
+    life = started(robot)
+    saved = life.snapshot() | {"widening": widening}
+    life.restore(saved)
+    assert life.adapter is not None
+    assert np.isfinite(spread_of(life)).all()
+    assert (spread_of(life) <= 10.0 * spread_of(started(robot)) * (1 + 1e-9)).all()
