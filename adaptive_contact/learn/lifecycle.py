@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 # A prior that does not fit a leg is widened so many times, and again, up to the most.
 WIDER: Final = 3.0
-WIDEST: Final = 10.0
+WIDEST: Final = 9.0
 # What a servo half as stiff does otherwise in a tick, over the noise: 5 to 7, walking and in pose.
 SOFT_NOISES: Final = 5.0
 
