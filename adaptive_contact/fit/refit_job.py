@@ -72,7 +72,7 @@ class RefitResult:
 
 
 class Job(Protocol):
-    """Describes work on numbers alone, for any process: a refit, or a cold start."""
+    """Describes work on numbers alone, for any process."""
 
     @property
     def leg(self) -> str:
