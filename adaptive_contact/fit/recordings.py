@@ -112,7 +112,7 @@ class LegGatherer:
             self.off_rate += 1
             # Those that told are as far off as those that came after.
             if run.stretches[-1]:
-                del run.stretches[-1][1 - self._rate.told_by :]
+                del run.stretches[-1][1 - self._rate.rate_ticks :]
                 run.stretches.append([])
             return
         if missed != 0:  # None after a pause

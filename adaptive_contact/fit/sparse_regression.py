@@ -95,7 +95,7 @@ class Fit:
     condition: float
 
     def usable(self, still: NDArray[np.bool_]) -> bool:
-        """Tell whether it predicts every joint that moves.
+        """Return whether it predicts every joint that moves.
 
         Args:
             still: (J,) which stand; not all can.

@@ -296,7 +296,7 @@ def _counted(values: NDArray[np.int64] | NDArray[np.bool_]) -> NDArray[np.int64]
 
 
 def is_harmful(drifted: list[LegOutcome], twin: list[LegOutcome]) -> bool:
-    """Tell whether a drift counts as one to recover from.
+    """Return whether a drift counts as one to recover from.
 
     Args:
         drifted: the frozen detector on the recording with the drift, from the drift on.

@@ -235,7 +235,7 @@ class LegEndpoint:
         return self.heard_samples > 0
 
     def silent(self, now_ns: int) -> bool:
-        """Tell whether nothing that could be used, or no servo's answer, has come for too long."""
+        """Return whether no usable sample, or no servo's answer, has come for too long."""
         return self._seen_ns is None or now_ns - self._seen_ns > _SILENT_AFTER_NS
 
     def publish_event(

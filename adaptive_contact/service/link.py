@@ -93,7 +93,7 @@ class Request:
         return self._query.parameters.get(name)
 
     def covers(self, key: str) -> bool:
-        """Tell whether the query asks for ``key`` (it may hold wildcards)."""
+        """Return whether the query asks for ``key`` (it may hold wildcards)."""
         return bool(self._query.key_expr.intersects(zenoh.KeyExpr(key)))
 
     def reply(self, message: Message, key: str | None = None) -> None:
@@ -460,7 +460,7 @@ class Link:
         return str(self._session.info.zid())
 
     def is_connected(self) -> bool:
-        """Tell whether a router is joined; always for one that joins nobody."""
+        """Return whether a router is joined; always for one that joins nobody."""
         alone = self.settings.mode == "router" and not self.joins
         return alone or bool(self.routers())
 

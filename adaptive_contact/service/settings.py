@@ -191,7 +191,7 @@ def tcp_address(locator: str) -> tuple[str, int] | None:
 
 
 def is_loopback(locator: str) -> bool:
-    """Tell whether an endpoint can be reached from this machine only."""
+    """Return whether an endpoint can be reached from this machine only."""
     protocol, _, address = locator.partition("/")
     if protocol == "unixsock-stream":
         return True
@@ -208,7 +208,7 @@ def is_loopback(locator: str) -> bool:
 
 
 def is_multicast(locator: str) -> bool:
-    """Tell whether members of a multicast group reach an endpoint, and it reaches them.
+    """Return whether members of a multicast group reach an endpoint, and it reaches them.
 
     Zenoh looks up what is no plain address, ``0xe00000e1`` or a name, and so does this.
     """

@@ -26,7 +26,7 @@ _OWN_DEPTH: Final = 4
 
 
 def is_leg_id(text: str) -> bool:
-    """Tell whether ``text`` may name a leg: 1-32 letters, digits, ``_``, ``.`` or ``-``."""
+    """Return whether ``text`` may name a leg: 1-32 letters, digits, ``_``, ``.`` or ``-``."""
     return _LEG_ID.match(text) is not None
 
 

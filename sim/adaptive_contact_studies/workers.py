@@ -51,7 +51,7 @@ def on_cluster(scheduler: str | None, folder: Path | None) -> Iterator[None]:
 
 
 def alone(processes: int, items: int) -> bool:
-    """Tell whether work is done in this process, as others would not speed it up."""
+    """Return whether work is done in this process, as others would not speed it up."""
     return items <= 1 or (processes <= 1 and _cluster.get() is None)
 
 

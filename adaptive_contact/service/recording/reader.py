@@ -190,7 +190,7 @@ def read_recording(path: str | Path, robot: Robot | None = None) -> Recording:
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
+    """Return whether a path is a bag of ROS: a folder, a db3 or bag file, or rosbag2's MCAP."""
     path = Path(path)
     if path.is_dir():
         return any(entry.suffix in _OF_BAGS for entry in path.iterdir())

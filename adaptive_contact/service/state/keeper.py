@@ -209,7 +209,7 @@ class StateKeeper:
         return None
 
     def due(self, endpoint: Kept, now_ns: int) -> bool:
-        """Tell whether a leg should be saved: a new model, or 10 s with samples since the last."""
+        """Return whether a leg should be saved: a new model, or 10 s of samples since the last."""
         last = self._last.get(endpoint.leg)
         if last is None:
             return False
