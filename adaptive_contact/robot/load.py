@@ -214,7 +214,7 @@ def _check_ros2(robot: Robot, fail: _Fail) -> None:
         for key in _TOPICS:
             _check_topic(getattr(shared, key), f"[ros2] {key}", fail, leg="leg")
         mapped = [leg.id for leg in robot.legs if leg.ros2 is not None]
-        for key in ("phase", "truth"):  # a Bool speaks of one leg
+        for key in ("phase", "truth"):  # a Bool is about one leg
             if len(mapped) > 1 and "{leg}" not in (getattr(shared, key) or "{leg}"):
                 fail(f"[ros2] {key} is one topic for {len(mapped)} legs; write {{leg}} into it")
     owner: dict[tuple[str, str], str] = {}
