@@ -14,7 +14,7 @@ readings was written in between.  The writes are wanted between far and near lea
   (at the latest after one turn), by a sixth once it has;
 - near, change: they come so close that the next may be too late; the schedule moves later.
 
-Goals that stand still tell nothing, and the schedule stays.
+Goals that stand still show nothing, and the schedule stays.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ class PortLoop:
         try:
             data = self.bus.read([joint.servo], register.block)[joint.servo].data
         except PortLostError:
-            return None  # the main reading will tell
+            return None  # the main reading will show it
         return None if data is None else register.value(data)
 
     def _shift(self, before: int | None) -> int:

@@ -68,7 +68,7 @@ def show(
 
 
 def _table(found: Sequence[Stored], rows: Sequence[dict[str, Any]]) -> Table:
-    """The files of one robot; their names tell leg, library of terms and settings."""
+    """The files of one robot; their names hold leg, library of terms and settings."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
