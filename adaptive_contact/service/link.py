@@ -141,7 +141,7 @@ class Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether anybody subscribes; always True with history, where Zenoh does not tell."""
+        """Whether anybody subscribes; always True with history, where Zenoh does not report it."""
         return self._keep or bool(self._declared.matching_status.matching)
 
     def put(self, message: Message) -> None:
@@ -218,7 +218,7 @@ class Link:
             ConfigurationError: the Zenoh configuration file cannot be used.
         """
         stop, until_s = stop or threading.Event(), time.monotonic() + patience_s
-        told: Finding | None = None
+        reported: Finding | None = None
         while True:
             config, facts = configure(settings)
             finding = probe(facts.connect) if settings.mode == "client" else _NOTHING_ASKED
@@ -230,8 +230,8 @@ class Link:
                     raise LinkError(router_failure(config, facts, error)) from error
             if not settings.wait:
                 raise NoRouterError(finding)
-            if finding != told:
-                told = finding
+            if finding != reported:
+                reported = finding
                 if on_wait is not None:
                     on_wait(finding)
             left_s = until_s - time.monotonic()

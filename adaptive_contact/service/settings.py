@@ -4,7 +4,7 @@ The service embeds a router on loopback; every other command is a client of it. 
 relay for one another behind a hub (measured, ``docs/decisions``), so ``peer`` is not offered.
 
 Zenoh gives a refused client the same error as one that finds nobody (measured on 1.10.2), so
-the two are told apart from outside: a TCP connection that opens says somebody listens.
+the two are distinguished from outside: a TCP connection that opens shows a listener.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def client_settings(
     wait: bool = True,
     zenoh_config: Path | None = None,
 ) -> LinkSettings:
-    """Settings of everything but the service: a client, of the local router unless told.
+    """Settings of everything but the service: a client, by default of the local router.
 
     Raises:
         ConfigurationError: an endpoint or the namespace cannot be used.

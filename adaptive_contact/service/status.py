@@ -2,7 +2,7 @@
 
 Published once a second on ``robot/service/status``, and within 0.1 s when a complaint of its note
 comes or goes; kept for late joiners, so that ``watch`` and ``doctor`` can say what belongs to no
-leg: payloads on unusable keys, and what the service was told about the robot.
+leg: payloads on unusable keys, and what the service knows about the robot.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 A configuration file comes first; ``DEFAULTS`` hold where it says nothing; our own settings
 (mode, endpoints, namespace) always hold.  Zenoh reads such a file itself but fills in its own
-defaults, and then nobody can tell what the file says from what it does not say; so its keys are
-read here too.
+defaults, which hide what the file itself says; so its keys are read here too.
 """
 
 from __future__ import annotations
@@ -280,7 +279,7 @@ def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, obj
         table[_MAX_SESSIONS] = settings.max_sessions
     if settings.namespace is not None:
         table["namespace"] = settings.namespace
-    # A router runs without the routers it joins; a client that is not let in must hear of it.
+    # A router runs without the routers it joins; a client that is not let in must be informed.
     table["connect/exit_on_failure"] = settings.mode == "client"
     return table
 
@@ -288,7 +287,7 @@ def _overrides(settings: LinkSettings, listen: tuple[str, ...]) -> dict[str, obj
 def _with_free_ports(listen: tuple[str, ...]) -> tuple[str, ...]:
     """Replace port 0 by a port that is free now.
 
-    Zenoh takes 0 but tells nobody which port it got once a namespace is set (its admin space is
+    Zenoh takes 0 but does not report which port it got once a namespace is set (its admin space is
     hidden then), so the port is chosen here.  Between the two somebody else may take it; the
     listener then fails and says so.
 
@@ -334,7 +333,7 @@ _DEEPEST: Final = 64
 def keys_of(text: str) -> frozenset[str]:
     """Paths of all settings in a JSON5 text, read as JSON with its words as texts.
 
-    Zenoh has checked the file before: what cannot be read has no keys, and nobody is told.
+    Zenoh has checked the file before: what cannot be read has no keys and is not reported.
 
     Args:
         text: whose outermost value is an object.

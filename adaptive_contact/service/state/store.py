@@ -138,7 +138,7 @@ class StateStore:
     def candidates(self, identity: Identity) -> Iterator[tuple[Path, Record | Refused]]:
         """What there is to restore a leg from, newest first; a missing file is no candidate."""
         if not os.access(self.folder, os.X_OK, effective_ids=True):
-            return  # nobody knows what is in there; `trouble` tells that once, not for each leg
+            return  # its content is unknown; `trouble` says that once, not for each leg
         newest = self.path(identity)
         for path in (newest, newest.with_suffix(BEFORE)):
             found = _read(path, identity)
