@@ -200,7 +200,7 @@ class Plant:
         drive, rub = self.servos.drive, self.servos.rub
         step, sensed, sensors = mujoco.mj_step, self._sensed, data.sensordata
         gears = self.gears if self.gears.active else None
-        told = self.on_step
+        on_step = self.on_step
         for i in range(self.substeps):
             drive()
             if gears is not None:
@@ -211,8 +211,8 @@ class Plant:
                 gears.rub()
             sensed[i] = sensors
             self.steps += 1
-            if told is not None:
-                told()
+            if on_step is not None:
+                on_step()
             if data.ncon != self._contacts:
                 self._note_contacts()
 

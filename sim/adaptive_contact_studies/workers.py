@@ -109,7 +109,7 @@ def _local_pool(processes: int, *, finish: bool) -> Iterator[ProcessPoolExecutor
 
     Matrices as small as a leg's gain nothing from threads, and threads that wait for each other
     by spinning take the cores from the other processes.  Ctrl-C goes to the whole group: workers
-    leave silently and the parent speaks; what they write is written under another name first.
+    leave silently and the parent reports; what they write is written under another name first.
     The environment says one thread for as long as the pool is open, as workers start when there is
     something to do.
     """

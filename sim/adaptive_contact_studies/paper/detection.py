@@ -128,10 +128,10 @@ def _quiet(root: Path, plan: Plan, role: Role) -> dict[str, Any]:
                     total["online"][name] += int(np.count_nonzero(events.contact))
                     total["online_ticks"][name] += ticks
             kind = total["kinds"].setdefault(piece.kind, Counter())
-            told = online_events(result, index, DEFAULT)
-            assert told is not None
+            reported = online_events(result, index, DEFAULT)
+            assert reported is not None
             kind["ticks"] += ticks
-            kind["alarms"] += int(np.count_nonzero(told.contact))
+            kind["alarms"] += int(np.count_nonzero(reported.contact))
             for name in DETECTORS:
                 sweep = result[f"{prefix}alarms/{name}"]
                 both = total["alarms"][name]

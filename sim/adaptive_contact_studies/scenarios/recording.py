@@ -128,8 +128,8 @@ def hold(truth: TruthChanges, from_ns: int, to_ns: int) -> TruthChanges:
     after = bool(truth.contact[until][-1]) if until.any() else False
     rest = TruthChanges._make(column[~inside] for column in truth)
     ends = [(from_ns, True), (to_ns, after)]
-    told = [ContactTruth(t_ns=t, contact=on, force=0.0, surface="soft") for t, on in ends]
-    added = truth_changes(told)
+    held = [ContactTruth(t_ns=t, contact=on, force=0.0, surface="soft") for t, on in ends]
+    added = truth_changes(held)
     both = TruthChanges._make(np.concatenate(pair) for pair in zip(rest, added, strict=True))
     order = np.argsort(both.t_ns, kind="stable")
     return TruthChanges._make(column[order] for column in both)
