@@ -178,7 +178,7 @@ def angles(leg: Leg, point_m) -> np.ndarray:
 
 
 def main() -> int:
-    """Make some steps; what is wrong is told in one line."""
+    """Make some steps; what is wrong is reported in one line."""
     try:
         run(arguments())
     except AdaptiveContactError as error:
@@ -210,7 +210,7 @@ def arguments() -> argparse.Namespace:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Step as told."""
+    """Step as the options say."""
     robot = load_robot(options.config) if options.config else shipped_robot()
     leg = robot.leg(options.leg)
     stretched = leg.chain.reach_m if leg.chain is not None else 0.0

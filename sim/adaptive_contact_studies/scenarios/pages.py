@@ -168,8 +168,8 @@ def _scores(
 def _thresholds(
     ax: Any, recording: Recording, leg: str, outcome: LegOutcome, variants: dict[Variant, LegReplay]
 ) -> None:
-    title = "Threshold with level, tail and uncertainty of the model, × the first; largest per swing"
-    ax.set_title(title)
+    what = "Threshold with level, tail and uncertainty of the model"
+    ax.set_title(f"{what}, × the first; largest per swing")
     for variant, replayed in variants.items():
         trace = replayed.trace
         if trace is None or not np.isfinite(trace.threshold).any():
