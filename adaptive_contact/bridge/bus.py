@@ -167,7 +167,7 @@ class Bus:
         self._port.close()
 
     def ping(self, servo: int) -> Pong | None:
-        """Ask a servo who it is; None where nobody answers.
+        """Ask a servo who it is; None without an answer.
 
         Raises:
             PortLostError: the port is gone.
@@ -192,7 +192,7 @@ class Bus:
             servos: ids.
             block: the registers.
             until: monotonic seconds after which nothing is tried a second time.
-            end: monotonic seconds at which nobody is waited for any more.
+            end: monotonic seconds at which the wait for answers ends.
 
         Returns:
             A reading for every id that there was time to ask.
@@ -320,7 +320,7 @@ class Bus:
         return False
 
     def put_all(self, register: Register, values: Mapping[int, int]) -> bool:
-        """Write one register of several servos with one sync write, which nobody answers."""
+        """Write one register of several servos with one sync write, which has no answer."""
         if not values:
             return True
         parameters: list[int] = []
@@ -347,7 +347,7 @@ class Bus:
         try:
             return work()
         except BlockingIOError:
-            # Nobody takes what is written: the other end stands still, as good as gone.
+            # What is written is not taken: the other end stands still, as good as gone.
             raise self._port.lost(OSError("nothing can be written")) from None
         except (OSError, termios.error, ValueError, TypeError) as error:
             # pyserial raises TypeError where a port was closed under it.

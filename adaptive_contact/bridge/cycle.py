@@ -251,7 +251,7 @@ class Cycle:
                 # Power has come back, it seems: ask the others at once.
                 self._hurry_until = self._count + len(self._servos) + 1
             if self.health[number].silent:
-                servo.waker.forget()  # nobody knows where it is, nor which servo it will be
+                servo.waker.forget()  # unknown where it is, and which servo it will be
             servo.fresh = reading.data is not None
             servo.valid = servo.fresh and self._take(servo, reading, block, due_ns)
 

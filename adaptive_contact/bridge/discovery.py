@@ -115,7 +115,7 @@ def find_servos(
         configure: let servos answer reads.
 
     Raises:
-        BusError: the port cannot be opened, or nobody answers.
+        BusError: the port cannot be opened, or no servo answers.
     """
     places = [(baud, protocol) for baud in bauds for protocol in _PROTOCOLS]
     found = next((one for place in places if (one := _ask(name, device, place, ids))), None)
@@ -133,7 +133,7 @@ def find_servos(
 
 
 def _ask(name: str, device: str, place: Place, ids: Sequence[int]) -> Found | None:
-    """Ask a port at one baud rate and protocol who is there; None where nobody is."""
+    """Ask a port at one baud rate and protocol who is there; None where no servo answers."""
     port = Port(device=device, baud=place[0], protocol=place[1])
     bus = Bus(name, port)
     bus.open()

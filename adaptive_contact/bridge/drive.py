@@ -1,4 +1,4 @@
-"""From commands to goals: never a movement that nobody asked for.
+"""From commands to goals: never a movement that no command asked for.
 
 A leg that has had no command yet gets no goal.  Its first command leads it from where it stands
 (the goal in force, or without torque its position), at an easy pace, to where the command wants

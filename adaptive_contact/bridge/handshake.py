@@ -288,7 +288,7 @@ def _check(plan: PortPlan, configure: bool, full: bool, drive: bool) -> Findings
         found = scan(bus, [servo for servo in asked if servo not in ignored])
         if not found:
             bus.settle(MOST_PATIENT_MS)  # were they late?
-        if found or bus.late:  # a bus where nobody answers is asked once
+        if found or bus.late:  # a bus without an answer is asked once
             found = scan_again(bus, found, expected)
         mute = [s for s, pong in found.items() if s in expected and not pong.reads]
         for servo in mute if configure else ():

@@ -144,7 +144,7 @@ class Punctuality:
     A model predicts from tick to tick: a joint at 4 rad/s read 5 ms late is 20 mrad, four steps of
     an AX-12A, beside where it belongs.  On a computer with other work that happens.  A servo looks
     at some moment between question and answer: where both came late alike, its own speed carries
-    the reading back; where only one did, nobody knows when it looked.
+    the reading back; where only one did, the moment is unknown.
     """
 
     _recent_s: deque[tuple[float, float]] = dataclasses.field(

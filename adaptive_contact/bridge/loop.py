@@ -2,7 +2,7 @@ r"""A port's process: ticks on an even grid, outages survived, status once a sec
 
 Reading right after another controller's writes.
 
-In observe mode somebody else writes goals at the control rate, at times of its own.  A sample
+In observe mode another controller writes goals at the control rate, at times of its own.  A sample
 pairs positions with the goals in force until the next reading, so the reading has to come right
 *after* the writes: before them, the goals it sees would be those of the tick that just ended.
 

@@ -181,7 +181,7 @@ class SdkPort(PortHandler):
         return data
 
     def writePort(self, packet: list[int]) -> int:
-        """Write a packet; a full buffer means that nobody takes it."""
+        """Write a packet; a full buffer means that the other end does not take it."""
         return os.write(self._fd, bytes(packet))
 
     def setPacketTimeout(self, packet_length: int) -> None:

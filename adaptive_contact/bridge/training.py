@@ -144,7 +144,7 @@ class _Basket:
                 self._answer(leg, sample)
 
     def status(self, status: BridgeStatus) -> None:
-        """Nobody waits for it: what happens is said."""
+        """Ignore the status: what happens is said."""
 
     def say(self, line: str) -> None:
         self._say(line)

@@ -185,7 +185,7 @@ def _around(legs: Sequence[Leg]) -> list[Leg]:
 
 def _views(leg: Leg, *, placed: bool) -> list[_View]:
     if _straight(leg):
-        # Without mounts nobody knows where the legs sit: each is drawn from above by itself.
+        # Without mounts the legs' places are unknown: each is drawn from above by itself.
         return [_SIDE] if placed else [_SIDE, _ABOVE]
     assert leg.chain is not None
     upright = bool(np.abs(leg.chain.vectors[0, 2]) > _FACING)

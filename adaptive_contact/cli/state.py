@@ -140,7 +140,7 @@ def reset(
         say(f"nothing to forget in {shown_path(root)}")
         return
     with contextlib.ExitStack() as held:
-        # Before anybody is asked; and nobody begins to save while he thinks.
+        # Before the question is asked; no service begins to save before it is answered.
         for folder in sorted({path.parent for path in found}):
             store = StateStore(folder)
             held.callback(store.close)

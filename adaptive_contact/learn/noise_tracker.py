@@ -63,7 +63,7 @@ class NoiseTracker:
     Args:
         noise: of the baseline.
         tails: (windows,) of the baseline's statistic.
-        false_alarms_per_hour: aimed at.
+        false_alarms_per_hour: target rate.
         domain: where the baseline's model has been; None if that is not known.
 
     Attributes:

@@ -40,7 +40,7 @@ MAX_LEGS: Final = 64
 # A link is no longer, m; a direction is no shorter.
 MOST_M: Final = 5.0
 LEAST_AXIS: Final = 1e-3
-# A Dynamixel bus: 253 is reserved, 254 is everybody.
+# A Dynamixel bus: 253 is reserved, 254 is broadcast.
 MAX_SERVO_ID: Final = 252
 
 # Names of ROS: chunks of letters, digits and '_' that begin with no digit.

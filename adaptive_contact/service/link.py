@@ -141,7 +141,7 @@ class Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether anybody subscribes; always True with history, where Zenoh does not report it."""
+        """Whether there is a subscriber; always True with history, where Zenoh does not say."""
         return self._keep or bool(self._declared.matching_status.matching)
 
     def put(self, message: Message) -> None:
@@ -381,7 +381,7 @@ class Link:
         """Ask, and wait for the answers.
 
         Returns:
-            All answers within ``timeout_s``; empty where nobody is there to answer.
+            All answers within ``timeout_s``; empty where there is no process to answer.
 
         Raises:
             LinkError: the link is closed.
@@ -460,7 +460,7 @@ class Link:
         return str(self._session.info.zid())
 
     def is_connected(self) -> bool:
-        """Return whether a router is joined; always for one that joins nobody."""
+        """Return whether a router is joined; always for one that joins no other."""
         alone = self.settings.mode == "router" and not self.joins
         return alone or bool(self.routers())
 

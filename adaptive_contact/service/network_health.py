@@ -1,4 +1,4 @@
-"""What is around the service: its router, other services, and samples on keys that nobody reads.
+"""What is around the service: its router, other services, and samples on keys without a reader.
 
 Two services on one network give every event twice, and are never wanted; nothing on the wire
 stops them, so each listens for the status of others and says that they are there.
@@ -58,7 +58,7 @@ class PeerServices:
             if isinstance(status, ServiceStatus) and status.instance != self.instance:
                 self._seen.pop(status.instance, None)
                 self._seen[status.instance] = (received.arrival_ns, status)
-                if len(self._seen) > _REMEMBERED:  # somebody makes them up
+                if len(self._seen) > _REMEMBERED:  # another program makes them up
                     del self._seen[next(iter(self._seen))]
         self._seen = {
             mark: seen for mark, seen in self._seen.items() if now_ns - seen[0] < _GONE_AFTER_NS
@@ -94,7 +94,7 @@ class UnreadKeys:
         self._throttle = LogThrottle()
 
     def look(self, *, lonely: bool, now_ns: int) -> dict[str, str]:
-        """Give each key that nobody reads, with what was probably meant.
+        """Return each key without a reader, with what was probably meant.
 
         Args:
             lonely: a described leg has had no samples yet.

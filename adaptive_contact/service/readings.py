@@ -75,7 +75,7 @@ def check_readings(
     Args:
         samples: all with as many joints.
         names: of the joints.
-        quantum_rad: position step that they should have, None where nobody says.
+        quantum_rad: position step that they should have, None where it is unknown.
     """
     measured = np.array([s.measured for s in samples], dtype=np.float64)
     desired = np.array([s.desired for s in samples], dtype=np.float64)

@@ -3,7 +3,7 @@
 The service embeds a router on loopback; every other command is a client of it.  Peers do not
 relay for one another behind a hub (measured, ``docs/decisions``), so ``peer`` is not offered.
 
-Zenoh gives a refused client the same error as one that finds nobody (measured on 1.10.2), so
+Zenoh gives a refused client the same error as one that finds no listener (measured on 1.10.2), so
 the two are distinguished from outside: a TCP connection that opens shows a listener.
 """
 
@@ -240,7 +240,7 @@ class Reach(enum.StrEnum):
 class Finding(NamedTuple):
     """What a probe found, and one line for a person.
 
-    ``certain`` where trying to join would be in vain: every host has said that nobody listens.
+    ``certain`` where trying to join would be in vain: every host has said that it has no listener.
     """
 
     reach: Reach

@@ -102,7 +102,7 @@ class ServiceStatus(Message, frozen=True, kw_only=True):
         cut_off: links dropped because their subscribers took no events: they hang, or were cut.
         stalls: times that the worker stood still for a second or more.
         state: how keeping the learners' state goes, None where none is kept.
-        strays: keys of samples that nobody reads, each with a question to the person who chose it;
+        strays: keys of samples without a reader, each with a question to the person who chose it;
             looked for while a leg has no samples.
         callback_faults: exceptions in Zenoh callbacks; 0 unless the service has a bug.
         tick_latency: arrival of a sample to the end of its processing, learning included.

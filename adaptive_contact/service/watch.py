@@ -147,7 +147,7 @@ class _Truth:
                 return
             self.loaded_since_ns = truth.t_ns
             self.loads = [*self.loads[-20:], (truth.t_ns, None)]
-            # Whether a leg that was first seen loaded has been in the air, nobody knows.
+            # It is unknown whether a leg that was first seen loaded has been in the air.
             if self.released_ns is not None and truth.t_ns - self.released_ns >= _AIR_NS:
                 if self.began_ns is None:
                     self.began_ns = truth.t_ns
@@ -208,7 +208,7 @@ class _Arrivals:
         return self.before + max(self.last.contacts - self.base.contacts - arrived, 0)
 
     def event(self, t_ns: int) -> None:
-        # Before the first status nobody knows which it counts: the newest are kept.
+        # Before the first status it is unknown which contacts it counts: the newest are kept.
         if self.base is None or t_ns > self.base.t_ns:
             self.times_ns.add(t_ns)
             if self.base is None and len(self.times_ns) > _MOST_TIMES:
@@ -401,7 +401,7 @@ class Feed:
         self._link = link
         self._on_contact = on_contact
         self.watch = Watch()
-        # Zenoh's thread appends, the reader pops; should nobody read, the oldest go.
+        # Zenoh's thread appends, the reader pops; without a reader the oldest go.
         self._waiting: deque[Received] = deque(maxlen=_KEPT)
         self._alive = False
         link.watch_tokens(SERVICE_TOKEN, self._token)

@@ -3,7 +3,7 @@
 A worker that stands still is reported after a second (the log and ServiceStatus), an event whose
 put blocks after half a second.  After half a minute of either, the process ends with exit code 70
 and every thread's stack on stderr, for whatever started it to restart it: state is on disk, and
-a service that only looks alive helps nobody.
+a service that only looks alive is of no use.
 
 What the worker hangs on, the watchdog must not: the network and the reader of the log are only
 spoken to on other threads, and the end waits for neither.  Code that keeps Python's lock for

@@ -196,7 +196,7 @@ def _answer(sim: Simulation, requests: queue.Queue[Request]) -> None:
     while not requests.empty():
         request = requests.get_nowait()
         error = None
-        if request.payload:  # without one, somebody only asks what holds
+        if request.payload:  # without one, the request only asks what holds
             drift = decode(request.payload, Drift, request.encoding)
             if isinstance(drift, Rejected):
                 error = f"not a drift: {drift.detail}; expected a Drift message"

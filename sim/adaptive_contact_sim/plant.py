@@ -66,7 +66,7 @@ class Plant:
 
     Attributes:
         steps: physics steps made so far.
-        on_step: called after each of them; None where nobody listens.
+        on_step: called after each of them; None without a listener.
 
     Raises:
         ConfigurationError: the period is not a whole number of physics steps.
@@ -234,7 +234,7 @@ class Plant:
         self.gears.refresh()
 
     def set_backlash(self, backlash_rad: Array) -> None:
-        """Give the joints play, (S,) rad."""
+        """Give the joints backlash, (S,) rad."""
         if self.gears.set_backlash(backlash_rad):
             self._set_const()
 

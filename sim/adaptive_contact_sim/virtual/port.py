@@ -120,7 +120,7 @@ class VirtualPort:
     def close(self) -> None:
         """Hang up: the link is gone, and who has the terminal open sees the end of it."""
         with contextlib.suppress(OSError):
-            if self.path.readlink() == Path(os.ttyname(self._slave)):  # nobody else's by now
+            if self.path.readlink() == Path(os.ttyname(self._slave)):  # no other port's by now
                 self.path.unlink()
         for descriptor in (self.master, self._slave):
             if descriptor >= 0:
@@ -153,7 +153,7 @@ class VirtualPort:
         """
         while self._replies and self._replies[0][0] <= now_s:
             packet = heapq.heappop(self._replies)[2]
-            with contextlib.suppress(BlockingIOError):  # nobody reads: as on a wire, it is lost
+            with contextlib.suppress(BlockingIOError):  # no reader: as on a wire, it is lost
                 os.write(self.master, packet)
         return self._replies[0][0] if self._replies else float("inf")
 
@@ -190,7 +190,7 @@ class VirtualPort:
         self._send_all(answers)
 
     def _execute(self, servo: VirtualServo, frame: Frame) -> Status | None:
-        """Carry out an instruction; None for those that nobody answers."""
+        """Carry out an instruction; None for those without an answer."""
         version, p = self._codec.version, frame.parameters
         width = version  # bytes of an address and of a length
         if frame.code == Instruction.PING:

@@ -238,7 +238,7 @@ def _roc(
 
 
 def _aims(touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same of the default, played at several aims."""
+    """The same of the default, played at several target rates."""
     fast = headline_streams(touched)
     points = []
     for aim in AIMS:
@@ -252,7 +252,7 @@ def _aims(touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]) -> list[
 def _tail(
     name: str, bench: Bench, touched: Sequence[Touched], quiet: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    """Where free ticks and touches score, over the aim's threshold; what set that threshold."""
+    """Where free ticks and touches score, over the target rate's threshold, and what set that."""
     calibration: Calibration = bench.calibrations[name]
     known = sum(total["known"][name] for total in quiet.values())
     top, near_top = (int(v) for v in sum(total["top"][name] for total in quiet.values()))

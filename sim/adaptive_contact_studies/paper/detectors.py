@@ -145,7 +145,7 @@ class Bench:
         noise: by model, then by leg-run's name.
         calibrations: by detector.
         quantum_rad: position step.
-        aim_per_hour: false alarms per robot-hour that thresholds aim at.
+        aim_per_hour: false alarms per robot-hour, the target rate of thresholds.
         tuned: what tuning found, for the report: recall on the tuning collisions by detector.
     """
 
@@ -161,7 +161,7 @@ class Bench:
         return DETECTORS[detector].statistic(self, evidence)
 
     def score(self, detector: str, evidence: Evidence) -> Array:
-        """(n,) over the threshold of the aim; NaN on ticks that are not judged."""
+        """(n,) over the target rate's threshold; NaN on ticks that are not judged."""
         values = self.calibrations[detector].score(
             self.statistic(detector, evidence), self.aim_per_hour / ROBOT_HOUR_TICKS
         )

@@ -400,7 +400,7 @@ class Fitted(NamedTuple):
     """A model, and how its fit ended.
 
     Attributes:
-        model: None where the fit left nothing, so that nobody predicts with zeros.
+        model: None where the fit left nothing, so that no prediction uses zeros.
         status: of the fit.
     """
 

@@ -90,8 +90,8 @@ class Touched(NamedTuple):
         truth: as the score takes it.
         swing: (n,) number of the swing.
         descending: (n,) the command in force is past the lift.
-        scores: by compared detector, (n,) statistic over the aim's threshold.
-        events: by learner, at the product's aim and at others.
+        scores: by compared detector, (n,) statistic over the threshold of the target rate.
+        events: by learner, at the product's target rate and at others.
     """
 
     piece: Piece
@@ -130,7 +130,7 @@ def outcome_of(touched: Touched, name: str, factor: float = 1.0) -> LegOutcome:
 
     Args:
         touched: a stream.
-        name: a learner, at the product's aim or another, or a compared detector.
+        name: a learner, at the product's target rate or another, or a compared detector.
         factor: on the compared detector's threshold.
     """
     if name in touched.events:

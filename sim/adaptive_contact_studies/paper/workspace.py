@@ -379,7 +379,7 @@ def nearest_regions(point: Array, region: Ints) -> list[int]:
     for r in np.unique(region):
         centre[r] = point[region == r].mean(axis=0)
     distance = np.linalg.norm(centre[:, None] - centre[None], axis=2)
-    # A region without rows has no centre, and is nobody's neighbour.
+    # A region without rows has no centre, and no neighbours.
     distance[~np.isfinite(distance)] = np.inf
     np.fill_diagonal(distance, np.inf)
     return [int(i) for i in distance.argmin(axis=1)]

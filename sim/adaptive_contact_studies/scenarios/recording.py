@@ -232,7 +232,7 @@ def _unseen_code() -> str:
 
 
 _MOVED: Final = ("adaptive_contact_studies.scenarios", "adaptive_contact_sim.trials")
-# Besides what holds feet: play, faults of encoders, other grounds, how drifts grow.
+# Besides what holds feet: backlash, faults of encoders, other grounds, how drifts grow.
 _UNSEEN: Final = ("gear.py", "encoder.py", "terrain.py", "drift.py")
 _STREAMS: Final = ("measured", "desired", "valid", "swing")
 
