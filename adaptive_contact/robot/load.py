@@ -321,7 +321,7 @@ def shipped_robot(name: str = "hexapod") -> Robot:
 
 
 def is_shipped(path: str | Path) -> bool:
-    """Tell the name of a robot that ships from the path of a file."""
+    """Return the name of a robot that ships from the path of a file."""
     path = Path(path)
     return str(path) in _shipped_names() and not path.is_file()
 
